@@ -52,6 +52,8 @@ CERTIFICATE = {
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
+                    **every(grid("n"), "measured displaced")},
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -132,6 +134,10 @@ GAINS = {
     "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
+        "timing?": {
+            **every(NOT_NEGATIVE, "delay jitter clock bit"), "missed": Whole(),
+            **every(VECTOR, "measured displaced"),
+        },
         "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},

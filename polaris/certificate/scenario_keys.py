@@ -72,6 +72,10 @@ SCENARIO = {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45),
     },
+    "timing?": {
+        "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
+        **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
+    },
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
     "initial_set": Kinds({

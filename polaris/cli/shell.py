@@ -37,8 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-REFUTED = 5
-"""Exit code: a counterexample was found, or a declared bound does not hold."""
+REFUTED = 5  # exit code: a counterexample was found, or a declared bound does not hold
 
 # -- options ----------------------------------------------------------------------------------------
 

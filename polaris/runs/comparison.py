@@ -165,8 +165,7 @@ COMPARISON = RunKind(
 """What a comparison leaves."""
 
 
-Row = dict[str, Any]
-"""What one point says, by column."""
+Row = dict[str, Any]  # what one point says, by column
 
 
 COLUMNS = {
@@ -225,27 +224,12 @@ def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
     return row["weighted_share"], -row["delta_v_m_s"], -row["switches"], reached, proved, until
 
 
-def _write_points(folder: Path, scenario: ScheduleScenario, rows: Sequence[Row]) -> None:
-    write_csv(folder / "tradeoff.csv", rows)
-
-
-def _tell_points(
-    scenario: ScheduleScenario, rows: Sequence[Row], seconds: Mapping[str, float]
-) -> dict[str, Any]:
-    """Contents of ``tradeoff.json``."""
-    return {"points": list(rows), "definitions": COLUMNS}
-
-
-def _read_points(folder: Path, scenario: ScheduleScenario) -> list[Row]:
-    return list(read_json(folder / "tradeoff.json")["points"])
-
-
 TRADEOFF = RunKind(
     "tradeoff",
     (SCENARIO, "tradeoff.csv"),
-    _write_points,
-    _tell_points,
-    _read_points,
+    lambda folder, scenario, rows: write_csv(folder / "tradeoff.csv", rows),
+    lambda scenario, rows, seconds: {"points": list(rows), "definitions": COLUMNS},
+    lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
     summary="tradeoff.json",
 )
 """What a trade-off leaves."""

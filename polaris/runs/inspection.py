@@ -110,8 +110,7 @@ MEANING = {
 BARRIER_UNIT = {"passive": "m", "deputy_passive": "m", "velocity": "m^2/s^2"}
 """Units of the barriers that are not in m/s."""
 
-SWITCHED = {"backup": BACKUP, "unproven": UNPROVEN}
-"""Answers that only filters with a backup controller give."""
+SWITCHED = {"backup": BACKUP, "unproven": UNPROVEN}  # answers that only filters with a backup controller give
 
 DEFINITIONS = {
     "constraints": "least value over the flight, at the start of every control period and at the instants "

@@ -42,7 +42,7 @@ from . import arrays
 from . import tables as files
 from .certificate import described, hexadecimal, write_certificate
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .picture import Picture
+from .picture import Picture, SlicePicture
 from .picturing import picture_of
 from .stages import Stages
 
@@ -272,7 +272,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
         arrays.position_tube(arrays.read_arrays(folder / "tubes.npz"), system.position),
-        arrays.read_slices(folder / "sets.npz"),
+        SlicePicture(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
         goal.get("by_s"),
         goal.get("delta_v_max_m_s"),
     )

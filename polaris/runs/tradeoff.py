@@ -22,11 +22,8 @@ from .run import read_run, run
 from .schedule import SCHEDULE
 from .stages import Stages
 
-PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)
-"""Prices of velocity change, if none are given."""
-
-Point = tuple[Path, ScheduleScenario]
-"""Folder of a point and its scenario."""
+PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)  # prices of velocity change, if none are given
+Point = tuple[Path, ScheduleScenario]  # folder of a point and its scenario
 
 PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
 
@@ -156,10 +153,7 @@ def _compute(
 
 
 def _write_point(point: Point) -> tuple[str, int] | None:
-    """Write the run folder of a point, in whatever process; else why there is none, and its exit code.
-
-    The error itself may not travel between processes.
-    """
+    """Write the run folder of a point, in whatever process; else why there is none, and the exit code."""
     folder, scenario = point
     try:
         with warnings.catch_warnings():

@@ -15,6 +15,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.system import LinearSystem
+from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
 from .fields import whole_parts
@@ -82,13 +83,13 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> LinearSystem:
-        """The controlled system, how well its state is known, and its thrusters."""
-        system, navigation, thrusters = self.model.system.build(), self.model.navigation, self.model.thrusters
-        if navigation is not None:
-            system = replace(system, estimate_error=navigation.build(system))
-        if thrusters is not None:
-            system = replace(system, thrusters=thrusters.build(system, self._period))
-        return system
+        """The controlled system, how well its state is known and how late, and its thrusters."""
+        model, system = self.model, self.model.system.build()
+        if model.navigation is not None:
+            system = replace(system, estimate_error=model.navigation.build(system))
+        if model.thrusters is not None:
+            system = replace(system, thrusters=model.thrusters.build(system, self._period))
+        return system if model.timing is None else model.timing.build(system, self._period)
 
     @property
     def _period(self) -> float | None:
@@ -105,7 +106,9 @@ class ScheduleScenario(Scenario):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
-        return tuple(part.build(path).grown(radius) for path, part in self.model.scene_parts())
+        system, parts = self.system(), (part.build(path) for path, part in self.model.scene_parts())
+        moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
+        return tuple(part.blurred(system.timing.clock, moved).grown(radius) for part in parts)
 
     @kept
     def goal(self) -> Goal:

@@ -30,6 +30,13 @@ WIDER = 0.02
 otherwise, so that its bands are others than these."""
 
 
+def stacked(inputs: tuple[str, ...], parts: dict[str, Array]) -> Array:
+    """Arrays by name side by side, of broadcastable leading shapes."""
+    chosen = [parts[name] for name in inputs]
+    lead = np.broadcast_shapes(*(part.shape[:-1] for part in chosen))
+    return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Policy:
     """``u = output_scale * network(input_scale * z)``, before the thrusters clip it.
@@ -71,10 +78,7 @@ class Policy:
 
     def stack(self, parts: dict[str, Array]) -> Array:
         """Scaled inputs, shape (..., r), from arrays by name, of broadcastable leading shapes."""
-        chosen = [parts[name] for name in self.inputs]
-        lead = np.broadcast_shapes(*(part.shape[:-1] for part in chosen))
-        joined = [np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen]
-        return np.concatenate(joined, axis=-1) * self.input_scale
+        return stacked(self.inputs, parts) * self.input_scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,9 +184,17 @@ class NeuralController:
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m), in step k."""
+        return np.asarray(self.policy.network(self._read(k, own, x)) * self.policy.output_scale)
+
+    def pullback(self, k: int, own: Array, x: Array, weights: Array) -> Array:
+        """Gradient of ``weights . command`` by x, shape (..., n), for weights (..., m)."""
+        read = self._read(k, own, x)
+        return self.policy.network.pullback(read, weights * self.policy.output_scale) @ self.loop.C
+
+    def _read(self, k: int, own: Array, x: Array) -> Array:
         time = np.array([k * self.reference.delta])
         parts = {"error": own - x, "state": x, "time": time, "reference_input": self.own.nu[k]}
-        return np.asarray(self.policy.network(self.policy.stack(parts)) * self.policy.output_scale)
+        return self.policy.stack(parts)
 
     def fly(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""

@@ -133,6 +133,7 @@ class Schedule:
         """What the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
+        prompt = problem.system.prompt
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
         told = assumptions(
             problem.system.w_max,
@@ -141,8 +142,9 @@ class Schedule:
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
-            estimate=problem.system.navigation.tolist(),
-            thrusters=astuple(problem.system.thrusters),
+            estimate=prompt.navigation.tolist(),
+            timing=astuple(problem.system.timing)[:4],
+            thrusters=astuple(prompt.thrusters),
             chaser=chaser_radius(problem.unsafe),
             sampled=None if self.statement is None else asdict(self.statement),
         )

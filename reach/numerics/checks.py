@@ -1,7 +1,4 @@
-"""Arguments: numbers, vectors, maps and sets as they are given, each checked with one clear error.
-
-`checked` does so by the annotations of a function; what depends on the dimension of a set has functions.
-"""
+"""Arguments as they are given, each checked with one clear error: `checked` does so by annotations."""
 
 from __future__ import annotations
 
@@ -21,11 +18,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def checked(function: F) -> F:
-    """Check the arguments of a function whose annotations say what they are.
-
-    Arrays are converted to floats. What leaves floating point on the way, where nothing provides for it,
-    is `Unresolved`, not a warning of numpy's.
-    """
+    """Check and convert arguments by a function's annotations; beyond floating point is `Unresolved`."""
     code = function.__code__
     names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
     kinds = {name: kind for name, kind in function.__annotations__.items() if name in names}

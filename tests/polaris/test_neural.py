@@ -350,6 +350,12 @@ def test_a_file_of_another_network_is_refused(made, tmp_path):
         read_run(made.parent / "bare" / "run")
 
 
+def test_a_network_without_the_package_that_reads_it_is_not_decided(made, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "onnx", None)
+    verdict = verify(made)
+    assert verdict.outcome == "UNKNOWN" and "needs the package onnx" in verdict.text()
+
+
 def test_a_stronger_network_does_not_keep_within_the_claims(made, tmp_path):
     """File, layers and hash agree; the tube that they lead to is another."""
     scenario = (made / "scenario.toml").read_text(encoding="utf-8")
@@ -372,7 +378,7 @@ def test_the_checker_reads_files_as_the_package_does(tmp_path):
         path = saved(tmp_path, nodes, WEIGHTS | more)
         assert read_layers(path.read_bytes(), 3) == layers_of(read_onnx(path))
     for nodes, more, _ in WRONG.values():
-        with pytest.raises((ValueError, LookupError, ZeroDivisionError)):
+        with pytest.raises(Exception):  # noqa: B017 - `check_file` takes all alike
             read_layers(saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), 3)
 
 

@@ -120,12 +120,8 @@ def _paths(found: ComparisonPicture) -> Any:
     return figure
 
 
-GAP = 0.14
-"""Height of a label [in]."""
-
-
-SPREAD = 4.0
-"""Ratio of the largest velocity change to the least from which on the axis is logarithmic."""
+GAP = 0.14  # height of a label [in]
+SPREAD = 4.0  # ratio of the largest velocity change to the least from which on the axis is logarithmic
 
 
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
@@ -203,5 +199,4 @@ def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
 FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
 """Figures of a comparison."""
 
-TRADEOFF = {"tradeoff": _front}
-"""Figures of a trade-off."""
+TRADEOFF = {"tradeoff": _front}  # figures of a trade-off

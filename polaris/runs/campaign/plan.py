@@ -24,8 +24,7 @@ FORMAT, VERSION = "polaris campaign", 2
 KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, InspectionRuns)}
 """Kinds of run by the name in a manifest."""
 
-BATCH = 250
-"""Runs per task: enough to be worth sending, few enough to lose little with a worker."""
+BATCH = 250  # runs per task: enough to be worth sending, few enough to lose little with a worker
 
 
 @dataclass(frozen=True)
