@@ -27,8 +27,8 @@ LONGEST = 100_000_000
 def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
     """A black box to ask for as long as the ``with`` statement lasts; no shell reads the command.
 
-    `ScenarioError` where it cannot be started, ends, needs more than so many seconds for an answer, or answers
-    something else than JSON with "u".
+    `ScenarioError` where it cannot be started, ends, needs more than so many seconds for an answer, or
+    answers something else than JSON with "u".
     """
     shown, pipe = " ".join(command)[:100], subprocess.PIPE
     positive("seconds", seconds, "s")

@@ -60,7 +60,7 @@ class Sampled:
 
 
 def flights_needed(probability: float, doubt: float) -> int:
-    """Least number of flights of which no more than `SPARE` would leave a band, but with a chance of `doubt`."""
+    """Least number of flights of which more than `SPARE` would leave a band, but for a chance of `doubt`."""
     return bisect_left(range(MOST), True, SPARE + 1, key=lambda n: binom.cdf(SPARE, n, probability) <= doubt)
 
 

@@ -166,16 +166,13 @@ class NeuralController:
         }
         return read, np.abs(self.policy.stack(off)) + gamma(4) * np.abs(read)
 
-    @cached_property
+    @property
     def slope(self) -> AffineController:
-        """The clipped affine law that it is where it is on its own reference, to first order: no bound."""
-        n, small = self.system.n, 1e-6
-        known = self.known[0][0, 0]
-        steps = [self.policy.network(known + self.loop.C @ (small * axis)) for axis in np.eye(n)]
-        gain = (self.policy.network(known) - np.array(steps)).T / small * self.policy.output_scale[:, None]
-        return AffineController(
-            self.name, self.system, gain, self.reference, self.own, self.tracking, clips=True
-        )
+        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        own, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m))
+        known = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *known, clips=True)
 
     @cached_property
     def booked(self) -> Array:
