@@ -22,7 +22,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import TubeSegment
+from .controllers import AffineController, TubeSegment
 from .tracking import Feedback, Tracking
 
 WIDER = 0.02
@@ -165,6 +165,14 @@ class NeuralController:
             "reference_input": np.zeros((cells, 1, m)),
         }
         return read, np.abs(self.policy.stack(off)) + gamma(4) * np.abs(read)
+
+    @property
+    def slope(self) -> AffineController:
+        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        own, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m))
+        known = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *known, clips=True)
 
     @cached_property
     def booked(self) -> Array:
