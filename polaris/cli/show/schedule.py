@@ -107,8 +107,6 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
     return found
 
 
-# -- campaigns ---------------------------------------------------------------------------------------
-
 COLUMNS = (
     "mode",
     "runs",
