@@ -17,7 +17,7 @@ BOUND = Either((NOT_NEGATIVE, None))
 VECTOR = Rows(REAL)
 MATRIX = Rows(VECTOR)
 ONE = Whole(1, 1)
-GUARANTEE = Text(("proved", "none"))
+GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
 
@@ -52,6 +52,8 @@ CERTIFICATE = {
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
+                    **every(grid("n"), "measured displaced")},
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -68,7 +70,7 @@ CERTIFICATE = {
         "safety": {"name": NAME, "gain": grid("m n")},
         "affine": _OWN,
         "saturated_affine": _OWN,
-        "any_thrust": {"name": NAME},
+        **every({"name": NAME}, "any_thrust black_box"),
         "neural": _NETWORK,
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
@@ -82,6 +84,10 @@ CERTIFICATE = {
         **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
         "slopes": grid("K", Either((None, grid("q m")))),
     },
+    "samples?": {
+        **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
+        "fits": grid("K", Either((None, grid("q m n+2")))),
+    },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
 }
 """The certificate; `Document` compares the lengths."""
@@ -92,6 +98,9 @@ CLAIMED = {
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+    },
+    "statement?": {
+        **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
     },
 }
 """The guarantee as the schedule and the summary repeat it."""
@@ -125,6 +134,10 @@ GAINS = {
     "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
+        "timing?": {
+            **every(NOT_NEGATIVE, "delay jitter clock bit"), "missed": Whole(),
+            **every(VECTOR, "measured displaced"),
+        },
         "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
@@ -161,7 +174,7 @@ SUMMARY = {
     **every(FLOWN, "polaris safety experimental?"),
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
-        **every(SHARE, "experimental_share share_at_most"),
+        **every(SHARE, "experimental_share share_at_most proven_share?"), "worst_found?": object,
         "share_bound": {"worth": NOT_NEGATIVE, **every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,

@@ -33,6 +33,8 @@ class Pilot:
 
     Any are sound; None for those of the checker's own.
     """
+    fits: list[list[Matrix] | None] = field(default_factory=list)
+    """By step and period, the affine functions that samples of a black box say its commands are near."""
     _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -76,7 +78,7 @@ class Pilot:
         tops = self.plant.u_max
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
-        elif self.law.kind != "any_thrust":
+        elif self.law.kind not in ("any_thrust", "black_box"):
             most = d.support(self.commands)
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
@@ -101,7 +103,14 @@ class Pilot:
         if self.law.kind == "neural":
             command = self.policy.command(d, self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
-            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, most=command.most)
+            error = plant.push(plant.thruster_error(command.most))
+            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
+        fit = self.fits[k] if self.law.kind == "black_box" else None
+        if fit is not None:
+            n, rows = d.c.nrows(), fit[i]
+            K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
+            push = Push.in_box(plant.B, [arb(row[n + 1]) for row in rows])
+            return Period(plant.loop(-K), plant.B * (c - u), push)
         found = self.clipped(_ranges(u, d.support(self.commands)))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [

@@ -110,6 +110,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "until_s": document.until,
             "reason": document.reason,
             "assumptions": [*document.assumptions, ARITHMETIC],
+            **({"statement": document.statement} if document.statement else {}),
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
         },
     }
@@ -122,9 +123,13 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
     return dict(stored["guarantee"])
 
 
+KINDS = {"any_thrust": "AnyThrust", "neural": "NeuralController", "black_box": "BlackBox"}
+"""Kinds of controllers as the readable files call them, those with a gain apart."""
+
+
 def _controller(document: Document, mode: int) -> dict[str, Any]:
     law = document.laws[mode]
-    kind = {"any_thrust": "AnyThrust", "neural": "NeuralController"}.get(law.kind, "AffineController")
+    kind = KINDS.get(law.kind, "AffineController")
     return {"mode": mode, "name": law.name, "kind": kind}
 
 
@@ -258,6 +263,7 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
             "thrusters": dict(zip(("along", "across", "bit"), document.thrusters, strict=True))
             if document.thrusters
             else None,
+            "timing": document.timing or None,
             "safety_share": None if document.share == 1 else document.share,
         },
         "feedback": {

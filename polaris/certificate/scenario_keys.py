@@ -72,6 +72,10 @@ SCENARIO = {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45),
     },
+    "timing?": {
+        "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
+        **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
+    },
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
     "initial_set": Kinds({
@@ -120,6 +124,8 @@ SCENARIO = {
         "affine": _AFFINE,
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
+        "black_box": {"name": NAME, "weight?": WORTH, "probability?": Real(least=1e-5, most=0.5),
+                      "confidence?": Real(least=0.5, most=1 - 1e-9)},
         "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
                    "inputs?": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
                    "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},

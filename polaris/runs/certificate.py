@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
+from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
@@ -58,6 +60,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         },
         "enclosures": _enclosures(schedule),
         "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
+        **_samples(schedule),
         "guarantee": schedule.guarantee,
         "assumptions": list(schedule.assumptions[:-1]),  # the checker works in ball arithmetic
     }
@@ -98,7 +101,7 @@ def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
     if item is safety.controller:
         return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
     if not isinstance(item, (AffineController, NeuralController)):
-        return {"name": item.name, "kind": "any_thrust"}
+        return {"name": item.name, "kind": "black_box" if isinstance(item, BlackBox) else "any_thrust"}
     own = {} if item.own is safety.reference else {"own_states": item.own.chi, "own_inputs": item.own.nu}
     if isinstance(item, NeuralController):
         return {"name": item.name, "kind": "neural", **described(item), **own}
@@ -117,6 +120,14 @@ def described(law: NeuralController) -> dict[str, Any]:
     ]
     scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
     return {"inputs": list(policy.inputs), **scales, "layers": layers}
+
+
+def _samples(schedule: Schedule) -> dict[str, Any]:
+    """What samples say: of the flights, and where the errors are at the nodes of the steps of black boxes."""
+    if schedule.statement is None:
+        return {}
+    fits = [getattr(step.tube, "fit", None) for step in schedule.steps]
+    return {"samples": {**asdict(schedule.statement), "fits": fits}}
 
 
 def _bounds(safety: Safety) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import LinearSystem
 from . import fields as f
-from .error_tables import Chaser, Navigation, Thrusters
+from .error_tables import Chaser, Navigation, Thrusters, Timing
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -209,6 +209,7 @@ class ScenarioModel(f.Head):
         "-", "How well it knows its state; exactly without it.", default=None
     )
     thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
+    timing: Timing | None = unit("-", "How late commands take effect; at once without it.", default=None)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")

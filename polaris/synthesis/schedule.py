@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .arrival import Arrival, arrival
+from .black_box import FittedSegment
 from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
 from .neural import NeuralController
@@ -52,6 +53,32 @@ class Step:
         return self.recoverable.margin(self.k, self.tube.nodes, self.tube.bow)
 
 
+@dataclass(frozen=True)
+class Statement:
+    """What samples say of the steps of black boxes, from flights that no band was fitted to.
+
+    Attributes
+    ----------
+    probability : float
+        With which a flight leaves a band at most.
+    confidence : float
+        With which that is so, over the samples.
+    flights, outside : int
+        Flights drawn in the last attempt, and those that left.
+    seed : int
+        Of the samples.
+    attempts : int
+        Bands that were tried in turn, each wider.
+    """
+
+    probability: float
+    confidence: float
+    flights: int
+    outside: int
+    seed: int
+    attempts: int
+
+
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """A switching schedule L with everything its proof rests on.
@@ -73,6 +100,8 @@ class Schedule:
     worth : callable, optional
         What a flight is worth at the scenario's prices, by its shares of the time per mode, its velocity
         change [m/s] and its number of switches; known where references were planned with U in view.
+    statement : Statement, optional
+        What sampled flights say of the steps that black boxes fly.
     """
 
     safety: Safety
@@ -82,17 +111,29 @@ class Schedule:
     seconds: Mapping[str, float] = field(default_factory=dict)
     library: tuple[Schedule, ...] = ()
     worth: Callable[[Mapping[int, float], float, float], float] | None = None
+    statement: Statement | None = None
 
     @property
     def guarantee(self) -> str:
-        """``proved`` or ``none``: whether safety is; until when says ``safety.end``."""
-        return self.safety.guarantee
+        """``proved``, ``statistical`` or ``none``: whether safety is; until when says ``safety.end``.
+
+        A black box in any step makes all of it ``statistical``, and ``none`` without a `statement`.
+        """
+        if not self.sampled_steps or self.safety.guarantee == "none":
+            return self.safety.guarantee
+        return "none" if self.statement is None else "statistical"
+
+    @property
+    def sampled_steps(self) -> int:
+        """Number of steps whose sets come from samples."""
+        return sum(isinstance(step.tube, FittedSegment) for step in self.steps)
 
     @cached_property
     def assumptions(self) -> tuple[str, ...]:
         """What the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
+        prompt = problem.system.prompt
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
         told = assumptions(
             problem.system.w_max,
@@ -101,9 +142,11 @@ class Schedule:
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
-            estimate=problem.system.navigation.tolist(),
-            thrusters=astuple(problem.system.thrusters),
+            estimate=prompt.navigation.tolist(),
+            timing=astuple(problem.system.timing)[:4],
+            thrusters=astuple(prompt.thrusters),
             chaser=chaser_radius(problem.unsafe),
+            sampled=None if self.statement is None else asdict(self.statement),
         )
         return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
 

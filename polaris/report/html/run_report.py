@@ -44,7 +44,7 @@ def run_page(folder: RunFolder) -> Page:
     ]
     return Page(
         str(summary["title"]),
-        (Markup() if proved else loud(recoverable)) + answers(summary, picture),
+        (loud(recoverable) if claim["kind"] == "none" else Markup()) + answers(summary, picture),
         (
             ("numbers", "Metrics", metrics(summary)),
             ("guarantee", "The guarantee", guarantee(claim, recoverable)),
@@ -74,7 +74,7 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
         cost += "; S alone " + Measure.of("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
     share, switches = Measure.of("experimental_share").text(found["experimental_share"]), found["switches"]
     cards = (
-        ("Is it safe?", badge(claim["kind"]), reach(claim) if proved else "no claim"),
+        ("Is it safe?", badge(claim["kind"]), reach(claim) if claim["kind"] != "none" else "no claim"),
         ("Does it arrive?", *arrives),
         ("What does it cost?", Measure.of("delta_v_m_s").text(flown["delta_v_m_s"]), cost),
         ("Who flies when?", "U " + share, f"{counted(switches, 'switch', 'switches')}; {_when(picture)}"),
@@ -129,8 +129,12 @@ def synthesis(summary: Mapping[str, Any]) -> Markup:
 
 
 def reach(claim: Mapping[str, Any]) -> str:
-    """How far a proved schedule's claim goes, in words."""
+    """How far a schedule's claim goes, in words."""
     until = claim.get("until_s")
+    if "statement" in claim:
+        most = directed(claim["statement"]["probability"], ".2g", up=True)
+        proven = {key: value for key, value in claim.items() if key != "statement"}
+        return f"{reach(proven)}, but for at most {most} of all flights"
     if claim.get("horizon") == "infinite":
         return "for all time"
     if claim.get("horizon") == "one_period" and until is not None:
@@ -144,7 +148,7 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> Markup:
     if goal["reached"] is True:
         arrives = {"distance": _most(goal, "distance_m"), "delta_v": _most(goal, "delta_v_max_m_s")}
         arrives["by"] = _time(goal["by_s"])
-    told = claim, recoverable, badge("proved"), reach(claim), arrives
+    told = claim, recoverable, badge(claim["kind"]), reach(claim), arrives
     return Markup(macros("run.html").guarantee(*told))
 
 
