@@ -18,8 +18,7 @@ from ..model.checks import positive
 from ..model.errors import ScenarioError
 from ..model.system import Array
 
-LONGEST = 100_000_000
-"""Most bytes of an answer."""
+LONGEST = 100_000_000  # most bytes of an answer
 
 
 class Program:
