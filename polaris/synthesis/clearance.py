@@ -145,7 +145,7 @@ class Clearance:
 
     @cached_property
     def _scheduled(self) -> Scheduled | None:
-        if not self.tracking.system.thrusters.proportional:
+        if self.tracking.profile is None:
             return None
         return Scheduled(self.tracking, self.reference, self.planned)
 

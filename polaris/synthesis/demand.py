@@ -38,18 +38,18 @@ def summed(gains: Array, errors: Array) -> Array:
     return np.vstack([np.zeros((1, gains.shape[1])), sums])
 
 
-def profile(tracking: Tracking) -> Array:
+def profile(tracking: Tracking, level: float) -> Array:
     """Bound on what S's feedback commands so many periods after a hand-over, shape (memory + 2, m) [N].
 
     Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as
-    what errors demand that start with some share of the limits (`Tracking.level`), to what disturbances and
+    what errors demand that start with the share `level` of the limits, to what disturbances and
     the errors of the commands themselves demand for ever: each round allows for the errors of the one before.
     """
     gain, u_max = tracking.gain, tracking.system.u_max
     norms = np.linalg.norm(gain @ tracking.transitions @ tracking.W_inverse, axis=-1)
     ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
     shape = np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)
-    shape = shape * tracking.level * u_max
+    shape = shape * level * u_max
     noise = tracking.system.command_error(gain)
     left = tracking.forgotten(gain, float(np.min(u_max / norms[0])))
     found = shape

@@ -119,29 +119,33 @@ class Tracking:
         Continuous, or sampled with its control period.
     delta : float
         Planning step [s].
-    level : float
+    level : float, optional
         Share of the thrust limits from which what S's feedback commands after a hand-over falls, where errors
-        of thrusters grow with it (`polaris.synthesis.demand.profile`).
+        of thrusters grow with it (`polaris.synthesis.demand.profile`). Without it they are booked for all
+        that the thrusters have, at all times.
     """
 
     system: LinearSystem
     gain: Array
     feedback: Feedback
     delta: float
-    level: float = 1.0
+    level: float | None = None
 
     @property
     def error(self) -> Array:
-        """Bounds on the errors of what S applies, but those in proportion to its commands, shape (m,)."""
-        return self.system.input_error(self.gain, np.zeros(self.system.m))
+        """Bounds on the errors of what S applies, shape (m,); without those that the profile bounds."""
+        most = self.system.u_max if self.level is None else np.zeros(self.system.m)
+        return self.system.input_error(self.gain, most)
 
     @cached_property
     def profile(self) -> Array | None:
         """Bound on what S's feedback commands after a hand-over, period by period, shape (memory + 2, m).
 
-        None where errors of thrusters do not depend on it.
+        None where errors of thrusters do not depend on it, or are booked for more.
         """
-        return profile(self) if self.system.thrusters.proportional else None
+        if self.level is None or not self.system.thrusters.proportional:
+            return None
+        return profile(self, self.level)
 
     @property
     def most(self) -> Array:

@@ -66,6 +66,22 @@ class NetworkTube:
         return Zonotope.box((most[:, :n] - most[:, n:]) / 2, (most[:, :n] + most[:, n:]) / 2)
 
 
+def held_step(flow: LinearFlow, B: Array, states: Zonotope, inputs: Zonotope) -> tuple[Zonotope, Array]:
+    """One period of open-loop motion under held inputs whose first generators are those of the states.
+
+    Returned are the states at the next sample, not reduced, and the bow as in `NetworkTube`.
+    """
+    A, phi, held, drive = flow.A_x, flow.phi, flow.input_map(B), inputs.c
+    G = np.pad(states.G, ((0, 0), (0, inputs.G.shape[1] - states.G.shape[1])))
+    after = Zonotope(phi @ states.c + held @ drive, phi @ G + held @ inputs.G)
+    size = np.abs(phi) @ states.extent + np.abs(held) @ (np.abs(drive) + inputs.half_widths)
+    noise = flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
+    # x'' = e^{A s} A (A x + B u), states and inputs taken together.
+    bend = np.abs(A @ (A @ G + B @ inputs.G)).sum(axis=1) + np.abs(A @ (A @ states.c + B @ drive))
+    bow = flow.h**2 / 8 * flow.growth @ bend + flow.period_box
+    return after + noise.reduce(NOISE_ORDER), bow
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkLoop:
     """``x' = A x + B (u + v) + D w``, where ``u = network(C x + s)`` is renewed every h and held.
@@ -82,6 +98,8 @@ class NetworkLoop:
         With m outputs; any limits of the input are its last activation.
     C : ndarray, shape (r, n)
         What the network reads.
+    error : ndarray, shape (n,), optional
+        By how much each state that it reads may be off, in every period anew; not at all by default.
 
     Raises
     ------
@@ -96,6 +114,7 @@ class NetworkLoop:
     h: float
     network: Network
     C: Array
+    error: Array | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -105,6 +124,8 @@ class NetworkLoop:
         if np.shape(self.C) != (self.network.inputs, len(self.A)):
             shape = (self.network.inputs, len(self.A))
             raise ReachError(f"C must have shape {shape}, got {np.shape(self.C)}")
+        if self.error is not None and (self.error.shape != (len(self.A),) or np.any(self.error < 0)):
+            raise ReachError(f"error must be {len(self.A)} numbers >= 0")
         self.flow  # noqa: B018  what it refuses is refused here
 
     @cached_property
@@ -115,8 +136,11 @@ class NetworkLoop:
     def command(self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0) -> Zonotope:
         """The network over a set of states: the first generators are theirs, the others few."""
         s = per_row("offset of what is read", s, self.network.inputs)
-        seen = self.C @ states + s
-        rounding = gamma(states.dim) * (np.abs(self.C) @ states.extent + np.abs(s)) + off
+        seen, extent = self.C @ states + s, states.extent
+        if self.error is not None:
+            seen = Zonotope(seen.c, np.hstack([seen.G, self.C * self.error]))
+            extent = extent + self.error
+        rounding = gamma(states.dim) * (np.abs(self.C) @ extent + np.abs(s)) + off
         out = self.network.enclose(seen, rounding)
         g = states.order_count
         own = Zonotope(np.zeros(out.dim), out.G[:, g:]).reduce(OWN_ORDER)
@@ -147,20 +171,8 @@ class NetworkLoop:
         """
         require_single("the states", states)
         command = self.command(states, s, off)
-        held = self.flow.input_map(self.B)
         drive = command.c + per_row("known input", v, command.dim)
-        phi = self.flow.phi
-        grown = command.G.shape[1] - states.G.shape[1]
-        G = np.pad(states.G, ((0, 0), (0, grown)))
-        after = Zonotope(phi @ states.c + held @ drive, phi @ G + held @ command.G)
-        size = np.abs(phi) @ states.extent + np.abs(held) @ (np.abs(drive) + command.half_widths)
-        noise = self.flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
-        after = after + noise.reduce(NOISE_ORDER)
-        # x'' = e^{A s} A (A x + B u), states and inputs taken together.
-        turn = self.A @ self.A, self.A @ self.B
-        bend = np.abs(turn[0] @ G + turn[1] @ command.G).sum(axis=1)
-        bend = bend + np.abs(turn[0] @ states.c + turn[1] @ drive)
-        return after, self.h**2 / 8 * self.flow.growth @ bend + self.flow.period_box, command
+        return *held_step(self.flow, self.B, states, Zonotope(drive, command.G)), command
 
     @checked
     def tube(self, initial: Zonotope, periods: int, order: float = ORDER) -> NetworkTube:
