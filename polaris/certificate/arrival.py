@@ -13,7 +13,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import above, diagonal, largest, magnitude, matrix, norms, plain, require, smallest, sums
+from .balls import above, column, diagonal, largest, magnitude, matrix, norms, plain, require, smallest, sums
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Path
@@ -259,6 +259,8 @@ class Arrival:
                 parts += [needs.booked(z, lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
+        if not around:  # commands do not answer to what jitter displaces
+            least = sums(least, (magnitude(needs.carried[0]) * column(self.document.displaced)).entries())
         if node > periods:
             return sums(least, self._forgotten(needs, jump))
         carried = magnitude(needs.carried[node])

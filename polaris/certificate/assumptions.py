@@ -28,6 +28,7 @@ def assumptions(
     horizon: str = "none",
     until: float | None = None,
     estimate: Iterable[float] = (),
+    timing: Iterable[float] = (),
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
     allocated: bool = False,
@@ -50,7 +51,9 @@ def assumptions(
     until : float or None
         Last instant of a claim of one further period [s].
     estimate : iterable of float
-        Bounds on the errors of the states' estimates.
+        Bounds on the errors of the states' estimates, before any prediction.
+    timing : iterable of float
+        Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
@@ -61,7 +64,10 @@ def assumptions(
         What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
     errors = list(estimate)
+    delay, jitter, missed, clock = list(timing) or (0.0, 0.0, 0, 0.0)
+    predicted = delay > 0 or missed > 0
     seen = "an estimate of the state" if any(errors) else "the exact state"
+    seen = "a prediction of the state" if predicted else seen
     if period is None:
         law = f"every controller acts continuously on {seen}"
     else:
@@ -70,6 +76,12 @@ def assumptions(
     known = f"navigation: at all times no state is further from its estimate than [{bounds}], one by one"
     applied = list(thrusters)
     off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False) if x)
+    late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
+    late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
+    late += f", at most {missed} periods in a row without a new one" if missed else ""
+    late += "; what is commanded meanwhile is known, and the model holds before the start as well"
+    started = f"schedule and reference count from the same instant, unsafe sets from within {clock:g} s of it"
+    exact = "exact; schedule, reference and unsafe sets count from the same instant"
     size = f"within {chaser:g} m of the point that is navigated, which is added to every unsafe set"
     point = "a point, its own size being part of the unsafe sets"
     ever = horizon == "infinite"
@@ -94,7 +106,8 @@ def assumptions(
             else []
         ),
         *([ALLOCATED] if allocated else []),
-        "clocks: exact; schedule, reference and unsafe sets count from the same instant",
+        *([late] if predicted or jitter > 0 else []),
+        f"clocks: {started if clock > 0 else exact}",
         "experimental controllers: each obeys its declared model",
         *(_of_samples(**sampled) if sampled else []),
         fuel,

@@ -169,6 +169,11 @@ class Document:
         self.estimate: Vector = system.get("estimate_error") or []
         errors = system.get("thrusters")
         self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
+        self.timing: dict[str, Any] = system.get("timing") or {}
+        self.measured: Vector = self.timing.get("measured") or self.estimate
+        self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
+        bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
+        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter
         self.share: float = 1.0 if system.get("safety_share") is None else system["safety_share"]
         if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
             raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
@@ -261,8 +266,11 @@ class Document:
             satellites=self.satellites,
             horizon=self.horizon,
             until=self.until,
-            estimate=self.estimate,
-            thrusters=self.thrusters,
+            estimate=self.measured,
+            timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
+            if self.timing
+            else (),
+            thrusters=self.prompt_thrusters,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
             sampled=self.statement or None,

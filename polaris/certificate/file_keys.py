@@ -55,6 +55,8 @@ CERTIFICATE = {
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
+        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
+                    **every(grid("n"), "measured displaced")},
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -152,6 +154,10 @@ GAINS = {
     "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
+        "timing?": {
+            **every(NOT_NEGATIVE, "delay jitter clock bit"), "missed": Whole(),
+            **every(VECTOR, "measured displaced"),
+        },
         "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},

@@ -15,6 +15,7 @@ from .lqr import check_gain, positive_definite
 from .own import check_own
 from .perception import check_unsafe
 from .repeated import check_switching
+from .timing import check_timing
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
@@ -40,6 +41,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_navigation(document, scenario.get("navigation", {}))
         _check_thrusters(document, scenario)
         check_allocation(document, scenario)
+        check_timing(document, scenario.get("timing", {}))
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
@@ -134,7 +136,8 @@ def _check_navigation(document: Document, spec: dict[str, Any]) -> None:
     wrong = ("position_error_m", "velocity_error_m_s") if document.mean_motion is None else ("state_error",)
     if any(key in spec and spec[key] != 0.0 for key in wrong):
         raise Rejected("system", "errors of estimates are given for another kind of system")
-    _need("system", "error of estimates", document.estimate, list(given) if any(given) else [])
+    found = document.measured if any(document.measured) else []
+    _need("system", "error of estimates", found, list(given) if any(given) else [])
 
 
 def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
@@ -153,8 +156,8 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         raise Rejected("system", "a misalignment needs Hill's frame")
     rounding = bit / (2 * arb(document.delta) / document.q)
     wanted = most - 1, turned, rounding * (most + turned * arb(len(document.u_max)).sqrt())
-    stored = document.thrusters or [0.0] * 3
-    for name, least, found in zip(("along", "across", "of the bit"), wanted, stored, strict=True):
+    names = ("along", "across", "of the bit")
+    for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")
 
 

@@ -45,7 +45,11 @@ def read_layers(data: bytes, width: int) -> list[Layer]:
     """Layers of a model that reads so many values, or an error: a chain of known operators only."""
     import onnx
 
-    graph = onnx.load_model_from_string(data).graph
+    # Shapes are inferred by the package: components must stay along the last axis, and nothing be repeated.
+    model = onnx.load_model_from_string(data)
+    graph = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True).graph
+    known = [*graph.input, *graph.value_info, *graph.output]
+    shapes = {item.name: [axis.dim_value for axis in item.type.tensor_type.shape.dim] for item in known}
     if graph.sparse_initializer:
         raise ValueError("sparse weights")
     constants = {tensor.name: _tensor(tensor) for tensor in graph.initializer}
@@ -61,15 +65,19 @@ def read_layers(data: bytes, width: int) -> list[Layer]:
             continue
         if into.count(at) != 1:
             raise ValueError(f"{kind} does not take the output before it once")
-        domain = node.get(7, [b""])[-1].decode()
-        if domain not in ("", "ai.onnx") or (kind == "Cast" and more["to"].get(3) not in ([1], [11])):
+        real = onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE
+        domain, changes = node.domain, kind == "Cast" and more["to"] not in real
+        if domain not in ("", "ai.onnx") or changes:
             raise ValueError(f"the operator {domain}.{kind} is not known, or changes values")
         values = [None if name == at or not name else constants[name] for name in into]
         if kind not in SAME:
             layers.append(_layer(kind, values, more, width))
             width = len(layers[-1].b) or width
         at = node.output[0]
-    if [item.name for item in graph.output] != [at]:
+        sizes = shapes.get(at) or [0]
+        if sizes[-1] != width or any(size > 1 for size in sizes[:-1]):
+            raise ValueError(f"after {kind} the components are not {width} along the last axis")
+    if not layers or [item.name for item in graph.output] != [at]:
         raise ValueError("the output is not the end of the chain")
     return layers
 
@@ -91,13 +99,16 @@ def _layer(kind: str, values: list[Any], more: dict[str, Any], width: int) -> La
     """What one operator does to a vector."""
     if kind in ACTIVATIONS:
         name, low = ACTIVATIONS[kind]
-        return Layer(name, low=more.get("alpha", low))
+        slope = more.get("alpha", low)
+        if not 0 <= slope <= 1:
+            raise ValueError(f"{kind} with a slope of {slope}")
+        return Layer(name, low=slope)
     if kind == "Clip":
         ends = [more.get("min", math.nan), more.get("max", math.nan)]
         for i, value in enumerate(values[1:3]):
-            ends[i] = ends[i] if value is None else value[1][0]
-        if any(map(math.isnan, ends)):
-            raise ValueError("Clip without limits")
+            (ends[i],) = [ends[i]] if value is None else value[1]
+        if not ends[0] <= ends[1]:
+            raise ValueError("Clip without limits, or with limits upside down")
         return Layer("clip", low=ends[0], high=ends[1])
     if kind in ("Gemm", "MatMul"):
         (rows, columns), flat = values[1]

@@ -283,6 +283,7 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
             "thrusters": dict(zip(("along", "across", "bit"), document.thrusters, strict=True))
             if document.thrusters
             else None,
+            "timing": document.timing or None,
             "safety_share": None if document.share == 1 else document.share,
         },
         "feedback": {

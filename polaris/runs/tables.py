@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..model.system import LinearSystem
+from ..model.timing import Timing
 from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
 from ..synthesis.get_safety import Safety
@@ -142,11 +143,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 
 def errors_of(safety: Safety) -> dict[str, Any]:
-    """Errors of estimates and thrusters, and the share of thrust that S keeps to, where there are any."""
+    """Errors of estimates, thrusters and timing, and the share of thrust that S keeps to, if any."""
     system, share = safety.problem.system, safety.tracking.share
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({} if system.timing == Timing() else {"timing": asdict(system.timing)}),
         **({"safety_share": share} if share < 1 else {}),
     }
 

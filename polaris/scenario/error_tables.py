@@ -1,4 +1,4 @@
-"""The scenario file's models of what is not exact: navigation, thrusters, and the size of the chaser."""
+"""The scenario file's models of what is not exact: navigation, thrusters, timing, the chaser's size."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 
 from ..model.allocation import Allocation, axis_pairs
 from ..model.errors import ScenarioError
+from ..model.prediction import predicting
 from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters as Errors
+from ..model.timing import Timing as Delays
 from ..synthesis.passive import Abort as AbortOptions
 from . import fields as f
 from .fault_tables import Fault
@@ -125,6 +127,39 @@ class Tank(ScenarioPart):
 
     delta_v_m_s: f.Positive = unit("m/s")
     """Velocity change that there is propellant for from the start on, the sum over the axes counted."""
+
+
+class Timing(ScenarioPart):
+    """What lies between a measurement and the thrust that answers it.
+
+    Every controller acts on the state as it is predicted, by the model, for the instant at which its command
+    takes effect. The commands in force until then are known, those before the start too.
+    """
+
+    delay_s: f.Real = unit("s", default=0.0, ge=0, le=1e4)
+    """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
+    effect; more than a period, too."""
+    jitter_s: f.NonNegative = unit("s", default=0.0)
+    """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback."""
+    missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
+    """Periods in a row for which there may be no new measurement or command: commands for so many periods
+    ahead are sent each time. Needs sampled feedback."""
+    clock_error_s: f.NonNegative = unit("s", default=0.0)
+    """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
+    obstacles of kind `satellite`."""
+
+    def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
+        """The system, its controllers acting on predictions."""
+        for name in ("jitter_s", "missed_periods"):
+            if (value := getattr(self, name)) and period is None:
+                raise ScenarioError(
+                    f"timing.{name}", value, "needs sampled feedback (feedback.kind = 'sampled')"
+                )
+        if period is not None and self.jitter_s > period / 2:
+            rule = f"must be at most half of the period of {period:g} s"
+            raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
+        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
+        return system if given == Delays() else predicting(system, given, period)
 
 
 class Chaser(ScenarioPart):

@@ -16,6 +16,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.checks import MAX_STEPS, counted
 from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
+from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
 from .error_tables import allocation
@@ -88,14 +89,15 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> LinearSystem:
-        """The controlled system, how well its state is known, and its thrusters."""
-        system, navigation, thrusters = self.model.system.build(), self.model.navigation, self.model.thrusters
-        if navigation is not None:
-            system = replace(system, estimate_error=navigation.build(system))
-        if thrusters is not None:
-            system = replace(system, thrusters=thrusters.build(system, self._period))
-        allocation = self.allocation()
-        return system if allocation is None else replace(system, u_max=allocation.u_max)
+        """The controlled system, how well its state is known and how late, and its thrusters."""
+        model, system = self.model, self.model.system.build()
+        if model.navigation is not None:
+            system = replace(system, estimate_error=model.navigation.build(system))
+        if model.thrusters is not None:
+            system = replace(system, thrusters=model.thrusters.build(system, self._period))
+        if (made := self.allocation()) is not None:
+            system = replace(system, u_max=made.u_max)
+        return system if model.timing is None else model.timing.build(system, self._period)
 
     @kept
     def allocation(self) -> Allocation | None:
@@ -117,7 +119,9 @@ class ScheduleScenario(Scenario):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
-        return tuple(part.build(path).grown(radius) for path, part in self.model.scene_parts())
+        system, parts = self.system(), (part.build(path) for path, part in self.model.scene_parts())
+        moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
+        return tuple(part.blurred(system.timing.clock, moved).grown(radius) for part in parts)
 
     @kept
     def goal(self) -> Goal:

@@ -20,7 +20,7 @@ from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import LinearSystem
 from . import fields as f
-from .error_tables import Abort, Chaser, Navigation, Tank, Thrusters
+from .error_tables import Abort, Chaser, Navigation, Tank, Thrusters, Timing
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
@@ -211,6 +211,7 @@ class ScenarioModel(f.Head):
     )
     thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
     faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
+    timing: Timing | None = unit("-", "How late commands take effect; at once without it.", default=None)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     tank: Tank | None = unit("-", "Propellant; not counted without it.", default=None)
     abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)

@@ -157,6 +157,7 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
         forgotten = late * float(z.norm_bound(tracking.W)) + always
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     need = np.min(found, axis=0) + safety.clearance.jump_need(rows) + safety.clearance.round_off(rows)
+    need = need + np.abs(rows) @ tracking.system.displaced
     return need + ROUNDING * np.abs(need), centre
 
 

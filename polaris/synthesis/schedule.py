@@ -135,6 +135,7 @@ class Schedule:
         """What the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
+        prompt = problem.system.prompt
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
         told = assumptions(
             problem.system.w_max,
@@ -143,8 +144,9 @@ class Schedule:
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
-            estimate=problem.system.navigation.tolist(),
-            thrusters=astuple(problem.system.thrusters),
+            estimate=prompt.navigation.tolist(),
+            timing=astuple(problem.system.timing)[:4],
+            thrusters=astuple(prompt.thrusters),
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
             sampled=None if self.statement is None else asdict(self.statement),
@@ -236,7 +238,7 @@ def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
         return ()
     system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
     rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
-    bow = tube.bow + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    bow = tube.bow + system.displaced + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
     return flight.after(k, tube.nodes + arc, bow)
 
 

@@ -175,7 +175,7 @@ class _Reader:
         self._diagonal(scale, shift - mean * scale)
 
     def _clip(self, inputs: list[Any], more: dict[str, Any]) -> None:
-        given = [more.get("min"), more.get("max")]
+        given: list[Any] = [more.get("min"), more.get("max")]
         for at, value in enumerate(inputs[1:3]):
             given[at] = given[at] if value is None else value
         if given[0] is None or given[1] is None:

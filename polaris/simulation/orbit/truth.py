@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
+from ..delayed import Predicting
 from ..disturbances import disturbances
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
@@ -57,7 +58,8 @@ def fly_true(
 
     Each run has its own target: a near-circular orbit with an argument of latitude and an inclination
     drawn from what is declared, an own difference of the ballistic coefficients, and a constant acceleration
-    of the size declared for everything else.
+    of the size declared for everything else. Under sampled feedback, delays and missed periods are flown as
+    they are, with predictions on board; else as errors within the bounds of predictions.
 
     Parameters
     ----------
@@ -81,7 +83,10 @@ def fly_true(
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
-    flight = _TrueMotion(schedule, modes, substeps)
+    at_once = schedule.safety.problem.system.timing.instant or not schedule.safety.tracking.feedback.sampled
+    flight = (_TrueMotion if at_once else _Predicting)(schedule, modes, substeps)
+    if isinstance(flight, _Predicting):
+        flight.prepare(n, rng)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
     pushed, errors = np.broadcast_to(push, (flight.steps, n, 3)), disturbances(flight, n, rng, "random")[0]
@@ -122,6 +127,10 @@ class _TrueMotion(Integrator):
         node = k * self.q + step // self.substeps
         self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
         return runge_kutta(rate, x, self.dt, first)
+
+
+class _Predicting(Predicting, _TrueMotion):
+    """The same, what controllers act on being predicted on board."""
 
 
 def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
