@@ -9,6 +9,8 @@ around. Each reads the error, scaled to about 1, and its output 1 stands for ful
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,6 @@ import numpy as np
 
 import polaris
 from polaris.model.system import Array, LinearSystem
-from polaris.scenario.base import Scenario
 from polaris.synthesis.tracking import lqr_gain
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "policies"
@@ -25,11 +26,27 @@ STEPS, BATCH, RATE, DECAY = 3000, 512, 3e-3, 1.0
 SCALES = (0.1, 0.5, 1.0, 2.0)
 """Sizes of the errors trained on, as shares of the scale."""
 
-ASKED: dict[str, tuple[str | Path, list[float], int]] = {
-    "fuel_saver": ("static", [60.0, 60.0, 60.0, 1.0, 1.0, 1.0], 32),
-    "hasty": (TINY, [1.0, 1.0, 1.0, 1.0], 16),
+
+def first_law(name: str | Path) -> tuple[LinearSystem, Array]:
+    """System of a scenario and gain of its first law, an affine one with weights Q and R."""
+    scenario = polaris.load_scenario(name)
+    system, law = scenario.system(), scenario.model.experimental[0]
+    return system, lqr_gain(system, law.Q, law.R)
+
+
+def shortcut() -> tuple[LinearSystem, Array]:
+    """The robot in the plane of the tour, and a law for it."""
+    A, B = np.eye(4, k=2), np.eye(4)[:, 2:]
+    system = LinearSystem(A, B, u_max=np.ones(2), D=B, w_max=0.02, C=np.eye(4)[:2])
+    return system, lqr_gain(system, np.ones(4), np.ones(2))
+
+
+ASKED: dict[str, tuple[Callable[[], tuple[LinearSystem, Array]], list[float], int]] = {
+    "fuel_saver": (partial(first_law, "static"), [60.0, 60.0, 60.0, 1.0, 1.0, 1.0], 32),
+    "hasty": (partial(first_law, TINY), [1.0, 1.0, 1.0, 1.0], 16),
+    "shortcut": (shortcut, [1.0, 1.0, 1.0, 1.0], 64),
 }
-"""By name of the file: scenario whose first law is imitated, size of the errors, width of the layers."""
+"""By name of the file: what is imitated, size of the errors, width of the layers."""
 
 
 def train(system: LinearSystem, gain: Array, size: Array, width: int, seed: int = 0) -> list[Array]:
@@ -80,17 +97,11 @@ def write_onnx(path: Path, weights: list[Array]) -> None:
     save_model(model, path)
 
 
-def imitate(scenario: Scenario, size: list[float], width: int) -> list[Array]:
-    """Train on the first law of a scenario, an affine one with weights Q and R."""
-    system, law = scenario.system(), scenario.model.experimental[0]  # type: ignore[attr-defined]
-    return train(system, lqr_gain(system, law.Q, law.R), np.array(size), width)
-
-
 def main(folder: Path = FOLDER) -> None:
     """Train and write all of them."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, (scenario, size, width) in ASKED.items():
-        write_onnx(folder / f"{name}.onnx", imitate(polaris.load_scenario(scenario), size, width))
+    for name, (imitated, size, width) in ASKED.items():
+        write_onnx(folder / f"{name}.onnx", train(*imitated(), np.array(size), width))
         print(name, (folder / f"{name}.onnx").stat().st_size, "bytes")
 
 

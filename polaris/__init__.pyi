@@ -87,7 +87,10 @@ from .simulation.orbit.truth import TrueFlights as TrueFlights
 from .simulation.orbit.truth import fly_true as fly_true
 from .simulation.run_metrics import Runs as Runs
 from .simulation.run_metrics import evaluate as evaluate
+from .simulation.sampled import Sampled as Sampled
+from .simulation.sampled import synthesize_sampled as synthesize_sampled
 from .simulation.simulate import simulate as simulate
+from .synthesis.black_box import BlackBox as BlackBox
 from .synthesis.clearance import Clearance as Clearance
 from .synthesis.controllers import AffineController as AffineController
 from .synthesis.controllers import AnyThrust as AnyThrust
@@ -97,11 +100,14 @@ from .synthesis.end_condition import EndCondition as EndCondition
 from .synthesis.error_bounds import ErrorBounds as ErrorBounds
 from .synthesis.get_safety import Safety as Safety
 from .synthesis.get_safety import get_safety as get_safety
+from .synthesis.neural import NeuralController as NeuralController
+from .synthesis.neural import Policy as Policy
 from .synthesis.problem import Problem as Problem
 from .synthesis.problem import Zonotope as Zonotope
 from .synthesis.recoverable import Margin as Margin
 from .synthesis.recoverable import RecoverableSet as RecoverableSet
 from .synthesis.schedule import Schedule as Schedule
+from .synthesis.schedule import Statement as Statement
 from .synthesis.schedule import Step as Step
 from .synthesis.search import SwitchingRules as SwitchingRules
 from .synthesis.synthesize import synthesize as synthesize

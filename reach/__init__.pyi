@@ -27,8 +27,8 @@ from .numerics.linear import powers as powers
 from .numerics.relaxation import clip_relaxation as clip_relaxation
 from .sets.clipping import enclosing_hull as enclosing_hull
 from .sets.clipping import meet_halfspace as meet_halfspace
-from .sets.convex import Answer as Answer
 from .sets.convex import ConvexSet as ConvexSet
+from .sets.distance import Answer as Answer
 from .sets.ellipsoid import Ellipsoid as Ellipsoid
 from .sets.ellipsoid import ball_generators as ball_generators
 from .sets.intersection import Intersection as Intersection

@@ -9,12 +9,15 @@ from flint import arb, arb_mat
 from .arrival import Arrival
 from .balls import above, column, identity, largest, magnitude, matrix, plain, require, sums
 from .document import Document, UnsafeSet
+from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
 from .motion import Arc, Path
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery
+from .samples import check_statement
+from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
@@ -22,9 +25,9 @@ ORDERS = (12, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NETWORK_ORDER = 30
-"""The same to begin with where a network flies: fewer widen what turns, by more than a margin forgives."""
+"""The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
-NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal")
+NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal", "passive")
 """Claims that may fail because sets are wider than they need to be."""
 
 PATH_SLACK = 1e-9
@@ -59,7 +62,7 @@ class Argument:
         self.document, self.record, self.stated = document, record, stated or Stated()
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        self.pilots = [Pilot(law, self.plant, document.slopes) for law in document.laws]
+        self.pilots = [Pilot(law, self.plant, document.slopes, document.fits) for law in document.laws]
         self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
         most = [x * document.share for x in self.plant.u_max]
         self.loop = self.plant.loop(self.gain, sums(noise, self.plant.thruster_error(most)))
@@ -72,7 +75,7 @@ class Argument:
         """
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
-        for order in (NETWORK_ORDER, *ORDERS[1:]) if "neural" in flies else ORDERS:
+        for order in (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS:
             merging = Merging(order)
             try:
                 self.flights(path, merging)
@@ -82,9 +85,18 @@ class Argument:
                     raise
                 del self.record.checked[confirmed:]
         self.end(path)
-        if self.document.guarantee != "proved" or self.document.recoverable == "paper_ball":
+        if self.document.drift is not None:
+            self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
+        if self.document.guarantee == "none" or self.document.recoverable == "paper_ball":
             told = f"recoverable kind {self.document.recoverable}, guarantee {self.document.guarantee}"
             raise Rejected("guarantee", f"the certificate itself claims nothing ({told})")
+        if self.document.statement:
+            self.record.holds("samples", check_statement(self.document.statement))
+            self.record.sampled = True
+            boxes = sum(fit is not None for fit in self.document.fits)
+            told = f"statistical: {boxes} steps of black boxes rest on samples, all else is proven"
+            self.record.holds("guarantee", told)
+            return
         self.record.holds("guarantee", "proved")
 
     def flights(self, path: Path, merging: Merging) -> None:
@@ -96,12 +108,14 @@ class Argument:
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(path, memory, sets)
-        if self.stated.goal is not None and self.document.guarantee == "proved":
+        if self.stated.goal is not None and self.document.guarantee != "none":
             spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
             arrival = Arrival(self.document, path, self.loop, memory, held, spent)
             self.record.holds("goal", arrival.check(*self.stated.goal))
+            if self.stated.upkeep is not None:
+                self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
@@ -132,7 +146,9 @@ class Argument:
         sets, flown = [start], []
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
-            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging))
+            parts = doc.drift.steps[k] if doc.drift is not None else None
+            departures = None if parts is None else Departures(self.plant, k, parts)
+            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 SATELLITES = (
     "other satellites: each obeys x' = A x + D w with the same A, D and bound on w, and adds no more "
     "acceleration than is declared for it"
 )
 """Assumed where there are any."""
+
+ALLOCATED = (
+    "faults: of the thrusters at most one fails, in a way that is declared and known at once, and what is "
+    "commanded is allocated to the others"
+)
+"""Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
 def assumptions(
@@ -20,8 +28,11 @@ def assumptions(
     horizon: str = "none",
     until: float | None = None,
     estimate: Iterable[float] = (),
+    timing: Iterable[float] = (),
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
+    allocated: bool = False,
+    sampled: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
 
@@ -40,14 +51,23 @@ def assumptions(
     until : float or None
         Last instant of a claim of one further period [s].
     estimate : iterable of float
-        Bounds on the errors of the states' estimates.
+        Bounds on the errors of the states' estimates, before any prediction.
+    timing : iterable of float
+        Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    allocated : bool
+        Whether inputs are made by thrusters of which one may have failed.
+    sampled : mapping, optional
+        What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
     errors = list(estimate)
+    delay, jitter, missed, clock = list(timing) or (0.0, 0.0, 0, 0.0)
+    predicted = delay > 0 or missed > 0
     seen = "an estimate of the state" if any(errors) else "the exact state"
+    seen = "a prediction of the state" if predicted else seen
     if period is None:
         law = f"every controller acts continuously on {seen}"
     else:
@@ -56,6 +76,12 @@ def assumptions(
     known = f"navigation: at all times no state is further from its estimate than [{bounds}], one by one"
     applied = list(thrusters)
     off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False) if x)
+    late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
+    late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
+    late += f", at most {missed} periods in a row without a new one" if missed else ""
+    late += "; what is commanded meanwhile is known, and the model holds before the start as well"
+    started = f"schedule and reference count from the same instant, unsafe sets from within {clock:g} s of it"
+    exact = "exact; schedule, reference and unsafe sets count from the same instant"
     size = f"within {chaser:g} m of the point that is navigated, which is added to every unsafe set"
     point = "a point, its own size being part of the unsafe sets"
     ever = horizon == "infinite"
@@ -79,7 +105,26 @@ def assumptions(
             if any(applied)
             else []
         ),
-        "clocks: exact; schedule, reference and unsafe sets count from the same instant",
+        *([ALLOCATED] if allocated else []),
+        *([late] if predicted or jitter > 0 else []),
+        f"clocks: {started if clock > 0 else exact}",
         "experimental controllers: each obeys its declared model",
+        *(_of_samples(**sampled) if sampled else []),
         fuel,
+    ]
+
+
+def _of_samples(
+    probability: float, confidence: float, flights: int, outside: int, seed: int, attempts: int
+) -> list[str]:
+    """What a statement about black boxes is conditional on."""
+    most = f"{math.ceil(probability * 1e6) / 1e6:g}"
+    doubt = f"{float(f'{1 - confidence:.12g}'):g}"
+    return [
+        "black boxes: a flight drawn at random leaves the bands of their commands with a probability of at"
+        f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
+        f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
+        "distribution: a flight's initial state is uniform in the generators of the initial set, its"
+        " disturbance piecewise constant as simulated at random; flights are independent",
+        "no drift: the boxes answer in flight as they answered the samples, by time and state alone",
     ]

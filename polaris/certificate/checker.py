@@ -14,7 +14,7 @@ from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
 from .plants import MOST_BITS, precision_for
-from .verdict import LONGEST, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
+from .verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
 
 NAME = "certificate.json"
 """The certificate's name in a run folder."""
@@ -61,6 +61,7 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     outcome, claim, witness, excess, trusted = VERIFIED, "", "", None, []
     try:
         trusted = check(record)
+        outcome = STATISTICAL if record.sampled else VERIFIED
     except Failed as error:
         outcome, claim, witness, excess = error.outcome, error.claim, error.witness, error.excess
     except FAILURES as error:

@@ -29,6 +29,8 @@ MOST_GENERATORS = 1000
 """Most generators of the initial set."""
 MOST_WORK = 10**10
 """Most products of numbers that all enclosures of a network may take."""
+MOST_FLIGHTS = 10**7
+"""Most flights of a statement."""
 MOST_STATES = 32
 """Most states of a system: Lyapunov's equation is solved as n^2 linear ones."""
 
@@ -72,7 +74,7 @@ class Law:
     """
 
     name: str
-    kind: str  # safety, affine, saturated_affine, any_thrust or neural
+    kind: str  # safety, affine, saturated_affine, any_thrust, neural or black_box
     gain: Matrix | None = None
     states: Matrix | None = None
     inputs: Matrix | None = None
@@ -91,6 +93,26 @@ class Law:
             else:
                 width += len(layer.b)
         return found
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A parallelotope around where thrust may stop in some periods of a step, as of the start of the step."""
+
+    periods: int
+    center: Vector
+    axes: Matrix  # one generator after another
+    facets: list[list[list[int]]]  # of every unsafe set: for how many parts of a step, and which
+
+
+@dataclass(frozen=True)
+class Abort:
+    """What is claimed of the drift after all thrust stops."""
+
+    horizon: float  # [s]
+    keep_in: bool  # whether keep-in sets count
+    parts: int  # of a step
+    steps: list[list[Departure] | None]  # None of those from which nothing is claimed
 
 
 class Document:
@@ -147,10 +169,16 @@ class Document:
         self.estimate: Vector = system.get("estimate_error") or []
         errors = system.get("thrusters")
         self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
+        self.timing: dict[str, Any] = system.get("timing") or {}
+        self.measured: Vector = self.timing.get("measured") or self.estimate
+        self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
+        bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
+        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter
         self.share: float = 1.0 if system.get("safety_share") is None else system["safety_share"]
         if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
             raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
         self.mean_motion: float | None = system["mean_motion"]
+        self.allocation: dict[str, Any] | None = system.get("allocation")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -181,6 +209,8 @@ class Document:
             raise Undecided("sampling", f"more than {MOST_NODES_IN_ALL} periods")
         if self.cells < self.steps:
             raise ValueError("the reference must cover every step")
+        drift = read.get("drift")
+        self.drift = None if drift is None else _abort(drift, self.q)
         self.laws = [
             Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
             for law in read["controllers"]
@@ -191,7 +221,12 @@ class Document:
         n, m, d, K = len(self.A), len(self.u_max), len(self.C), self.steps
         sizes = {"n": n, "m": m, "d": d, "2d+2m": 2 * (d + m), "p": len(self.D[0]) if self.D else 0}
         sizes |= {"K": K, "K+1": K + 1, "q": self.q, "cells": self.cells, "cells+1": self.cells + 1}
-        sizes |= {"two": 2, "sets": sets}
+        sizes |= {"two": 2, "sets": sets, "n+2": n + 2}
+        covered = next(iter(lengths.get("covered", {self.cells: ""})))
+        if covered != self.cells and (self.drift is None or covered < self.cells):
+            raise ValueError("unsafe sets must be known for as long as the reference")
+        sizes["covered"] = covered
+        sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():
                 if length != sizes[size]:
@@ -219,6 +254,9 @@ class Document:
         self.guarantee: str = read["guarantee"]
         self.scenario: str = read["scenario"]["name"]
         self.artefacts: dict[str, str] = read["artefacts"]
+        samples = dict(read.get("samples") or {})
+        self.fits: list[list[Matrix] | None] = samples.pop("fits", [None] * self.steps)
+        self.statement: dict[str, Any] = samples
         self._check_claims()
         self.satellites = SATELLITES in read["assumptions"]  # a scenario beside it must agree
         self.assumptions = assumptions(
@@ -228,9 +266,14 @@ class Document:
             satellites=self.satellites,
             horizon=self.horizon,
             until=self.until,
-            estimate=self.estimate,
-            thrusters=self.thrusters,
+            estimate=self.measured,
+            timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
+            if self.timing
+            else (),
+            thrusters=self.prompt_thrusters,
             chaser=self.chaser_radius,
+            allocated=self.allocation is not None,
+            sampled=self.statement or None,
         )
         if read["assumptions"] != self.assumptions:
             raise Rejected(
@@ -255,16 +298,36 @@ class Document:
         for mode, law in enumerate(self.laws):
             if sum(sizes[name] for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
-            if law.kind == "neural" and not self.sampled:
-                raise ValueError(f"{law.name} is a network, which needs sampled feedback")
+            held = law.kind in ("neural", "black_box")
+            if held and not self.sampled:
+                raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
+            if law.kind == "black_box" and (self.estimate or self.thrusters):
+                raise Undecided("controllers", f"{law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
+        boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]
+        if boxes != [fit is not None for fit in self.fits] or any(boxes) != bool(self.statement):
+            raise ValueError("black boxes, and they alone, must have been fitted to samples")
+        if self.guarantee != "none" and any(boxes) == (self.guarantee == "proved"):
+            raise Rejected("guarantee", f"{self.guarantee} is claimed; black boxes fly {sum(boxes)} steps")
+        if any(row[-1] < 0 for fit in self.fits for node in fit or () for row in node):
+            raise ValueError("bands must not be negative")
+        if self.statement and not 0 <= self.statement["outside"] <= self.statement["flights"] <= MOST_FLIGHTS:
+            raise ValueError("more flights are outside than there are, or there are too many")
         if self.cells == self.steps and self.radius[-1] is None:
             self.radius.pop()  # nothing is claimed of what follows T
         if None in self.radius:
             raise ValueError("radii must be numbers")
         if not all(0 <= x <= 1 for rows in self.slopes if rows is not None for row in rows for x in row):
             raise ValueError("slopes must be from 0 to 1")
+
+
+def _abort(drift: dict[str, Any], q: int) -> Abort:
+    found = [None if parts is None else [Departure(**part) for part in parts] for parts in drift["steps"]]
+    covered = {sum(part.periods for part in parts) for parts in found if parts is not None}
+    if not drift["horizon"] > 0 or not covered <= {q}:
+        raise ValueError("a drift must have a horizon, and departures in every period of a step")
+    return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
 
 
 def read(path: Path) -> Document:

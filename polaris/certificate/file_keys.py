@@ -17,7 +17,7 @@ BOUND = Either((NOT_NEGATIVE, None))
 VECTOR = Rows(REAL)
 MATRIX = Rows(VECTOR)
 ONE = Whole(1, 1)
-GUARANTEE = Text(("proved", "none"))
+GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
 
@@ -52,6 +52,11 @@ CERTIFICATE = {
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
+                    **every(grid("n"), "measured displaced")},
+        "allocation?": {
+            "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
+        },
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -59,7 +64,7 @@ CERTIFICATE = {
     },
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
     "unsafe_sets": Rows({
-        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("cells two *"),
+        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("covered two *"),
     }, size="sets"),
     "facets": grid("cells sets", Whole()),
     "reference": {"states": grid("cells+1 n"), "inputs": grid("cells m")},
@@ -68,7 +73,7 @@ CERTIFICATE = {
         "safety": {"name": NAME, "gain": grid("m n")},
         "affine": _OWN,
         "saturated_affine": _OWN,
-        "any_thrust": {"name": NAME},
+        **every({"name": NAME}, "any_thrust black_box"),
         "neural": _NETWORK,
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
@@ -82,6 +87,16 @@ CERTIFICATE = {
         **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
         "slopes": grid("K", Either((None, grid("q m")))),
     },
+    "drift?": {
+        "horizon": HEX, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
+            "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
+            "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
+        }, 1)))),
+    },
+    "samples?": {
+        **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
+        "fits": grid("K", Either((None, grid("q m n+2")))),
+    },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
 }
 """The certificate; `Document` compares the lengths."""
@@ -92,6 +107,20 @@ CLAIMED = {
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+    },
+    "upkeep": Either((None, {
+        **every(NOT_NEGATIVE, "settled_s until_settled_m_s rate_m_s2"),
+        **every(BOUND, "per_orbit_m_s tank_m_s lasts_s"),
+    })),
+    "abort?": {
+        "drift_s": NOT_NEGATIVE, "keep_in": bool, "least_m": OPTIONAL,
+        "clear_s": Rows(Rows(NOT_NEGATIVE, 2, 2)),
+        "witness": Either((None, {
+            "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
+        })),
+    },
+    "statement?": {
+        **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
     },
 }
 """The guarantee as the schedule and the summary repeat it."""
@@ -125,6 +154,10 @@ GAINS = {
     "system": {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
+        "timing?": {
+            **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
+            **every(VECTOR, "measured displaced"),
+        },
         "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
@@ -161,7 +194,7 @@ SUMMARY = {
     **every(FLOWN, "polaris safety experimental?"),
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
-        **every(SHARE, "experimental_share share_at_most"),
+        **every(SHARE, "experimental_share share_at_most proven_share?"), "worst_found?": object,
         "share_bound": {"worth": NOT_NEGATIVE, **every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,

@@ -1,12 +1,11 @@
-"""Layers of a network from its ONNX file: the protocol buffer read byte by byte, as data.
+"""Layers of a network from its ONNX file, read as data by the package ``onnx``.
 
-Written from the formats' descriptions, for a chain of operators; what it does not know is not decided.
+For a chain of operators; what it does not know is not decided.
 """
 
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,7 @@ from .files import contents
 from .layers import Layer
 from .verdict import Rejected, Undecided
 
-LARGEST = 64 * 2**20
-"""Most bytes of a file."""
-
-Fields = dict[int, list[Any]]
-Constants = dict[str, tuple[list[int], list[float]]]
-"""Shape and values by name."""
+LARGEST = 64 * 2**20  # most bytes of a file
 
 SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout")
 """Operators that change no value of a vector."""
@@ -36,64 +30,95 @@ ACTIVATIONS = {
 
 def check_file(law: Law, path: Path) -> None:
     """The layers of a law are those of a file: `Rejected` if not, `Undecided` if it is not understood."""
+    data = contents(path, LARGEST)
     try:
-        layers = read_layers(contents(path, LARGEST), len(law.input_scale))
-    except (ValueError, IndexError, KeyError, UnicodeDecodeError, struct.error, ZeroDivisionError) as error:
+        layers = read_layers(data, len(law.input_scale))
+    except ImportError as error:
+        raise Undecided("controllers", f"reading {path.name} needs the package onnx") from error
+    except Exception as error:  # the package raises errors of its own where a file is garbled
         raise Undecided("controllers", f"{path.name} is not understood: {error}") from error
     if layers != law.layers:
         raise Rejected("controllers", f"{law.name} has other layers than {path.name}")
 
 
 def read_layers(data: bytes, width: int) -> list[Layer]:
-    """Layers of a model that reads so many values; `ValueError` if it is no chain of known operators."""
-    graph = _fields(_one(_fields(data), 7))
-    if graph.get(15):
+    """Layers of a model that reads so many values, or an error: a chain of known operators only."""
+    import onnx
+
+    # Shapes are inferred by the package: components must stay along the last axis, and nothing be repeated.
+    model = onnx.load_model_from_string(data)
+    graph = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True).graph
+    known = [*graph.input, *graph.value_info, *graph.output]
+    shapes = {item.name: [axis.dim_value for axis in item.type.tensor_type.shape.dim] for item in known}
+    if graph.sparse_initializer:
         raise ValueError("sparse weights")
-    constants: Constants = dict(_tensor(item) for item in graph.get(5, ()))
-    given = [_text(_fields(item), 1) for item in graph.get(11, ())]
-    names = [name for name in given if name not in constants]
+    constants = {tensor.name: _tensor(tensor) for tensor in graph.initializer}
+    names = [item.name for item in graph.input if item.name not in constants]
     if len(names) != 1:
         raise ValueError("more than one input")
     at, layers = names[0], list[Layer]()
-    for node in map(_fields, graph.get(1, ())):
-        kind, into = _text(node, 4), [item.decode() for item in node.get(1, ())]
-        more = {_text(item, 1): item for item in map(_fields, node.get(5, ()))}
+    for node in graph.node:
+        kind, into = node.op_type, list(node.input)
+        more = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
         if kind == "Constant":
-            constants[_text(node, 2)] = _tensor(_one(more["value"], 5))[1]
+            constants[node.output[0]] = _tensor(more["value"])
             continue
         if into.count(at) != 1:
             raise ValueError(f"{kind} does not take the output before it once")
+        real = onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE
+        domain, changes = node.domain, kind == "Cast" and more["to"] not in real
+        if domain not in ("", "ai.onnx") or changes:
+            raise ValueError(f"the operator {domain}.{kind} is not known, or changes values")
         values = [None if name == at or not name else constants[name] for name in into]
         if kind not in SAME:
             layers.append(_layer(kind, values, more, width))
             width = len(layers[-1].b) or width
-        at = _text(node, 2)
-    if [_text(_fields(item), 1) for item in graph.get(12, ())] != [at]:
+        at = node.output[0]
+        sizes = shapes.get(at) or [0]
+        if sizes[-1] != width or any(size > 1 for size in sizes[:-1]):
+            raise ValueError(f"after {kind} the components are not {width} along the last axis")
+    if not layers or [item.name for item in graph.output] != [at]:
         raise ValueError("the output is not the end of the chain")
     return layers
 
 
-def _layer(kind: str, values: list[Any], more: dict[str, Fields], width: int) -> Layer:
+def _tensor(tensor: Any) -> tuple[list[int], list[float]]:
+    """Shape and values; of whole numbers, which only shapes are made of, no values."""
+    from onnx import TensorProto, numpy_helper
+
+    if tensor.data_location == TensorProto.EXTERNAL:
+        raise ValueError(f"the weights {tensor.name} lie in another file")
+    known = tensor.data_type in (TensorProto.FLOAT, TensorProto.DOUBLE)
+    values = [float(value) for value in numpy_helper.to_array(tensor).ravel()] if known else []
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f"the weights {tensor.name} are not finite")
+    return list(tensor.dims), values
+
+
+def _layer(kind: str, values: list[Any], more: dict[str, Any], width: int) -> Layer:
     """What one operator does to a vector."""
     if kind in ACTIVATIONS:
         name, low = ACTIVATIONS[kind]
-        return Layer(name, low=_float(more, "alpha", low))
+        slope = more.get("alpha", low)
+        if not 0 <= slope <= 1:
+            raise ValueError(f"{kind} with a slope of {slope}")
+        return Layer(name, low=slope)
     if kind == "Clip":
-        ends = [_float(more, "min", math.nan), _float(more, "max", math.nan)]
+        ends = [more.get("min", math.nan), more.get("max", math.nan)]
         for i, value in enumerate(values[1:3]):
-            ends[i] = ends[i] if value is None else value[1][0]
-        if any(map(math.isnan, ends)):
-            raise ValueError("Clip without limits")
+            (ends[i],) = [ends[i]] if value is None else value[1]
+        if not ends[0] <= ends[1]:
+            raise ValueError("Clip without limits, or with limits upside down")
         return Layer("clip", low=ends[0], high=ends[1])
     if kind in ("Gemm", "MatMul"):
         (rows, columns), flat = values[1]
-        alpha, beta = _float(more, "alpha", 1.0), _float(more, "beta", 1.0)
-        if values[0] is not None or _whole(more, "transA"):
+        alpha, beta = more.get("alpha", 1.0), more.get("beta", 1.0)
+        if values[0] is not None or more.get("transA"):
             raise ValueError(f"{kind} with the input on the other side")
         if len(flat) != rows * columns:
             raise ValueError("weights of another number than their shape says")
         W = [[alpha * x for x in flat[i * columns : (i + 1) * columns]] for i in range(rows)]
-        W = W if _whole(more, "transB") else [list(column) for column in zip(*W, strict=True)]
+        W = W if more.get("transB") else [list(column) for column in zip(*W, strict=True)]
         if any(len(row) != width for row in W):
             raise ValueError(f"weights of another shape follow {width} values")
         b = values[2][1] if len(values) > 2 and values[2] is not None else [0.0]
@@ -104,12 +129,12 @@ def _layer(kind: str, values: list[Any], more: dict[str, Fields], width: int) ->
     return Layer("affine", diagonal, _spread(shift, width))
 
 
-def _scaling(kind: str, values: list[Any], more: dict[str, Fields]) -> tuple[list[float], list[float]]:
+def _scaling(kind: str, values: list[Any], more: dict[str, Any]) -> tuple[list[float], list[float]]:
     """``scale y + shift`` of an operator that takes every component for itself."""
     if kind == "BatchNormalization":
         gain, shift, mean, variance = (value[1] for value in values[1:5])
-        eps = _float(more, "epsilon", 1e-5)
-        if values[0] is not None or _whole(more, "training_mode"):
+        eps = more.get("epsilon", 1e-5)
+        if values[0] is not None or more.get("training_mode"):
             raise ValueError("BatchNormalization of training")
         scale = [g / math.sqrt(v + eps) for g, v in zip(gain, variance, strict=True)]
         return scale, [b - a * s for b, a, s in zip(shift, mean, scale, strict=True)]
@@ -130,82 +155,3 @@ def _spread(values: Sequence[float], width: int) -> list[float]:
     if len(found) != width:
         raise ValueError(f"{len(found)} constants for {width} values")
     return found
-
-
-# -- the protocol buffer ------------------------------------------------------------------------------
-
-
-def _fields(data: bytes) -> Fields:
-    """Values by field number: whole numbers, or bytes."""
-    found: Fields = {}
-    at = 0
-    while at < len(data):
-        key, at = _varint(data, at)
-        wire, size = key & 7, {1: 8, 5: 4}.get(key & 7, 0)
-        if wire == 0:
-            value, at = _varint(data, at)
-            found.setdefault(key >> 3, []).append(value)
-            continue
-        if wire == 2:
-            size, at = _varint(data, at)
-        elif not size:
-            raise ValueError("no protocol buffer")
-        if at + size > len(data):
-            raise ValueError("cut off")
-        found.setdefault(key >> 3, []).append(data[at : at + size])
-        at += size
-    return found
-
-
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """A whole number of seven bits a byte, and where it ends."""
-    value = 0
-    for shift in range(0, 70, 7):
-        byte = data[at]
-        at += 1
-        value |= (byte & 127) << shift
-        if byte < 128:
-            return value, at
-    raise ValueError("a number without end")
-
-
-def _one(fields: Fields, number: int) -> Any:
-    found = fields.get(number, [])
-    if len(found) != 1:
-        raise ValueError(f"field {number} stands {len(found)} times")
-    return found[0]
-
-
-def _text(fields: Fields, number: int) -> str:
-    return str(fields[number][0].decode())
-
-
-def _float(more: dict[str, Fields], name: str, default: float) -> float:
-    """An attribute in single precision."""
-    return float(struct.unpack("<f", _one(more[name], 2))[0]) if name in more else default
-
-
-def _whole(more: dict[str, Fields], name: str) -> int:
-    return int(more[name].get(3, [0])[-1]) if name in more else 0
-
-
-def _tensor(data: bytes) -> tuple[str, tuple[list[int], list[float]]]:
-    """Name, shape and values of a tensor; of whole numbers, which only shapes are made of, no values."""
-    read = _fields(data)
-    name, kind = (_text(read, 8) if 8 in read else ""), _one(read, 2)
-    if read.get(14, [0])[-1] or read.get(3):
-        raise ValueError(f"the weights {name} lie in another file, or in parts")
-    dims: list[int] = []
-    for item in read.get(1, ()):
-        at = 0
-        dims += [item] if isinstance(item, int) else []
-        while not isinstance(item, int) and at < len(item):
-            size, at = _varint(item, at)
-            dims.append(size)
-    letter, own = {1: ("f", 4), 11: ("d", 10)}.get(kind, ("", 0))
-    raw = b"".join(read.get(9, read.get(own, ()))) if letter else b""
-    width = struct.calcsize(letter) if letter else 1
-    values = list(struct.unpack(f"<{len(raw) // width}{letter}", raw)) if letter else []
-    if not all(map(math.isfinite, values)):
-        raise ValueError(f"the weights {name} are not finite")
-    return name, (dims, values)

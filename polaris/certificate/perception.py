@@ -11,7 +11,7 @@ from typing import Any
 
 from flint import arb
 
-from .balls import absolute_dot, cross, dot, largest, require
+from .balls import absolute, absolute_dot, column, cross, dot, largest, matrix, norms, require
 from .document import Document, UnsafeSet
 from .satellites import Satellite
 from .verdict import Rejected
@@ -32,9 +32,14 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     if document.chaser_radius != radius:
         told = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
         raise Rejected("unsafe_sets", told)
+    clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
+    moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
     obstacles, kept = (
-        [_grown(document, spec, sign * arb(radius)) if radius else spec for spec in scenario.get(key, ())]
-        for key, sign in (("obstacles", 1), ("keep_in", -1))
+        [
+            _grown(document, spec, sign * (radius + moved) + clock * _speed(spec, clock))
+            for spec in scenario.get(key, ())
+        ]
+        for key, sign in (("obstacles", arb(1)), ("keep_in", arb(-1)))
     )
     others = any(spec["kind"] == "satellite" for spec in obstacles)
     if document.satellites != others:
@@ -58,8 +63,17 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     return len(document.unsafe)
 
 
+def _speed(spec: dict[str, Any], clock: arb) -> arb:
+    """How fast a set moves."""
+    if spec["kind"] == "satellite" and clock > 0:
+        raise Rejected("unsafe_sets", f"where {spec['name']} is by another clock is not bounded")
+    return _length([arb(x) for x in spec.get("velocity_m_s") or [0.0]])
+
+
 def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
-    """What the scenario says of a set, its facets moved by the chaser's radius: outwards if positive."""
+    """What the scenario says of a set, its facets moved outwards, or inwards if negative."""
+    if radius == 0:
+        return spec
     if spec["kind"] == "box":
         return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
     if spec["kind"] == "polytope":
@@ -95,7 +109,7 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         extent = support(document, item, spec, f)
         base, rate = extent + dot(n, anchor), dot(n, v)
         size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
-        for cell in range(document.cells):
+        for cell in range(len(item.start)):
             for place in (0, 1):
                 t, offset = arb(cell + place) * document.delta, (item.start, item.end)[place][cell][f]
                 where = f"{item.name}, facet {f}, at the {('start', 'end')[place]} of step {cell}"

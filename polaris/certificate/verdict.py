@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-VERIFIED, REJECTED, UNKNOWN = "VERIFIED", "REJECTED", "UNKNOWN"
+VERIFIED, STATISTICAL, REJECTED, UNKNOWN = "VERIFIED", "STATISTICAL", "REJECTED", "UNKNOWN"
 
-EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6}
+EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6, STATISTICAL: 7}
 """Exit codes by outcome; 2 means that there was nothing to check (no such file, python-flint missing)."""
 
 LONGEST = 1000
@@ -52,6 +52,7 @@ class Record:
     """Claims confirmed so far, each with what was found."""
 
     checked: list[tuple[str, str]] = field(default_factory=list)
+    sampled: bool = False  # whether what was confirmed rests on samples
 
     def holds(self, claim: str, found: str) -> None:
         """Note a claim that was confirmed."""
@@ -64,7 +65,8 @@ class Verdict:
 
     Attributes
     ----------
-    outcome : {"VERIFIED", "REJECTED", "UNKNOWN"}
+    outcome : {"VERIFIED", "STATISTICAL", "REJECTED", "UNKNOWN"}
+        ``STATISTICAL`` where all holds of flights that keep to what samples of black boxes say.
     claim, witness : str
         The claim that fails or stays open, and where; empty when verified.
     excess : float or None

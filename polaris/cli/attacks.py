@@ -85,7 +85,7 @@ def verify(
 ) -> int:
     """Check the certificate of a run, independently of how it was made.
 
-    Exit codes: 0 VERIFIED, 5 REJECTED, 6 UNKNOWN, 2 nothing to check.
+    Exit codes: 0 VERIFIED, 5 REJECTED, 6 UNKNOWN, 7 STATISTICAL, 2 nothing to check.
     """
     from ..certificate.__main__ import main
     from ..model.errors import ScenarioError

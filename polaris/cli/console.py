@@ -15,8 +15,7 @@ from ..runs.stages import Stages
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-PATIENCE = 1.0
-"""Seconds a stage may take before it is shown."""
+PATIENCE = 1.0  # seconds a stage may take before it is shown
 
 
 WINDOW = 3600.0

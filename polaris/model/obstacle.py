@@ -48,6 +48,13 @@ class Obstacle(ABC):
         rule = f"must be left out: {type(self).__name__} does not say how it grows (_grown)"
         raise ScenarioError("chaser.radius_m", radius, rule)
 
+    def blurred(self, clock: float, moved: float) -> Self:
+        """The set at every time within `clock` [s] of the one that is asked for, grown by `moved` [m]."""
+        if clock > 0:
+            rule = f"must be 0: where {self.path} is at another time is not bounded"
+            raise ScenarioError("timing.clock_error_s", clock, rule)
+        return self._grown(moved) if moved > 0 else self
+
     @property
     def path(self) -> str:
         """What error messages start with."""
@@ -146,6 +153,10 @@ class Anchored(Obstacle):
     @cached_property
     def _v(self) -> Array:
         return np.zeros(len(self.anchor))
+
+    def blurred(self, clock: float, moved: float) -> Self:
+        """Grown by how far it moves meanwhile, too."""
+        return super().blurred(0.0, moved + clock * float(np.linalg.norm(self._v)) * (1 + ROUNDING))
 
     def motion(
         self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import ScenarioError
 from .thrusters import Thrusters
+from .timing import Timing
 
 Array = NDArray[np.float64]
 
@@ -62,9 +63,11 @@ class LinearSystem:
         Orbital rate [rad/s] if the frame is Hill's, else None.
     estimate_error : array_like, shape (n,), optional
         How far each state may be from the estimate that controllers act on, at any time and however the
-        difference changes; zero by default.
+        difference changes, a prediction included (`polaris.model.prediction`); zero by default.
     thrusters : Thrusters
         How far what is applied may be from what is commanded; not at all by default.
+    timing : Timing
+        What `estimate_error` holds of delays, and how far clocks may be apart; at once by default.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class LinearSystem:
     state_names: tuple[str, ...] = ()
     estimate_error: Array | None = None
     thrusters: Thrusters = Thrusters()
+    timing: Timing = Timing()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -143,9 +147,25 @@ class LinearSystem:
         """Whether laws see the exact state, and what they command is what is applied."""
         return self.thrusters.exact and not np.any(self.navigation)
 
+    @property
+    def displaced(self) -> Array:
+        """How far each state may be, because of jitter, from where all sets say it is, shape (n,)."""
+        return np.array(self.timing.displaced or np.zeros(self.n))
+
+    @property
+    def prompt(self) -> LinearSystem:
+        """The same system if commands took effect at once: with the errors of measurements."""
+        timing, own = self.timing, self.thrusters
+        if timing == Timing():
+            return self
+        own, measured = replace(own, bit=timing.bit), np.array(timing.measured)
+        return replace(self, estimate_error=measured, thrusters=own, timing=Timing())
+
     def as_ideal(self) -> LinearSystem:
         """The same system without errors of estimates and thrusters."""
-        return self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters())
+        return (
+            self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters(), timing=Timing())
+        )
 
     def command_error(self, gain: Array) -> Array:
         """By how much a command may differ from what it would be on the exact state, shape (m,)."""
@@ -158,6 +178,10 @@ class LinearSystem:
         (docs/theory.md, Lemmas 21 and 23).
         """
         return np.asarray(self.command_error(gain) + self.thrusters.error(most))
+
+    def spent(self, most: Array) -> Array:
+        """Bounds on what is applied, on average over time, under commands up to `most`, shape (..., m)."""
+        return np.asarray((1 + self.timing.longer) * (most + self.prompt.thrusters.error(most)))
 
     def error_map(self, error: Array) -> Array | None:
         """Errors of inputs as generators of the rate of the states, shape (n, m); None without any."""

@@ -1,9 +1,4 @@
-"""Interactive reports: one HTML file per run or comparison, which needs no network.
-
->>> import polaris.report
->>> polaris.report.write_report.__name__
-'write_report'
-"""
+"""Interactive reports: one HTML file per run or comparison, which needs no network."""
 
 from __future__ import annotations
 

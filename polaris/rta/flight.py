@@ -123,7 +123,7 @@ def fly(
     Feedback laws are integrated by a fourth-order Runge-Kutta scheme between the nodes (continuous
     feedback) or held exactly (sampled feedback); inputs of a filter are held for a decision period.
     """
-    engine, system = _Engine(grid), grid.system
+    engine, system = Engine(grid), grid.system
     R, D, c = len(conditions.x0), grid.decisions, grid.nodes
     N, delay = D * c, grid.delay if method.delayed else 0
     states, inputs = np.empty((N + 1, R, system.n)), np.empty((N, R, system.m))
@@ -168,7 +168,7 @@ def fly(
     )
 
 
-class _Engine(Integrator):
+class Engine(Integrator):
     """Integration from node to node, every run under its own mode."""
 
     def __init__(self, grid: DecisionGrid) -> None:

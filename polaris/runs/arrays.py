@@ -56,8 +56,7 @@ def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
 def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """The reachable set of every step at its nodes, in error and in absolute coordinates.
 
-    The set at a node is ``center + generators b`` with every ``|b_i| <= 1``; between two nodes it
-    lies in the hull of the two, up to ``bow`` on either side.
+    ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     q = safety.tracking.feedback.nodes_per_cell
@@ -93,11 +92,8 @@ FLIGHTS = {
 
 def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:
     """Some runs of every controller and the envelope of all of them."""
-    return {
-        name: values
-        for key, flights in flown.items()
-        for name, values in held_by(flights, FLIGHTS, f"{key}_").items()
-    }
+    parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in flown.items())
+    return {name: values for part in parts for name, values in part.items()}
 
 
 def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
@@ -133,8 +129,3 @@ def read_flights(path: Path) -> dict[str, Flights]:
             found |= {"controller": str(found["controller"]), "labels": tuple(found["labels"].tolist())}
             out[key] = Flights(**found)
     return out
-
-
-def read_slices(path: Path) -> SlicePicture:
-    """Slices out of `set_arrays`."""
-    return SlicePicture(**read_held(read_arrays(path), SLICES))

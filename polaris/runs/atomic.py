@@ -1,8 +1,7 @@
 """Folders and files that appear whole or not at all, and replace only what Polaris wrote.
 
-Everything is written beside the place it goes to, under a name that begins with a dot and carries the
-host and the process, and renamed into place. A folder lists in `MANIFEST` what was written into it; what
-it does not list is somebody else's, and is linked into the folder that takes its place.
+Written beside, under a hidden name with host and process, and renamed into place. What the `MANIFEST` of a
+folder does not list is somebody else's, and is linked into the folder that takes its place.
 """
 
 from __future__ import annotations
@@ -33,14 +32,10 @@ class CannotWrite(ScenarioError):
         super().__init__(field, str(target), rule)
 
 
-# -- before the work --------------------------------------------------------------------------------
-
-
 def check_target(out: str | Path, campaign: bool = False) -> Path:
-    """Whether a folder, or a `campaign` too, may be replaced or made there, found out by trying.
+    """Whether a folder (or a `campaign`) may be replaced or made there, by trying: its absolute path.
 
-    Returns the absolute path; what killed processes left half done there is cleared away. `ScenarioError` if
-    there is something else, which must not be replaced, or the place cannot be written to.
+    What killed processes left there is cleared away; `ScenarioError` if not.
     """
     try:
         target = Path(out).resolve()
@@ -59,8 +54,7 @@ def check_target(out: str | Path, campaign: bool = False) -> Path:
 def check_file(out: str | Path, field: str = "--out", endings: tuple[str, ...] = ()) -> Path:
     """Whether a file may be written there, found out by trying; `field` is what messages call it.
 
-    `endings` keep a scenario from being taken for a place to write to. `ScenarioError` if it is a folder or a
-    part of a result, its name ends otherwise, or its folder is not there or cannot be written to.
+    `ScenarioError` if it is a folder, a part of a result, of another ending, or cannot be written.
     """
     target = Path(out)
     try:
@@ -118,18 +112,12 @@ def _try_writing(folder: Path, name: str, out: str | Path, field: str = "--out")
         raise ScenarioError(field, str(out), rule) from error
 
 
-# -- writing ----------------------------------------------------------------------------------------
-
-
 @contextmanager
 def replacing(target: Path, also: tuple[str, ...] = ()) -> Iterator[Path]:
     """A new folder beside `target` that takes its place if all goes well, and is removed if not.
 
-    Of what is in `target`, only what Polaris wrote goes: what its manifest lists, and what fits one of
-    the patterns `also`. The rest is linked into the new folder; a file of somebody else's whose name
-    the new folder needs is kept with ``.kept`` added to it. An older folder is moved aside and deleted
-    last; killed in between, it is whole, and the next run there puts it back. `CannotWrite` if the disk is
-    full, or refuses.
+    Only what Polaris wrote goes: what manifests list or fits the patterns `also`; the rest is linked, with
+    ``.kept`` where its name is needed. Killed in between, the older folder is whole, and put back next time.
     """
     tidy(target)
     beside, aside = (target.with_name(beside_name(target.name, word)) for word in ("new", "old"))

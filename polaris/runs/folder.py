@@ -1,7 +1,6 @@
 """Run folders of every kind: written beside and renamed into place, read back as what they were written.
 
-All hold a summary as JSON; what else is in one is told by its `RunKind`. The same scenario and seed give
-the same bytes, but for ``created`` and the wall times in the summary.
+The same scenario and seed give the same bytes, but for ``created`` and wall times in the summary.
 """
 
 from __future__ import annotations
@@ -30,10 +29,8 @@ SCENARIO = "scenario.toml"
 class RunKind:
     """What one kind of run folder holds.
 
-    `write` writes the files, but for the scenario's copy, from a folder, the scenario and what was found;
-    `tell` gives what the summary says, from the scenario, what was found, and wall times. Both are None
-    where a campaign writes the files as its runs come. `read` takes from a folder and its scenario what
-    figures and pages are drawn from. `fly` is what `polaris.run` does with a scenario, telling how far it is.
+    `write` writes the files but for the scenario's copy, `tell` gives the summary (both None where a campaign
+    writes as it flies), `read` what is drawn; `fly` is what `polaris.run` does with a scenario.
     """
 
     name: str  # as the scenario's kind, ``comparison`` or ``tradeoff``
@@ -90,8 +87,7 @@ class RunFolder:
             return self.kind.read(self.path, self.scenario)
 
 
-Draw = Callable[[RunFolder], object]
-"""What puts the figures into a folder: `polaris.draw_run`."""
+Draw = Callable[[RunFolder], object]  # what puts the figures into a folder: `polaris.draw_run`
 
 
 def write_folder(
@@ -103,11 +99,7 @@ def write_folder(
     draw: Draw | None = None,
     stages: Stages | None = None,
 ) -> RunFolder:
-    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written.
-
-    The scenario is copied into it, and the wall times of `stages` so far are told in its summary.
-    `ScenarioError` if `out` is something else than a run folder, or cannot be written.
-    """
+    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written."""
     assert kind.write is not None
     target, stages, clock = check_target(out), stages or Stages(), Stages()
     clock.seconds |= stages.seconds

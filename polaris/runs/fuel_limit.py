@@ -20,8 +20,7 @@ from .stages import Stages
 ARRAYS = {"t_s": "t", "states": "x", "thrust_N": "u", "desired_N": "desired", "delta_v_m_s": "delta_v"}
 """Attribute of a flight by the name of its array."""
 
-PREDICTED = {"t_s": "t", "states": "x", "delta_v_m_s": "delta_v"}
-"""The same for a predicted flight."""
+PREDICTED = {"t_s": "t", "states": "x", "delta_v_m_s": "delta_v"}  # the same for a predicted flight
 
 
 def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelRun:

@@ -37,11 +37,7 @@ def run_monte_carlo(
     fresh: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> CampaignFolder:
-    """Fly all studies from drawn initial conditions, and write the run folder, without figures.
-
-    Options are those of `run_campaign`; `progress` is told runs per study. `PolarisError` if no initial
-    conditions are found.
-    """
+    """Fly all studies from drawn initial conditions, as `run_campaign` does, and write the run folder."""
     model = scenario.model
     kind = InspectionRuns(tuple(study.name for study in model.studies))
     plan = CampaignPlan((case_of(scenario),), model.campaign.runs, model.campaign.seed, BLOCK, kind)

@@ -14,17 +14,13 @@ from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-MANIFEST = ".polaris.json"
-"""List of what Polaris wrote into a folder."""
+MANIFEST = ".polaris.json"  # list of what Polaris wrote into a folder
 
 NESTED = ("figures", "run", "run/figures")
 """Folders in a folder of ours that are replaced on their own, and then have a manifest too."""
 
-LATER = ("report.html",)
-"""Files of ours that come into a folder later."""
-
-CAMPAIGN = "manifest.json"
-"""File by which a campaign is known."""
+LATER = ("report.html",)  # files of ours that come into a folder later
+CAMPAIGN = "manifest.json"  # file by which a campaign is known
 
 RESULTS = (
     CAMPAIGN,
@@ -41,11 +37,7 @@ RESULTS = (
 
 FORMAT = "polaris folder"
 
-LONG = 86400.0
-"""Age [s] at which what lies half done belongs to nobody, whatever machine wrote it."""
-
-
-# -- what is ours -----------------------------------------------------------------------------------
+LONG = 86400.0  # age [s] at which what lies half done belongs to nobody, whatever machine wrote it
 
 
 def write_manifest(folder: Path) -> None:
@@ -84,9 +76,6 @@ class Ours:
 
     def __iter__(self) -> Iterator[str]:
         return iter({name.rstrip("/") for name in self.names} - {""})
-
-
-# -- replacing one folder by another ------------------------------------------------------------------
 
 
 def keep(old: Path, new: Path, ours: Callable[[str], bool], inside: str = "") -> None:
@@ -136,9 +125,6 @@ def discard(aside: Path, target: Path, ours: Callable[[str], bool]) -> None:
         aside.rmdir()
 
 
-# -- what killed processes leave --------------------------------------------------------------------
-
-
 def host() -> str:
     """Name of the machine, as names of files carry it."""
     return re.sub(r"[^A-Za-z0-9]", "", platform.node())[:20] or "host"
@@ -150,10 +136,7 @@ def beside_name(name: str, word: str) -> str:
 
 
 def tidy(target: Path) -> None:
-    """Clear away what killed processes left beside a folder or file: of this machine, or a day old.
-
-    A half-written result is deleted; an old folder that was about to be replaced is put back.
-    """
+    """Clear away (or put back) what killed processes left beside a place: of this machine, or a day old."""
     tidy_all(target.parent, re.escape(target.name))
 
 

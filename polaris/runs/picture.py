@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from ..rta.arena import Shown
     from ..simulation.baselines import Flights
 
-PRINTED = 8
-"""Most hand-overs that are drawn with their slices."""
+PRINTED = 8  # most hand-overs that are drawn with their slices
 
 
 def seconds(t: float) -> str:
@@ -41,11 +40,7 @@ def directions(count: int = 32) -> Array:
 
 @dataclass(frozen=True)
 class Frame:
-    """Which coordinates a figure shows, horizontal one first, and their labels with units.
-
-    In Hill's frame along-track is drawn to the right and radial (outward) upward, neither reversed; the third
-    is cross-track.
-    """
+    """Coordinates a figure shows, with labels; of Hill's frame along-track, radial, cross-track."""
 
     axes: tuple[int, ...]
     labels: tuple[str, ...]
@@ -74,11 +69,7 @@ class TubePicture:
 
 @dataclass(frozen=True, eq=False)
 class SlicePicture:
-    """Positions that are recoverable at some instants, with all else of the state as it then is in a run.
-
-    A slice contains the place of its own run: those that are not recoverable have none. It says nothing
-    of other instants, nor of other runs, whose velocities differ.
-    """
+    """Positions recoverable at some instants, all else of the state being that of a run at the time."""
 
     times: Array  # (S,) [s]
     places: Array  # where the chaser then is in each run, (S, R, d) [m]; nan if not recoverable
@@ -199,10 +190,7 @@ class Picture:
         return {float(k * self.reference.delta): int(self.modes[k]) for k in nodes}
 
     def printed_slices(self) -> Iterator[PrintedSlice]:
-        """Slices of the first run at its hand-overs, without any at the closest approach and a few decisions.
-
-        A hand-over whose own slice is not there has none.
-        """
+        """Slices of the first run at its hand-overs, or at its closest approach and a few more instants."""
         if self.slices is None:
             return
         times, known = self.slices.times, ~np.isnan(self.slices.places[:, 0, 0])

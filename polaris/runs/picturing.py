@@ -16,8 +16,7 @@ from ..synthesis.schedule import Schedule
 from .arrays import position_tube, tube_arrays
 from .picture import Picture, SlicePicture, TubePicture, directions
 
-SLICES = 240
-"""Decisions, and besides them switches, up to which all get a slice of their recoverable set."""
+SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set
 
 
 def picture_of_safety(safety: Safety) -> Picture:
@@ -73,8 +72,7 @@ def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:
 def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
     """Slice the recoverable sets through the states of all runs under Polaris, else through the reference.
 
-    Works on any kind of set: each is convex and asked only whether it contains points, which are tried
-    along rays on ever finer scales (to 0.2 % of a step of the first): outlines lie within the sets.
+    Sets are convex and asked only whether they contain points, along rays on ever finer scales.
     """
     system, q, K = picture.system, safety.tracking.feedback.nodes_per_cell, picture.planned
     nodes, reference = _slice_nodes(picture, q), picture.reference

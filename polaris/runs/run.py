@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from ..model.errors import ScenarioError
-from ..scenario.scenario import MonteCarloScenario, Scenario, load_scenario
+from ..scenario.scenario import MonteCarloScenario, Scenario, ScheduleScenario, load_scenario
+from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
@@ -36,6 +37,7 @@ def run(
     stages: Stages | None = None,
     executor: Executor | Workers | None = None,
     fresh: bool = False,
+    black_boxes: Mapping[str, Ask] | None = None,
 ) -> RunFolder:
     """Run a scenario and write what was found into a folder, as ``polaris run`` does.
 
@@ -56,6 +58,9 @@ def run(
         Told what is being done, and how far it is.
     executor, fresh
         Of many flights: who flies, and whether others are replaced, as in `run_campaign`.
+    black_boxes : mapping, optional
+        What is asked of a schedule's black boxes, by their names: called with a time [s], states (R, n) and
+        the state (n,) of the safe reference, it returns commands (R, m). A scenario file starts no program.
 
     Returns
     -------
@@ -86,7 +91,10 @@ def run(
         return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
     place, kind = check_target(target), KINDS[scenario.kind]
     assert kind.fly is not None
-    found = kind.fly(scenario, stages)
+    if black_boxes and not isinstance(scenario, ScheduleScenario):
+        raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
+    boxes = {"boxes": black_boxes} if black_boxes else {}
+    found = kind.fly(scenario, stages, **boxes)
     with stages.stage("run folder"):
         return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
 

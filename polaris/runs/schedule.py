@@ -30,7 +30,9 @@ from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
+from ..simulation.sampled import Sampled, synthesize_sampled
 from ..synthesis import get_safety, synthesize
+from ..synthesis.black_box import Ask
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.same_system import check_safety
@@ -40,7 +42,7 @@ from . import arrays
 from . import tables as files
 from .certificate import described, hexadecimal, write_certificate
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .picture import Picture
+from .picture import Picture, SlicePicture
 from .picturing import picture_of
 from .stages import Stages
 
@@ -63,6 +65,7 @@ class FlownSchedule:
     schedule: Schedule
     flown: Mapping[str, baselines.Flown]
     at_most: ShareBound = ShareBound(1.0, 1.0)
+    sampled: Sampled | None = None
 
 
 def digest(schedule: Schedule) -> str:
@@ -82,24 +85,39 @@ def digest(schedule: Schedule) -> str:
     return found.hexdigest()
 
 
-def fly_schedule(scenario: ScheduleScenario, stages: Stages) -> FlownSchedule:
-    """Synthesise a schedule, prove it, and fly it in simulation."""
+def fly_schedule(
+    scenario: ScheduleScenario, stages: Stages, boxes: Mapping[str, Ask] | None = None
+) -> FlownSchedule:
+    """Synthesise a schedule, prove it (or sample it, where black boxes fly), and fly it in simulation."""
     with stages.stage("safety controller"):
         problem = scenario.problem()
         safety = get_safety.get_safety(
             replace(problem, planner=replace(problem.planner, progress=stages.planner))
         )
     with stages.stage("experimental controllers"):
-        experimental = scenario.controllers(safety)
+        experimental = scenario.controllers(safety, boxes)
     with stages.stage("schedule"):
-        counting = stages.counting("schedule: step {} of {}")
-        schedule = synthesize.synthesize(scenario, safety, experimental, progress=counting, recourse=True)
+        counting, sampled = stages.counting("schedule: step {} of {}"), None
+        if boxes:
+            probability, confidence = scenario.asked
+            sampled = synthesize_sampled(
+                scenario,
+                safety,
+                experimental,
+                probability=probability,
+                confidence=confidence,
+                seed=scenario.simulation.seed,
+                progress=counting,
+            )
+            schedule = sampled.schedule
+        else:
+            schedule = synthesize.synthesize(scenario, safety, experimental, progress=counting, recourse=True)
     with stages.stage("bound"):
         at_most = _at_most(scenario, schedule)
     with stages.stage("simulation"):
         plan, counting = scenario.simulation, stages.counting("simulation: {} of {} runs")
         flown = baselines.compare(schedule, plan.runs, plan.seed, counting)
-        return FlownSchedule(schedule, flown, at_most)
+        return FlownSchedule(schedule, flown, at_most, sampled)
 
 
 def _at_most(scenario: ScheduleScenario, schedule: Schedule) -> ShareBound:
@@ -173,6 +191,7 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
         "synthesis": {
             "recoverable": safety.recoverable.kind,
             "experimental_share": schedule.share(),
+            **_boxes(found.sampled),
             "share_at_most": bound.pop("share"),
             "share_bound": bound,
             "switches": schedule.switches,
@@ -197,6 +216,23 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
     }
 
 
+def _boxes(sampled: Sampled | None) -> dict[str, Any]:
+    """What is proven without asking the black boxes, and the worst that was found with them."""
+    if sampled is None:
+        return {}
+    told, worst = None, sampled.worst
+    if worst is not None:
+        sets = worst.least[: len(sampled.schedule.safety.clearance.unsafe)]
+        told = {
+            "runs": worst.runs,
+            "violated": worst.failure is not None,
+            "failure": None if worst.failure is None else str(worst.failure),
+            "least_m": files.finite(float(min(sets, default=np.inf))),
+            "leave_sets": sampled.adverse,
+        }
+    return {"proven_share": sampled.proven.share(), "worst_found": told}
+
+
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """What is claimed, until when, why, and on what assumptions."""
     end, goal = schedule.safety.end, schedule.arrival
@@ -206,6 +242,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         "until_s": end.until if np.isfinite(end.until) else None,
         "reason": end.reason,
         "assumptions": list(schedule.assumptions),
+        **({"statement": asdict(schedule.statement)} if schedule.statement else {}),
         "goal": {
             "reached": goal.reached,
             "by_s": goal.by,
@@ -214,6 +251,8 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "drift_m_per_orbit": goal.drift,
             "delta_v_max_m_s": goal.delta_v,
         },
+        "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
+        **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
     }
 
 
@@ -235,7 +274,7 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
         tuple(step["limit"] for step in steps),
         arrays.read_flights(folder / "trajectories.npz"),
         arrays.position_tube(arrays.read_arrays(folder / "tubes.npz"), system.position),
-        arrays.read_slices(folder / "sets.npz"),
+        SlicePicture(**arrays.read_held(arrays.read_arrays(folder / "sets.npz"), arrays.SLICES)),
         goal.get("by_s"),
         goal.get("delta_v_max_m_s"),
     )

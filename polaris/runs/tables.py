@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..model.system import LinearSystem
+from ..model.timing import Timing
 from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
 from ..synthesis.get_safety import Safety
@@ -46,17 +47,11 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[str] = ()) -> None:
-    """Write rows by column; numbers in the shortest form that reads back exactly, what is not finite empty.
-
-    The header is that of the first row if not given.
-    """
+    """Write rows by column (the first row's by default), exact numbers, what is not finite empty."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, header or list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(map(strict, rows))
-
-
-# -- schedule ---------------------------------------------------------------------------------------
 
 
 def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
@@ -108,9 +103,6 @@ def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], g
     write_text(folder / "schedule.json", json_text(data))
 
 
-# -- reference and gains ------------------------------------------------------------------------------
-
-
 def columns(system: LinearSystem) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Column names of the states and the inputs, with units where they are known."""
     if system.mean_motion is not None and system.n == 6 and system.m == 3:
@@ -145,11 +137,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 
 def errors_of(safety: Safety) -> dict[str, Any]:
-    """Errors of estimates and thrusters, and the share of thrust that S keeps to, where there are any."""
+    """Errors of estimates, thrusters and timing, and the share of thrust that S keeps to, if any."""
     system, share = safety.problem.system, safety.tracking.share
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({} if system.timing == Timing() else {"timing": asdict(system.timing)}),
         **({"safety_share": share} if share < 1 else {}),
     }
 

@@ -30,14 +30,11 @@ from .run import read_run, run
 from .schedule import SCHEDULE
 from .stages import Stages
 
-PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)
-"""Prices of velocity change, if none are given."""
+PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)  # prices of velocity change, if none are given
 
+# Folder of a point, its scenario, and whether that it has no schedule is a result.
 Point = tuple[Path, ScheduleScenario, bool]
-"""Folder of a point, its scenario, and whether that it has no schedule is a result."""
-
-Values = Mapping[str, tuple[str, float | None]]
-"""Field and value of every point, by the name of its folder."""
+Values = Mapping[str, tuple[str, float | None]]  # field and value of every point, by the name of its folder
 
 PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
 
@@ -199,10 +196,7 @@ def _compute(
 
 
 def _write_point(point: Point) -> tuple[str, int] | None:
-    """Write the run folder of a point, in whatever process; else why there is none, and its exit code.
-
-    The error itself may not travel between processes.
-    """
+    """Write the run folder of a point, in whatever process; else why there is none, and its exit code."""
     folder, scenario, swept = point
     try:
         with warnings.catch_warnings():

@@ -18,6 +18,7 @@ from ..model.tolerances import SOLVER_BOOK_INPUT
 from ..planning.problem import PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
+from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy
@@ -25,6 +26,7 @@ from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, Neural, hill_rate
 from .scene_tables import AnyThrust as AnyThrustTable
+from .scene_tables import BlackBox as BlackBoxTable
 from .tables import SampledFeedback, ScenarioModel
 
 
@@ -76,15 +78,36 @@ def read_policies(
 
 
 def build_controllers(
-    model: ScenarioModel, safety: Safety, policies: Mapping[str, tuple[Path, Policy]]
+    model: ScenarioModel,
+    safety: Safety,
+    policies: Mapping[str, tuple[Path, Policy]],
+    boxes: Mapping[str, Ask],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
-    return tuple(_build(spec, path, safety, policies) for path, spec in model.controllers())
+    named = [spec.name for _, spec in model.controllers() if isinstance(spec, BlackBoxTable)]
+    for name in boxes:
+        if name not in named:
+            raise ScenarioError(
+                "black box", name, f"must be one of the scenario ({', '.join(named) or 'none'})"
+            )
+    found: list[Controller] = []
+    for path, spec in model.controllers():
+        if not isinstance(spec, BlackBoxTable):
+            found.append(_build(spec, path, safety, policies))
+            continue
+        if spec.name not in boxes:
+            rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
+            raise ScenarioError(path, spec.name, rule)
+        seed = model.simulation.seed
+        system, reference = safety.problem.system, safety.reference
+        found.append(BlackBox(spec.name, system, reference, safety.tracking, boxes[spec.name], seed=seed))
+    return tuple(found)
 
 
 def _build(
     spec: Experimental, path: str, safety: Safety, policies: Mapping[str, tuple[Path, Policy]]
 ) -> Controller:
+    assert not isinstance(spec, BlackBoxTable)
     system = safety.problem.system
     if isinstance(spec, Neural):
         own = own_reference(spec.reference, None, safety, f"{path}.reference")

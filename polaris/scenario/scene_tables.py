@@ -296,4 +296,20 @@ class Neural(ScenarioPart):
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
 
 
-Experimental = Annotated[Affine | AnyThrust | Neural, *f.BY_KIND]
+class BlackBox(ScenarioPart):
+    """A controller that is asked for its commands once a control period: its sets come from samples.
+
+    Needs sampled feedback, and to be given when it is run: `polaris run --black-box NAME=COMMAND`, or a
+    callable from Python. Where it flies the guarantee is `statistical`.
+    """
+
+    kind: Literal["black_box"] = unit("-", "Unknown controller that can be asked.")
+    name: f.Name = unit("-", "Its name in tables and figures.")
+    probability: f.Real = unit("-", default=0.01, ge=1e-5, le=0.5)
+    """With which a flight may leave the bands of all black boxes; the least one given counts."""
+    confidence: f.Real = unit("-", default=0.999, ge=0.5, le=1 - 1e-9)
+    """Of the statement that it is no more; the highest one given counts."""
+    weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
+
+
+Experimental = Annotated[Affine | AnyThrust | Neural | BlackBox, *f.BY_KIND]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,18 +13,23 @@ from scipy.linalg import expm
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import counted
+from ..model.checks import MAX_STEPS, counted
+from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
+from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
+from .error_tables import allocation
 from .fields import whole_parts
 from .reading import write_toml
-from .scene_tables import Neural
+from .scene_tables import BlackBox, Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
+    from ..model.allocation import Allocation
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
+    from ..synthesis.black_box import Ask
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
     from ..synthesis.neural import Policy
@@ -52,6 +57,9 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
+        if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
+            given = model.abort.drift_orbits, model.abort.drift_s
+            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -81,13 +89,21 @@ class ScheduleScenario(Scenario):
 
     @kept
     def system(self) -> LinearSystem:
-        """The controlled system, how well its state is known, and its thrusters."""
-        system, navigation, thrusters = self.model.system.build(), self.model.navigation, self.model.thrusters
-        if navigation is not None:
-            system = replace(system, estimate_error=navigation.build(system))
-        if thrusters is not None:
-            system = replace(system, thrusters=thrusters.build(system, self._period))
-        return system
+        """The controlled system, how well its state is known and how late, and its thrusters."""
+        model, system = self.model, self.model.system.build()
+        if model.navigation is not None:
+            system = replace(system, estimate_error=model.navigation.build(system))
+        if model.thrusters is not None:
+            system = replace(system, thrusters=model.thrusters.build(system, self._period))
+        allocation = self.allocation()
+        if allocation is not None:
+            system = replace(system, u_max=allocation.u_max)
+        return system if model.timing is None else model.timing.build(system, self._period)
+
+    @kept
+    def allocation(self) -> Allocation | None:
+        """What the thrusters make of the inputs in every fault, where anything is said of it."""
+        return allocation(self.model.thrusters, self.model.faults, self.model.system.build().u_max)
 
     @property
     def _period(self) -> float | None:
@@ -104,26 +120,41 @@ class ScheduleScenario(Scenario):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
-        return tuple(part.build(path).grown(radius) for path, part in self.model.scene_parts())
+        system, parts = self.system(), (part.build(path) for path, part in self.model.scene_parts())
+        moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
+        return tuple(part.blurred(system.timing.clock, moved).grown(radius) for part in parts)
 
     @kept
     def goal(self) -> Goal:
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def controllers(self, safety: Safety) -> tuple[Controller, ...]:
+    def controllers(self, safety: Safety, boxes: Mapping[str, Ask] | None = None) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
+
+        Parameters
+        ----------
+        safety : Safety
+            Result of `get_safety`.
+        boxes : mapping, optional
+            What is asked of its black boxes, by their names.
 
         Raises
         ------
         ScenarioError
-            If one is malformed.
+            If one is malformed, or a black box is not given.
         SynthesisInfeasible, NotCertified
             If the plan that an ``unaware`` reference stands for cannot be found.
         """
         from .experimental import build_controllers
 
-        return build_controllers(self.model, safety, self.policies())
+        return build_controllers(self.model, safety, self.policies(), boxes or {})
+
+    @property
+    def asked(self) -> tuple[float, float]:
+        """Probability and confidence of the statement about its black boxes."""
+        specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
+        return min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:
@@ -191,6 +222,9 @@ class ScheduleScenario(Scenario):
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
+            allocation=self.allocation(),
+            tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
+            abort=None if self.model.abort is None else self.model.abort.build(system),
         )
 
     def switching_rules(self) -> SwitchingRules:

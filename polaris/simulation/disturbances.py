@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
+from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController
+from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator, columns
 
@@ -81,13 +83,16 @@ def adjoint_worst_case(
     rows: Array,
     targets: NDArray[np.int_],
     clipped: NDArray[np.bool_] | None = None,
+    about: Array | None = None,
 ) -> tuple[Array, Array | None, Array]:
     """Disturbance, held over each step, that takes the state furthest along a row at one instant per run.
 
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
-    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``.
+    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``. A network
+    answers with its gradient at the states that it was flown through, `about` (R or 1, nodes + 1, n), by
+    default those of the undisturbed flight from the middle of the initial set.
 
     Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. Inputs that
     the thrusters clip (steps, R, m) do not answer to the state. Returned are the disturbances (steps, R, p),
@@ -120,8 +125,34 @@ def adjoint_worst_case(
             w[step, :, errors] = np.sign(kick)
         if free is not None:
             free[step] = np.sign(kick) * system.u_max
+        number = int(numbers[step])
+        if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
+            about = _undisturbed(flight) if about is None else about
+            carried = carried + _answered(flight, number, step, about[:, step // flight.substeps], kick)
         adjoint = carried
     return w, free, adjoint
+
+
+def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> Array:
+    """What a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n).
+
+    A black box is taken for the affine function that it was fitted with, where it was.
+    """
+    law, (k, place) = flight.schedule.controllers[number], divmod(step, flight.steps_per_cell)
+    if isinstance(law, BlackBox):
+        fit = getattr(flight.schedule.steps[k].tube, "fit", None)
+        return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2])
+    assert isinstance(law, NeuralController)
+    own = flight.own.get(number, flight.safe)[k, 2 * (place - place % flight.substeps)]
+    free = np.abs(law.command(k, own, own, x)) < flight.system.u_max
+    return law.pullback(k, own, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free)
+
+
+def _undisturbed(flight: Integrator) -> Array:
+    """States of the flight from the middle of the initial set, shape (1, nodes + 1, n)."""
+    flight.free = None
+    centre = flight.schedule.safety.problem.initial_set.c[None]
+    return flight.run(centre, np.zeros((flight.steps, 1, columns(flight.system)[-1].stop))).states
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:

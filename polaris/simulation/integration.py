@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array, LinearSystem
+from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
@@ -86,11 +87,15 @@ class Integrator:
         controller, step = self.schedule.controllers[number], k * self.steps_per_cell + half // 2
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
-        if self.eta is not None:
-            x = x + self.eta[step]
-        xi = self.safe[k, half + later]
+        x, xi = self.estimate(step, x), self.safe[k, half + later]
         own = self.own[number][k, half + later] if number in self.own else xi
+        if isinstance(controller, BlackBox):
+            return controller.command(k, xi, own, x, (half + later) / 2 * self.dt)
         return controller.command(k, xi, own, x)
+
+    def estimate(self, step: int, x: Array) -> Array:
+        """What controllers know of states in a step."""
+        return x if self.eta is None else x + self.eta[step]
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
 from ..model.obstacles import perceive
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from ..planning.problem import Plan, PlannerOptions, PlanProblem
@@ -46,7 +46,8 @@ class Attempts:
 
     The last only where nothing but the time after T stands in the way, and no plan is given. `plan`, `margin`
     (of `start`, Theta about the reference, in the first recoverable set) and `cut_by_clock` are those of the
-    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end.
+    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end,
+    and as far as drifts are followed.
     """
 
     plan: Plan
@@ -56,7 +57,8 @@ class Attempts:
     def __init__(self, problem: Problem, tracking: Tracking, clock: Clock, given: Plan | None = None) -> None:
         self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, given
         self.tail = tail_length(tracking)
-        self.unsafe = perceive_unsafe(problem, problem.K + self.tail)
+        ahead = 0 if problem.abort is None else problem.abort.cells(problem.delta)
+        self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, ahead))
         self.start = problem.initial_set - problem.initial_set.c
         self.cut_by_clock: tuple[str, ...] = ()
 
@@ -145,8 +147,11 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     limit = tracking.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
-        errors = errors_alone(tracking, int(axis))
+        errors = errors_alone(tracking, int(axis), system.as_ideal())
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
+        if not system.timing.instant:
+            late = errors_alone(tracking, int(axis), system.prompt)
+            share += f" ({late:.4g} of that for delay, missed periods and jitter)"
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} of the {tracking.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
@@ -173,12 +178,12 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     )
 
 
-def errors_alone(tracking: Tracking, axis: int) -> float:
-    """What S demands of an input, once settled, because of errors of estimates and thrusters."""
-    system, row = tracking.system, tracking.gain[axis : axis + 1]
-    exact = replace(tracking, system=system.as_ideal())
-    beyond = tracking.disturbance(row)[-1] - exact.disturbance(row)[-1]
-    return float(beyond[0] + system.command_error(tracking.gain)[axis])
+def errors_alone(tracking: Tracking, axis: int, other: LinearSystem) -> float:
+    """What S demands of an input, once settled, beyond what it would in a system with fewer errors."""
+    row, better = tracking.gain[axis : axis + 1], replace(tracking, system=other)
+    beyond = tracking.disturbance(row)[-1] - better.disturbance(row)[-1]
+    noise = tracking.system.command_error(tracking.gain) - other.command_error(tracking.gain)
+    return float(beyond[0] + noise[axis])
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:

@@ -22,12 +22,19 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import TubeSegment
+from .controllers import AffineController, TubeSegment
 from .tracking import Feedback, Tracking
 
 WIDER = 0.02
 """Share by which what the bands leave open is booked wider: a certificate's check merges generators
 otherwise, so that its bands are others than these."""
+
+
+def stacked(inputs: tuple[str, ...], parts: dict[str, Array]) -> Array:
+    """Arrays by name side by side, of broadcastable leading shapes."""
+    chosen = [parts[name] for name in inputs]
+    lead = np.broadcast_shapes(*(part.shape[:-1] for part in chosen))
+    return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +78,7 @@ class Policy:
 
     def stack(self, parts: dict[str, Array]) -> Array:
         """Scaled inputs, shape (..., r), from arrays by name, of broadcastable leading shapes."""
-        chosen = [parts[name] for name in self.inputs]
-        lead = np.broadcast_shapes(*(part.shape[:-1] for part in chosen))
-        joined = [np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen]
-        return np.concatenate(joined, axis=-1) * self.input_scale
+        return stacked(self.inputs, parts) * self.input_scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +166,14 @@ class NeuralController:
         }
         return read, np.abs(self.policy.stack(off)) + gamma(4) * np.abs(read)
 
+    @property
+    def slope(self) -> AffineController:
+        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        own, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m))
+        known = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *known, clips=True)
+
     @cached_property
     def booked(self) -> Array:
         """What scaling the output rounds to, as part of the state at the next node, shape (n,)."""
@@ -169,9 +181,17 @@ class NeuralController:
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m), in step k."""
+        return np.asarray(self.policy.network(self._read(k, own, x)) * self.policy.output_scale)
+
+    def pullback(self, k: int, own: Array, x: Array, weights: Array) -> Array:
+        """Gradient of ``weights . command`` by x, shape (..., n), for weights (..., m)."""
+        read = self._read(k, own, x)
+        return self.policy.network.pullback(read, weights * self.policy.output_scale) @ self.loop.C
+
+    def _read(self, k: int, own: Array, x: Array) -> Array:
         time = np.array([k * self.reference.delta])
         parts = {"error": own - x, "state": x, "time": time, "reference_input": self.own.nu[k]}
-        return np.asarray(self.policy.network(self.policy.stack(parts)) * self.policy.output_scale)
+        return self.policy.stack(parts)
 
     def fly(self, start: Zonotope, k: int) -> TubeSegment:
         """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""
@@ -183,13 +203,13 @@ class NeuralController:
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
                 push, within = self._misapplied(command)
-                nodes.append(_reduced(after.inflate(wider + self.booked) + push))
+                nodes.append(reduced(after.inflate(wider + self.booked) + push))
                 bows.append(bow + wider + within)
         except Unresolved as error:
             q, n = self.feedback.nodes_per_cell, self.system.n
             return TubeSegment(Zonotope.stack([start] * (q + 1)), np.zeros((q, n)), start, str(error))
         rounding = self.reference.rounding[k] + self.own.rounding[k]
-        end = _reduced(nodes[-1].inflate(rounding))
+        end = reduced(nodes[-1].inflate(rounding))
         return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
 
     def _misapplied(self, command: Zonotope) -> tuple[Zonotope, Array]:
@@ -216,6 +236,16 @@ NEEDS_SAMPLES = "must be sampled where a network flies: it is evaluated once a c
 """What a scenario with a network must have."""
 
 
-def _reduced(z: Zonotope) -> Zonotope:
+def check_exact(system: LinearSystem) -> None:
+    """Refuse errors of estimates and of thrusters: no tube of a black box knows of them."""
+    if not system.ideal:
+        field = "navigation" if np.any(system.navigation) else "thrusters"
+        field = field if system.timing.instant else "timing"
+        raise ScenarioError(
+            field, None, "must be left out where a black box flies: its tube knows of no such error"
+        )
+
+
+def reduced(z: Zonotope) -> Zonotope:
     """With few generators, if it has too many: reducing wraps what turns, so it is done late and by much."""
     return z if z.order_count <= ORDER * z.dim else z.reduce(ORDER / 3)

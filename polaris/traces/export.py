@@ -21,17 +21,10 @@ from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTra
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """A run as a trace.
-
-    Attributes
-    ----------
-    trace : Trace
-    notes : tuple of str
-        What is not represented as it is, and on which side it errs.
-    """
+    """A run as a trace."""
 
     trace: Trace
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what is not represented as it is, and on which side it errs
 
 
 def to_trace(
@@ -144,11 +137,7 @@ def _sets(
 
 
 def _covers(obstacle: Obstacle, t: Array, system: LinearSystem) -> dict[str, AnySet]:
-    """Timed polytopes at the times, which begin at 0 s.
-
-    Cells are as long as the shortest gap, so that what holds for a cell holds between its ends; at the
-    border of two cells the larger offset counts.
-    """
+    """Timed polytopes at even times from 0 s; at the border of two cells the larger offset counts."""
     gaps = np.diff(t)
     if t[0] != 0 or len(gaps) == 0 or np.ptp(gaps) > TIME * t[-1]:
         rule = f"must begin at 0 and be evenly spaced for {obstacle.name}"

@@ -1,8 +1,4 @@
-"""The numbers RTAEval gives, defects included: for comparison with results obtained there.
-
-Written from a description of what it computes, and held against what its own evaluator printed
-(tests/traces/data); docs/traces.md lists the defects. Every deviation from the right number is on purpose.
-"""
+"""The numbers RTAEval gives, defects (docs/traces.md) included: every deviation is meant."""
 
 from __future__ import annotations
 
@@ -10,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import daqp
 import numpy as np
 
 from ..model.system import Array
@@ -18,8 +13,7 @@ from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PointTrace,
 from .placing import Faceted, place, unit_rows
 from .settings import DIFFERENCES, Heading, Velocity, find_dims, find_velocity, guess_heading
 
-NEVER = 1e20
-"""What stands for no collision between agents there."""
+NEVER = 1e20  # what stands for no collision between agents there
 
 Each = tuple[dict[str, float], dict[str, float], dict[str, float]]
 """Least, largest and mean values by name of what is measured to."""
@@ -99,8 +93,7 @@ class _Agent:
     def usage(self) -> tuple[float, float, int]:
         """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).
 
-        The mode before the run is UNTRUSTED. Whatever is not UNTRUSTED counts, and is remembered, as SAFETY:
-        every sample of any other mode differs from what is remembered, and is one more switch.
+        The mode before the run is UNTRUSTED; any other counts as SAFETY, so that a third one always switches.
         """
         modes, switches, last = self.agent.modes.tolist(), 0, UNTRUSTED
         if len(modes) < 2:
@@ -143,13 +136,7 @@ class _Agent:
         held = replace(item, times=self.agent.times, A=A, b=b)
         p = self.agent.states[:, : self.d]
         distance = np.maximum(place(held, self.agent.times, self.d).signed_distance(p), 0.0)  # defect 7
-        facets = Faceted(*unit_rows(held.A, held.b))
-        lines = np.zeros_like(p)
-        for i in np.flatnonzero(distance):
-            facet = facets.at(int(i))
-            rows, slack = facet.H, facet.b - facet.H @ p[i]
-            free = np.full(len(slack), -1e30)
-            lines[i] = daqp.solve(np.eye(self.d), np.zeros(self.d), rows, slack, free)[0]
+        lines = Faceted(*unit_rows(held.A, held.b)).to_nearest(p)
         return np.asarray(distance), lines
 
     def agent_dists(self) -> tuple[float, float, dict[str, float]]:
@@ -180,10 +167,9 @@ class _Agent:
         return v
 
     def unsafe_ttc(self) -> Each:
-        """({set: min}, {set: max}, {set: mean}) of distance over speed along the line to the centre.
+        """({set: min}, ...) of distance over speed along the line to the centre, without sign (defect 2).
 
-        The line has no sign, and no width (defect 2). A polytope gets the last distance of the ball or
-        rectangle before it, and a point its line as well (defects 3 and 8).
+        A polytope gets the last distance of the ball or box before it, a point its line (defects 3, 8).
         """
         v = self._velocity(self.name, self.agent)
         found: dict[str, Array] = {}

@@ -14,8 +14,7 @@ from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
 from ..model.system import Array, as_finite
 
-NORMAL, UNTRUSTED, SAFETY = 1, 2, 3
-"""Mode numbers of a trace; all others are unknown."""
+NORMAL, UNTRUSTED, SAFETY = 1, 2, 3  # mode numbers of a trace; all others are unknown
 
 MODE_NAMES = {NORMAL: "NORMAL", UNTRUSTED: "UNTRUSTED", SAFETY: "SAFETY"}
 
@@ -47,29 +46,15 @@ def _rows(where: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]
 class AgentTrace:
     """Where one agent was and who flew it.
 
-    Parameters
-    ----------
-    times : array_like, shape (N,)
-        Stamps [s], N >= 1, not running backwards.
-    states : array_like, shape (N, n)
-        SI units; the first entries are the position [m].
-    modes : array_like of int, shape (N,) or (N-1,), optional
-        In force from each stamp on: 1 NORMAL, 2 UNTRUSTED, 3 SAFETY, anything else unknown. Default unknown.
-    running_times : array_like, shape (R,), optional
-        Wall time of each decision [s].
-    where : str
-        What error messages call it.
-
-    Raises
-    ------
-    ScenarioError
-        On wrong shapes, numbers that are not finite, stamps that run backwards.
+    A mode, of shape (N,) or (N-1,), is in force from its stamp on: 1 NORMAL, 2 UNTRUSTED, 3 SAFETY, all else,
+    and the default, unknown. `ScenarioError` on wrong shapes, numbers that are not finite, stamps that run
+    backwards; `where` is what it calls the agent.
     """
 
-    times: Array
-    states: Array
+    times: Array  # stamps [s], shape (N,), N >= 1
+    states: Array  # SI units, shape (N, n); the first entries are the position [m]
     modes: Modes = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    running_times: Array = field(default_factory=lambda: np.empty(0))
+    running_times: Array = field(default_factory=lambda: np.empty(0))  # of each decision [s], shape (R,)
     where: str = field(default="agent", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
@@ -105,20 +90,10 @@ class AgentTrace:
 
 @dataclass(frozen=True, eq=False)
 class UnsafeTrace:
-    """One unsafe set at its stamps: the base of the four kinds.
+    """One unsafe set at its stamps, in 1 to 3 axes d of position: the base of the four kinds."""
 
-    Attributes
-    ----------
-    set_type : str
-        ``point``, ``ball``, ``rectangle`` or ``polytope``.
-    times : ndarray, shape (M,)
-        Stamps [s], M >= 1, not running backwards. One row holds for all times.
-    d : int
-        Axes of position, 1 to 3.
-    """
-
-    set_type: ClassVar[str]
-    times: Array
+    set_type: ClassVar[str]  # point, ball, rectangle or polytope
+    times: Array  # stamps [s], shape (M,), M >= 1, not running backwards; one row holds for all times
     where: str = field(default="unsafe set", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
@@ -239,21 +214,11 @@ AnySet = PointTrace | BallTrace | RectangleTrace | PolytopeTrace
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Agents and unsafe sets, by name.
-
-    Attributes
-    ----------
-    agents : mapping of str to AgentTrace
-        At least one.
-    unsafe : mapping of str to PointTrace, BallTrace, RectangleTrace or PolytopeTrace
-        May be empty.
-    ignored : tuple of str
-        Places in the file that say nothing known, and were passed over.
-    """
+    """Agents, at least one, and unsafe sets, by name."""
 
     agents: Mapping[str, AgentTrace]
     unsafe: Mapping[str, AnySet] = field(default_factory=dict)
-    ignored: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()  # places in the file that say nothing known, and were passed over
 
     def __post_init__(self) -> None:
         if not self.agents:

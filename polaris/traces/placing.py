@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
+import daqp
 import numpy as np
-from numpy.typing import NDArray
 
 from ..model.errors import ScenarioError
-from ..model.shapes import CHUNK, Ball, Box, Polytope, Shape
+from ..model.shapes import Ball, Box, Polytope, Shape
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace
@@ -48,54 +47,33 @@ class Faceted:
     b: Array  # shape (N, F)
 
     def signed_distance(self, p: Array) -> Array:
-        """Exact distance [m] of positions (N, d), one per time.
+        """Distance [m] of positions (N, d), one per time."""
+        worst = np.max(np.einsum("nfd,nd->nf", self._rows(p), p) - self.b, axis=1)
+        away = np.linalg.norm(self.to_nearest(p), axis=1)
+        return np.asarray(np.where(worst > 0, np.maximum(away, worst), worst))
 
-        The same dual as in `polaris.model.shapes.Polytope.signed_distance`, over all sets of at most d
-        independent facets: which of them meet differs from sample to sample.
-        """
-        out = np.empty(len(p))
-        _, F, d = self.H.shape
-        sets = [np.array(list(combinations(range(F), s))) for s in range(2, min(F, d) + 1)]
-        shared = [_inverses(self.H, index) for index in sets] if len(self.H) == 1 else None
-        step = max(1, CHUNK // (F + sum(index.size for index in sets) * d))
-        for i in range(0, len(p), step):
-            part = slice(i, i + step)
-            rows = np.broadcast_to(self.H, (len(p), F, d))[part]
-            r = np.einsum("nfd,nd->nf", rows, p[part]) - self.b[part]
-            worst = r.max(axis=1)
-            outside = np.flatnonzero(worst > 0)
-            if outside.size:
-                inverses = shared or [_inverses(rows[outside], index) for index in sets]
-                pairs = zip(sets, inverses, strict=True)
-                square = [_square(inverse, r[outside][:, index]) for index, inverse in pairs]
-                worst[outside] = np.sqrt(np.maximum.reduce([worst[outside] ** 2, *square]))
-            out[part] = worst
-        return out
+    def to_nearest(self, p: Array) -> Array:
+        """Lines (N, d) from positions to the nearest points, 0 inside: one quadratic program each."""
+        lines, rows = np.zeros_like(p), self._rows(p)
+        slack = self.b - np.einsum("nfd,nd->nf", rows, p)
+        scale = np.maximum(-slack.min(axis=1), 0.0)  # in units of the most that a facet is missed by
+        none, free = np.zeros(p.shape[1]), np.full(rows.shape[1], -1e30)
+        for i in np.flatnonzero(scale):
+            top = np.minimum(slack[i] / scale[i], 1e30)
+            lines[i] = scale[i] * daqp.solve(np.eye(len(none)), none, rows[i].copy(), top, free)[0]
+        return lines
+
+    def _rows(self, p: Array) -> Array:
+        return np.broadcast_to(self.H, (len(p), *self.H.shape[1:]))
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """Seconds until straight rays enter; in the coordinates ``H p`` all facets are the same."""
-        rows = np.broadcast_to(self.H, (len(p), *self.H.shape[1:]))
-        reach, rate = (np.einsum("nfd,nd->nf", rows, x) for x in (p, v))
+        reach, rate = (np.einsum("nfd,nd->nf", self._rows(p), x) for x in (p, v))
         return Polytope(np.eye(self.H.shape[1]), self.b).entry_time(reach, rate)
 
     def at(self, i: int) -> Polytope:
         """The polytope at one time."""
         return Polytope(self.H[i if len(self.H) > 1 else 0], self.b[i])
-
-
-def _inverses(H: Array, index: NDArray[np.int64]) -> Array:
-    """``(H_S H_S')^-1`` of sets S of facets, shape (n, C, s, s); nan where they are not independent."""
-    rows = H[:, index]
-    gram = rows @ np.swapaxes(rows, -1, -2)
-    fit = (np.linalg.eigvalsh(gram)[..., 0] > 1e-11)[..., None, None]
-    return np.where(fit, np.linalg.inv(np.where(fit, gram, np.eye(gram.shape[-1]))), np.nan)
-
-
-def _square(inverse: Array, r: Array) -> Array:
-    """Largest ``r_S' (H_S H_S')^-1 r_S`` with multipliers >= 0, shape (n,); r is (n, C, s)."""
-    multipliers = (inverse @ r[..., None])[..., 0]
-    value = np.sum(multipliers * r, axis=-1)
-    return np.asarray(np.where(np.all(multipliers >= 0, axis=-1), value, 0.0).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,11 +112,9 @@ class Placed:
 
 
 def place(item: AnySet, t: Array, d: int) -> Placed:
-    """The set at times t, shape (N,).
+    """The set at times t (N,): centres, sizes, offsets run linearly, at rest before and after all stamps.
 
-    Centres and sizes, and offsets of facets that do not turn, run linearly from stamp to stamp. Facets
-    that turn are taken as they are at both stamps around. Before the first stamp and after the last the
-    set is at rest there. Refused are sets of fewer than d axes, polytopes of more, and empty ones.
+    Facets that turn are taken as at both stamps around. Sets of other axes and empty ones are refused.
     """
     if item.d < d or (item.d > d and isinstance(item, PolytopeTrace)):
         raise ScenarioError(f"{item.where}.state_trace[0]", f"{item.d} axes", f"must have {d} (see --dims)")

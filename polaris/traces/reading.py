@@ -18,7 +18,7 @@ from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, replacing_file
 from ..runs.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
-from .rows import Odd, numbers, set_trace, table
+from .rows import Odd, numbers, rows_of, set_trace, table
 
 MODE_NUMBERS = {name: number for number, name in MODE_NAMES.items()} | {"UNKNOWN": UNKNOWN}
 
@@ -49,10 +49,7 @@ def read_trace(path: str | Path) -> Trace:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the cyclic garbage collector while millions of small lists are made: several times as fast.
-
-    There are no cycles among them.
-    """
+    """Pause the garbage collector while millions of small lists are made: several times as fast."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -115,7 +112,7 @@ def _trace(data: Any) -> Trace:
     unsafe = _object("unsafe", root.get("unsafe"), "must be an object, {} without unsafe sets")
     found = (
         {name: _agent(f"agents.{name}", _object(f"agents.{name}", item)) for name, item in agents.items()},
-        {name: _set(f"unsafe.{name}", _object(f"unsafe.{name}", item)) for name, item in unsafe.items()},
+        {name: set_trace(f"unsafe.{name}", _object(f"unsafe.{name}", item)) for name, item in unsafe.items()},
     )
     ignored = [key for key in root if key not in ("agents", "unsafe")]
     for key, items in (("agents", agents), ("unsafe", unsafe)):
@@ -132,16 +129,9 @@ KEYS = {
 }
 
 
-def _list(where: str, item: dict[str, Any], key: str, rule: str) -> list[Any]:
-    value = item.get(key)
-    if not isinstance(value, list) or not value:
-        raise ScenarioError(f"{where}.{key}", value, rule)
-    return value
-
-
 def _agent(where: str, item: dict[str, Any]) -> AgentTrace:
     place = f"{where}.state_trace"
-    rows = _list(where, item, "state_trace", "must be a list of rows [t, s0, s1, ...], at least one")
+    rows = rows_of(where, item, "[t, s0, s1, ...]")
     values = table(place, rows, _agent_row)
     running, spent = item.get("running_times") or [], np.empty(0)
     if not isinstance(running, list):
@@ -189,11 +179,6 @@ def _mode(place: str, i: int, given: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise ScenarioError(f"{place}[{i}]", given, MODE_RULE)
     return value
-
-
-def _set(where: str, item: dict[str, Any]) -> AnySet:
-    rows = _list(where, item, "state_trace", "must be a list of rows [t, def], at least one")
-    return set_trace(where, item.get("set_type"), rows, item.get("velocity_trace"))
 
 
 def trace_data(trace: Trace) -> dict[str, Any]:

@@ -12,8 +12,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace, RectangleTrace
 
-LARGEST = 1e300
-"""Numbers beyond are refused: their squares are not finite."""
+LARGEST = 1e300  # numbers beyond are refused: their squares are not finite
 
 
 class Odd(ValueError):
@@ -51,8 +50,6 @@ def numbers(where: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
     return array
 
 
-# -- unsafe sets ------------------------------------------------------------------------------------
-
 FORMS = {
     "point": "must be a row [t, center]",
     "ball": "must be a row [t, [center, r]]",
@@ -61,8 +58,17 @@ FORMS = {
 }
 
 
-def set_trace(where: str, kind: Any, rows: list[Any], velocities: Any = None) -> AnySet:
+def rows_of(where: str, item: dict[str, Any], form: str) -> list[Any]:
+    """The rows of an agent or a set."""
+    rows = item.get("state_trace")
+    if not isinstance(rows, list) or not rows:
+        raise ScenarioError(f"{where}.state_trace", rows, f"must be a list of rows {form}, at least one")
+    return rows
+
+
+def set_trace(where: str, item: dict[str, Any]) -> AnySet:
     """The stamped definitions of one unsafe set; velocities are read for a ball only."""
+    kind, rows = item.get("set_type"), rows_of(where, item, "[t, def]")
     if not isinstance(kind, str) or kind not in FORMS:
         raise ScenarioError(f"{where}.set_type", kind, f"must be one of {', '.join(FORMS)}")
     place = f"{where}.state_trace"
@@ -73,7 +79,7 @@ def set_trace(where: str, kind: Any, rows: list[Any], velocities: Any = None) ->
     if kind == "point":
         return PointTrace(t, rest, where=where)
     if kind == "ball":
-        known = _velocities(where, velocities, len(rows))
+        known = _velocities(where, item.get("velocity_trace"), len(rows))
         return BallTrace(t, rest[:, :-1], rest[:, -1], known, where=where)
     if rest.shape[1] % 2:
         raise ScenarioError(f"{place}[0]", rows[0], FORMS[kind])

@@ -16,19 +16,13 @@ from .model import AgentTrace, Trace
 
 @dataclass(frozen=True)
 class Heading:
-    """A velocity given by its size and its direction.
+    """A velocity given by its size and its direction: entries of the states, from 0.
 
-    Parameters
-    ----------
-    speed : int
-        Entry of the states (from 0) that is the speed [m/s]; signed in one axis.
-    angles : tuple of int
-        Entries that are angles [rad], one less than there are axes: heading, from x towards y, and pitch,
-        from there towards z.
+    There is one angle less than there are axes: heading, from x towards y, and pitch, from there towards z.
     """
 
-    speed: int
-    angles: tuple[int, ...] = ()
+    speed: int  # [m/s], signed in one axis
+    angles: tuple[int, ...] = ()  # [rad]
 
 
 Velocity = str | Sequence[int] | Heading | None
@@ -37,10 +31,7 @@ DIFFERENCES = "differences of positions"
 
 
 def find_dims(trace: Trace, dims: int | None) -> int | None:
-    """Axes of position: as given, else as the unsafe sets have, else half of 4 or 6 states.
-
-    None if there is nothing to measure to; refused if it cannot be told, or an agent has fewer states.
-    """
+    """Axes of position: as given, as the unsafe sets have, or half of 4 or 6 states; None if unused."""
     found = dims if dims is not None else _told(trace)
     if found is None:
         return None
@@ -72,9 +63,7 @@ def _told(trace: Trace) -> int | None:
 def find_velocity(name: str, agent: AgentTrace, d: int, wanted: Velocity) -> tuple[Array | None, str]:
     """Velocities (N, d) [m/s], None if they cannot be known, and where they come from.
 
-    By default the entries after the position where there are as many of them (2, 4 or 6 states) and the
-    position changes as they say; else `rates` of the positions. Refused are entries that the states do not
-    have, or not as many as the axes ask for.
+    By default the entries after the position where there are as many and it changes so; else `rates`.
     """
     if isinstance(wanted, Heading):
         return _by_heading(name, agent, d, wanted)
@@ -148,9 +137,6 @@ def _entries(option: str, text: str) -> list[int]:
         raise ScenarioError(option, text, rule) from error
 
 
-# -- stamps -------------------------------------------------------------------------------------------
-
-
 def stamped_by_simulator(times: Array) -> bool:
     """Whether the first two rows carry the same time, and no others do."""
     gaps = np.diff(times)
@@ -189,15 +175,10 @@ def _own(times: Array) -> Array:
     return np.append(times[1:], 2 * times[-1] - times[-2])
 
 
-# -- between stamps --------------------------------------------------------------------------------
-
-
 def between(stamps: Array, t: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Rows on either side of every time and how far it is from one to the other.
+    """Rows on either side of every time and the share of the way, each (N,); at rest before and after all.
 
-    Times before the first stamp belong to the first row, those after the last to the last. Of rows with
-    the same stamp the last counts, unless both have the same stamps throughout: then rows are paired.
-    Two arrays of int and one of shares in [0, 1), each (N,).
+    Of rows with the same stamp the last counts, unless both have the same stamps throughout.
     """
     if np.array_equal(stamps, t):
         same = np.arange(len(t))
@@ -218,9 +199,9 @@ def interpolate(values: Array, rows: tuple[NDArray[np.int64], NDArray[np.int64],
 
 
 def rates(stamps: Array, values: Array) -> Array | None:
-    """Rates (M, k) of values at their stamps: second-order differences, one-sided at the ends.
+    """Rates (M, k) of values at their stamps by second-order differences; None for one instant only.
 
-    Of rows with the same stamp the last is used, and all of them get its rate. None for one instant only.
+    Of rows with the same stamp the last is used, and all of them get its rate.
     """
     last = np.r_[np.diff(stamps) > 0, True]
     if last.sum() < 2:

@@ -182,10 +182,7 @@ class HybridAutomaton:
         return [t for t in self.transitions if t.source == name]
 
     def longest_stay(self, name: str, first: Array | float, last: Array | float) -> Array:
-        """How long a mode entered between two times, shapes (...), may last by its urgent transitions.
-
-        A window that may have ended before the entry binds nobody.
-        """
+        """How long a mode entered between two times (...) may last by its urgent transitions."""
         stay = np.full(np.shape(first), np.inf)
         for t in self.leaving(name):
             if t.urgent and t.window is not None:

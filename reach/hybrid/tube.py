@@ -1,9 +1,7 @@
 """Tubes of hybrid automata: every trajectory, at all times, whatever transitions it takes.
 
-A worklist of start sets: all those of one mode are followed at once (see `flowpipes`), the parts that can
-take a transition become the next entries. No trajectory is lost: steps are enclosed
-continuously in time, guards and invariants cut by enclosures, and the absolute time at which a mode
-was entered is kept as an interval.
+A worklist of start sets: those of a mode are followed at once, and what can take a transition is next.
+Steps are enclosed continuously in time, guards and invariants cut, entry times kept as intervals.
 """
 
 from __future__ import annotations

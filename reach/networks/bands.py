@@ -55,6 +55,15 @@ class Activation:
         """Values, shape of y."""
         return _FUNCTIONS[self.kind](self, np.asarray(y))
 
+    def slope(self, y: Array) -> Array:
+        """Derivative at y; at a kink one of the two."""
+        if self.kind == "relu":
+            return np.where(y < 0, self.low, 1.0)
+        if self.kind == "clip":
+            return np.where((y < self.low) | (y > self.high), 0.0, 1.0)
+        value = self(y)
+        return np.asarray(1 - value**2 if self.kind == "tanh" else value * (1 - value))
+
     def band(self, lo: Array, hi: Array) -> tuple[Array, Array, Array]:
         """Slope, offset and radius of a band over [lo, hi], elementwise; exact where f is affine there.
 

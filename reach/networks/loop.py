@@ -66,6 +66,22 @@ class NetworkTube:
         return Zonotope.box((most[:, :n] - most[:, n:]) / 2, (most[:, :n] + most[:, n:]) / 2)
 
 
+def held_step(flow: LinearFlow, B: Array, states: Zonotope, inputs: Zonotope) -> tuple[Zonotope, Array]:
+    """One period of open-loop motion under held inputs whose first generators are those of the states.
+
+    Returned are the states at the next sample, not reduced, and the bow as in `NetworkTube`.
+    """
+    A, phi, held, drive = flow.A_x, flow.phi, flow.input_map(B), inputs.c
+    G = np.pad(states.G, ((0, 0), (0, inputs.G.shape[1] - states.G.shape[1])))
+    after = Zonotope(phi @ states.c + held @ drive, phi @ G + held @ inputs.G)
+    size = np.abs(phi) @ states.extent + np.abs(held) @ (np.abs(drive) + inputs.half_widths)
+    noise = flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
+    # x'' = e^{A s} A (A x + B u), states and inputs taken together.
+    bend = np.abs(A @ (A @ G + B @ inputs.G)).sum(axis=1) + np.abs(A @ (A @ states.c + B @ drive))
+    bow = flow.h**2 / 8 * flow.growth @ bend + flow.period_box
+    return after + noise.reduce(NOISE_ORDER), bow
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkLoop:
     """``x' = A x + B (u + v) + D w``, where ``u = network(C x + s)`` is renewed every h and held.
@@ -155,20 +171,8 @@ class NetworkLoop:
         """
         require_single("the states", states)
         command = self.command(states, s, off)
-        held = self.flow.input_map(self.B)
         drive = command.c + per_row("known input", v, command.dim)
-        phi = self.flow.phi
-        grown = command.G.shape[1] - states.G.shape[1]
-        G = np.pad(states.G, ((0, 0), (0, grown)))
-        after = Zonotope(phi @ states.c + held @ drive, phi @ G + held @ command.G)
-        size = np.abs(phi) @ states.extent + np.abs(held) @ (np.abs(drive) + command.half_widths)
-        noise = self.flow.period_zonotope.inflate(gamma(len(phi) + len(drive)) * size)
-        after = after + noise.reduce(NOISE_ORDER)
-        # x'' = e^{A s} A (A x + B u), states and inputs taken together.
-        turn = self.A @ self.A, self.A @ self.B
-        bend = np.abs(turn[0] @ G + turn[1] @ command.G).sum(axis=1)
-        bend = bend + np.abs(turn[0] @ states.c + turn[1] @ drive)
-        return after, self.h**2 / 8 * self.flow.growth @ bend + self.flow.period_box, command
+        return *held_step(self.flow, self.B, states, Zonotope(drive, command.G)), command
 
     @checked
     def tube(self, initial: Zonotope, periods: int, order: float = ORDER) -> NetworkTube:

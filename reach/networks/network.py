@@ -93,6 +93,20 @@ class Network:
             y = layer(y)
         return np.asarray(y)
 
+    def pullback(self, x: ArrayLike, weights: ArrayLike) -> Array:
+        """Gradient of ``weights . network(x)`` by x, shape (..., inputs), for weights (..., outputs).
+
+        By the chain rule, layer by layer from the output back; not enclosed, and at a kink one of several.
+        """
+        y, back = as_vector(x, self.inputs), as_vector(weights, self.outputs)
+        before = []
+        for layer in self.layers:
+            before.append(y)
+            y = layer(y)
+        for layer, y in zip(self.layers[::-1], before[::-1], strict=True):
+            back = back @ layer.W if isinstance(layer, Affine) else back * layer.slope(y)
+        return np.asarray(back)
+
     @checked
     def enclose(self, inputs: Zonotope, error: ArrayLike = 0.0) -> Zonotope:
         """Enclose the outputs over a (single) set of inputs, each still tied to the input it belongs to.

@@ -16,6 +16,8 @@ from .network import Affine, Network
 
 LARGEST = 64 * 2**20
 """Bytes of a file beyond which it is refused: a controller is small."""
+WIDEST = 4096
+"""Most components of an input or a layer."""
 
 
 def read_onnx(path: str | Path) -> Network:
@@ -59,6 +61,7 @@ class _Reader:
     graph: Any
     layers: list[Affine | Activation] = field(default_factory=list)
     width: int = 0
+    rank: int = 0
 
     def network(self) -> Network:
         from onnx import TensorProto, numpy_helper
@@ -72,8 +75,8 @@ class _Reader:
         if len(given) != 1 or len(self.graph.output) != 1:
             raise ReachError(f"needs one input and one output, has {len(given)} and {len(self.graph.output)}")
         shape = [axis.dim_value for axis in given[0].type.tensor_type.shape.dim]
-        self.width = shape[-1] if shape else 0
-        if self.width < 1 or any(size > 1 for size in shape[:-1]):
+        self.width, self.rank = shape[-1] if shape else 0, len(shape)
+        if not 1 <= self.width <= WIDEST or any(size > 1 for size in shape[:-1]):
             raise ReachError(f"the input must be a vector of known size, has shape {shape}")
         at = given[0].name
         for node in self.graph.node:
@@ -91,7 +94,7 @@ class _Reader:
                 raise ReachError("a constant that is not a tensor is not understood")
             self._keep(node.output[0], numpy_helper.to_array(more["value"]))
             return at
-        if node.op_type not in _OPERATORS:
+        if node.op_type not in _OPERATORS or node.domain not in ("", "ai.onnx"):
             raise ReachError(f"the operator {node.op_type} is not understood")
         inputs = [None if name == at or not name else self.constants.get(name, name) for name in node.input]
         if list(node.input).count(at) != 1 or any(isinstance(value, str) for value in inputs):
@@ -105,9 +108,9 @@ class _Reader:
         self.constants[name] = np.asarray(value, dtype=float)
 
     def _affine(self, W: Array, b: Array) -> None:
-        if W.ndim != 2 or W.shape[1] != self.width:
-            raise ReachError(f"weights of shape {W.shape} follow {self.width} values")
-        self.layers.append(Affine(W, np.broadcast_to(b.reshape(-1), (len(W),))))
+        if W.ndim != 2 or W.shape[1] != self.width or len(W) > WIDEST:
+            raise ReachError(f"weights of shape {W.shape} follow {self.width} values, at most {WIDEST}")
+        self.layers.append(Affine(W, _spread(b, len(W))))
         self.width = len(W)
 
     def _gemm(self, inputs: list[Any], more: dict[str, Any]) -> None:
@@ -128,13 +131,29 @@ class _Reader:
         return np.asarray(inputs[1])
 
     def _diagonal(self, scale: Any, shift: Any) -> None:
-        spread = [np.asarray(value, dtype=float).reshape(-1) for value in (scale, shift)]
-        if any(value.size not in (1, self.width) for value in spread):
-            raise ReachError(
-                f"constants of sizes {[value.size for value in spread]} follow {self.width} values"
-            )
-        scale, shift = (np.broadcast_to(value, (self.width,)) for value in spread)
-        self._affine(np.diag(scale), shift)
+        self._affine(np.diag(_spread(scale, self.width)), np.asarray(shift, dtype=float))
+
+    def _same(self, kind: str, inputs: list[Any], more: dict[str, Any]) -> None:
+        """An operator that changes no value, as long as the components stay along the last axis."""
+        if kind == "Cast" and more.get("to") not in (1, 11):
+            raise ReachError("a Cast must be to float or double: others change values")
+        if kind in ("Identity", "Cast", "Dropout"):
+            return
+        given = inputs[1] if len(inputs) > 1 else more.get("axes", more.get("shape"))
+        places = [] if given is None else [int(place) for place in np.reshape(given, -1)]
+        if kind == "Reshape":
+            rank, last = len(places), bool(places) and places[-1] in (-1, self.width)
+            kept = last and all(size in (-1, 0, 1) for size in places[:-1])
+        elif kind == "Flatten":
+            rank, axis = 2, more.get("axis", 1)
+            kept = -self.rank <= axis < self.rank
+        else:
+            rank = self.rank + len(places) * (1 if kind == "Unsqueeze" else -1)
+            most = max(self.rank, rank)
+            kept = bool(places) and all(-most <= at < most and at % most != most - 1 for at in places)
+        if not kept:
+            raise ReachError(f"{kind} must leave the components along the last axis")
+        self.rank = rank
 
     def _combine(self, kind: str, inputs: list[Any]) -> None:
         first = inputs[0] is None
@@ -156,12 +175,23 @@ class _Reader:
         self._diagonal(scale, shift - mean * scale)
 
     def _clip(self, inputs: list[Any], more: dict[str, Any]) -> None:
-        given = [more.get("min"), more.get("max")]
+        given: list[Any] = [more.get("min"), more.get("max")]
         for at, value in enumerate(inputs[1:3]):
             given[at] = given[at] if value is None else value
         if given[0] is None or given[1] is None:
             raise ReachError("Clip must have both limits")
-        self.layers.append(Activation("clip", float(given[0]), float(given[1])))
+        low, high = (np.reshape(np.asarray(limit, dtype=float), -1) for limit in given)
+        if low.size != 1 or high.size != 1:
+            raise ReachError("Clip must have one number for each limit")
+        self.layers.append(Activation("clip", float(low[0]), float(high[0])))
+
+
+def _spread(value: Any, width: int) -> Array:
+    """One constant for all components, or one each along the last axis."""
+    given = np.asarray(value, dtype=float)
+    if given.size not in (1, width) or given.shape[-1:] not in ((), (given.size,)):
+        raise ReachError(f"constants of shape {given.shape} follow {width} values")
+    return np.broadcast_to(given.reshape(-1), (width,))
 
 
 def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
@@ -170,6 +200,10 @@ def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any]
 
 def _combining(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
     return lambda reader, inputs, _: reader._combine(kind, inputs)
+
+
+def _keeping(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
+    return lambda reader, inputs, more: reader._same(kind, inputs, more)
 
 
 _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
@@ -182,7 +216,8 @@ _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
     "Tanh": _activation("tanh"),
     "Sigmoid": _activation("sigmoid"),
     **{kind: _combining(kind) for kind in ("Add", "Sub", "Mul", "Div")},
-    **dict.fromkeys(
-        ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout"), lambda *_: None
-    ),
+    **{
+        kind: _keeping(kind)
+        for kind in ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout")
+    },
 }

@@ -1,9 +1,6 @@
-"""Exponentials of matrices and their action, accurate in every row relative to that row.
+"""Exponentials of matrices and their action, accurate in every row relative to that row, however it decays.
 
-A row may decay by many orders of magnitude beside others that do not, and bounds along it are wanted
-to its own precision. Series of short pieces have no large terms that cancel, which Pade's
-approximants of long ones do; and what is far below the rest of its row is cut off, since denormal
-numbers are slow.
+Series of short pieces have no large terms that cancel; what is far below the rest of its row is cut off.
 """
 
 from __future__ import annotations
@@ -32,11 +29,7 @@ MOST_PARTS = 50_000  # series in a row that one step may take
 
 
 def exponential(A: Any, h: float) -> Any:
-    """``e^{A h}`` of dense matrices, shape (..., n, n), or of a sparse one, dense.
-
-    Taylor's series of a fraction of h, squared. Of a sparse matrix the terms stay sparse, which
-    keeps the entries far from those of A at zero.
-    """
+    """``e^{A h}`` of dense matrices (..., n, n), or of a sparse one, dense: a Taylor series, squared."""
     norm = float(np.max(np.asarray(abs(A).sum(axis=-1)), initial=0.0)) * h
     halvings = int(np.clip(np.ceil(np.log2(max(norm, 1e-300))) + 1, 0, 1000))
     part = A * (h / 2.0**halvings)
@@ -57,10 +50,9 @@ def _series(X: Any) -> Any:
 
 
 def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
-    """``e^{A h}`` of a sparse matrix, sparse; None where its action is cheaper than products with it.
+    """``e^{A h}`` of a sparse matrix, sparse (from the half of h if given); None where its action is cheaper.
 
-    Waves and diffusion do not reach far in a short time: further off, entries are below `FLUSH`. How
-    far is seen from some rows moved by the action. Squared from the half of h if that is given.
+    How far waves and diffusion reach in so short a time is seen from some rows moved by the action.
     """
     n, norm = A.shape[0], action.norm * h
     if norm > MOST_PARTS * REACH:
@@ -81,10 +73,7 @@ def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
 
 
 class Action:
-    """``e^{M t} v`` for a sparse matrix M and rows v, by Taylor's series; no exponential is formed.
-
-    The mean of the diagonal is split off: it takes nothing but a factor.
-    """
+    """``e^{M t} v`` for a sparse M and rows v, by Taylor's series about the mean of the diagonal."""
 
     def __init__(self, M: Any) -> None:
         M = sparse.csr_matrix(M)
@@ -93,10 +82,7 @@ class Action:
         self.norm = float(abs(self.N).sum(axis=0).max())
 
     def __call__(self, rows: Array, h: float, count: int) -> Array:
-        """``e^{M h l} v`` for l = 0..count and every row v of (r, n), shape (count+1, r, n).
-
-        Each series spans as many steps as `REACH` allows, or a part of one.
-        """
+        """``e^{M h l} v`` for l = 0..count and every row v of (r, n), shape (count+1, r, n)."""
         norm = h * self.norm
         if not norm <= MOST_PARTS * REACH:
             raise Unresolved(
@@ -140,11 +126,7 @@ def _degree(norm: float) -> int:
 
 
 def flushed(values: Any) -> Any:
-    """The array, with entries below `FLUSH` times the largest of their row set to zero, in place.
-
-    Rows run along the last axis. Each is compared with itself only: another row may be larger by
-    any factor and matter less.
-    """
+    """The array, entries below `FLUSH` times the largest of their row (last axis) set to zero, in place."""
     if isinstance(values, np.ndarray):
         size = np.abs(values)
         values[size < FLUSH * size.max(axis=-1, keepdims=True, initial=0.0)] = 0.0

@@ -25,10 +25,7 @@ class Maximum:
 
 
 def equilibrated(A: Array) -> tuple[Array, Array]:
-    """Sizes r and c with which ``A c / r`` has entries up to about 1 in every row and column.
-
-    Powers of two (Ruiz 2001), so that the scaled numbers are those given.
-    """
+    """Powers of two r, c: ``A c / r`` has entries up to about 1 in every row and column (Ruiz 2001)."""
     size, rows, columns = np.abs(A), np.ones(A.shape[0]), np.ones(A.shape[1])
     if not size.size:
         return rows, columns

@@ -1,8 +1,4 @@
-"""Rounding: what floating-point sums can be wrong by, and exact integers where that leaves things open.
-
-Every finite float is an integer times a power of two, so a common power turns arrays into Python
-integers, on which numpy's object arrays compute without rounding.
-"""
+"""Rounding: what sums can be wrong by, and exact integers (floats times a power of two)."""
 
 from __future__ import annotations
 
@@ -84,10 +80,7 @@ def cross(columns: NDArray[Any]) -> NDArray[Any]:
 
 
 def mixture(rows: Array, target: Array) -> list[Fraction] | None:
-    """Exact weights of rows (k, n), k <= n, whose sum is a target (n,); None if there are none, or many.
-
-    Gauss elimination on fractions.
-    """
+    """Exact weights of rows (k, n), k <= n, whose sum is a target (n,); None if there are none, or many."""
     k = len(rows)
     whole, wanted = integers(rows, target)
     system = [

@@ -39,11 +39,7 @@ class Bases:
         self.program = lru_cache(1024)(lambda direction: maximise(np.frombuffer(direction), A, b))
 
     def answers(self, D: Array) -> tuple[Array, Array, Array]:
-        """Values (...), points (..., n) and multipliers (..., m) of the largest along directions (..., n).
-
-        A few directions go through a linear program each. Of many, those whose maximum lies at a vertex
-        that is known already need none.
-        """
+        """Values (...), points (..., n) and multipliers (..., m) of the largest along directions (..., n)."""
         rows, shape = D.reshape(-1, D.shape[-1]), D.shape[:-1]
         if len(rows) > FEW:
             values, points, multipliers = self.maxima(rows)
@@ -74,10 +70,7 @@ class Bases:
         self.points = np.vstack([self.points, points])
 
     def maxima(self, D: Array) -> tuple[Array, Array, Array]:
-        """Values (r,), points (r, n) and multipliers (r, m) along rows (r, n).
-
-        Those in the cone of no basis that is known go through a linear program, which gives one more.
-        """
+        """Values (r,), points (r, n), multipliers (r, m) along rows; an unknown cone costs a program."""
         r, (m, n) = len(D), self.A.shape
         values, points, multipliers = np.full(r, np.nan), np.full((r, n), np.nan), np.zeros((r, m))
         scaled = D / self.columns
@@ -126,10 +119,7 @@ class Bases:
         return np.zeros((0, n), dtype=np.intp)
 
     def proves(self, row: Array, offset: float) -> bool:
-        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas).
-
-        Decides what rounding leaves open, and sets without bounds.
-        """
+        """Whether rows, mixed without rounding, show ``row . x <= offset`` for all points (Farkas)."""
         if self.A.shape[1] > EXACT_MOST:
             return False
         if np.any(np.all(row == self.A, axis=1) & (self.b <= offset)):

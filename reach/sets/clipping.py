@@ -1,7 +1,4 @@
-"""Parts of zonotopes: enclosures of their intersection with halfspaces, and of unions of them.
-
-Everything acts on stacks, because the crossing of a guard is a stack of many small sets.
-"""
+"""Enclosures of zonotopes cut by halfspaces, and of unions, on stacks: a guard cuts many small sets."""
 
 from __future__ import annotations
 
@@ -21,10 +18,7 @@ WORTH = 0.9  # a strip is intersected by one more generator if it is narrower th
 
 
 def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array, Array]:
-    """Unit rows (q, n) and limits (q,) of ``low <= H x <= high`` for the intersection of polytopes.
-
-    Rows that are parallel share one strip, so that an equation written as two inequalities is seen as one.
-    """
+    """Unit rows (q, n) and limits (q,) of ``low <= H x <= high``; parallel rows share a strip."""
     H, low, high = np.zeros((0, n)), np.zeros(0), np.zeros(0)
     for p in filter(None, polytopes):
         norms = np.linalg.norm(p.A, axis=1)
@@ -103,10 +97,7 @@ def _narrow(
 def _strip(
     Z: Zonotope, h: Array, low: Array, high: Array, slack: Array, meets: NDArray[np.bool_]
 ) -> tuple[Zonotope, bool]:
-    """Intersect with one strip by one more generator, where that is worth it.
-
-    The gain may be large, so what rounding does to values of ``h x`` is booked in the strip itself.
-    """
+    """Intersect with one strip by one more generator, where worth it; rounding is booked in the strip."""
     a = (h[..., None, :] @ Z.G)[:, 0]
     d, reach = (Z.c * h).sum(axis=-1), np.abs(a).sum(axis=1)
     low, high = np.maximum(low, d - reach), np.minimum(high, d + reach)

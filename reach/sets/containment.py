@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.rounding import Whole, floats, gamma, integers
-from .convex import Answer, weighed
+from .convex import weighed
+from .distance import Answer
 from .ellipsoid import Ellipsoid
-from .facets import FLAT, combination_count, facet_normals
 from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, inverse
 from .norms import largest_norm
 from .polytope import HPolytope
-from .zonotope import Zonotope
+from .zonotope import FLAT, Zonotope, combination_count, facet_normals
 
 Method = Literal["auto", "exact", "sufficient"]
 Settle = Callable[[NDArray[np.intp]], list[bool | None]]
@@ -109,9 +109,9 @@ def _in_facets(outer: Zonotope, inner: Any, normals: Whole) -> Answer:
 
 
 def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any, settle: Settle) -> Answer:
-    """Whether ``rows . x <= offsets`` over the inner set, the offsets known between two bounds.
+    """Whether ``rows . x <= offsets`` (known between two bounds) over the inner set, the margin in `units`.
 
-    The margin is measured in `units`, one per row; `settle` decides the rows that rounding leaves open.
+    `settle` decides the rows that rounding leaves open.
     """
     room = (least - inner.support_up(rows)) / units
     margin = float(room.min(initial=np.inf))
@@ -143,10 +143,7 @@ def _beyond(inner: Any, row: Array, offset: float) -> Array:
 
 
 def _doubled(*sets: Zonotope | Interval) -> tuple[tuple[Whole, Whole], int]:
-    """Twice the centre and the generators of the first of some sets, in a unit common to all.
-
-    Returns them with the number of units in one.
-    """
+    """Twice the centre and generators of the first set in a common unit, and how many units are one."""
     arrays = [a for X in sets for a in ((X.c, X.G) if isinstance(X, Zonotope) else (X.lo, X.hi))]
     first, second, *rest = integers(*arrays, np.ones(1))
     if isinstance(sets[0], Zonotope):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
@@ -103,6 +102,24 @@ class SetOperators(ConvexSet, ABC):
         """Scaled copy ``{a x}``."""
         return self._scaled(as_factor(factor))
 
+    def support(self, directions: ArrayLike) -> Array:
+        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
+        return np.asarray(self._support(self._rows(directions)))
+
+    def support_vector(self, directions: ArrayLike) -> Array:
+        """Points of the set that attain the support, shape of `directions` broadcast with the batch."""
+        return np.asarray(self._furthest(self._rows(directions)))
+
+    def _rows(self, directions: ArrayLike) -> Array:
+        """Finite rows (..., r, n), or one vector (n,)."""
+        return as_vector(directions, self.dim)
+
+    @abstractmethod
+    def _support(self, D: Array) -> Array: ...
+
+    @abstractmethod
+    def _furthest(self, D: Array) -> Array: ...
+
     def support_up(self, directions: ArrayLike) -> Array:
         """Support with its rounding booked: never below the true value, shape (..., r)."""
         return self._booked(as_vector(directions, self.dim), 1)
@@ -124,10 +141,17 @@ class SetOperators(ConvexSet, ABC):
 
     @checked
     def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the set, to `slack` times its size; shape (...) for (..., n)."""
+        """Whether each point lies in the set, to `slack` times its size; shape (...) for points (..., n).
+
+        Half-widths, coefficients and norms are taken ``1 + slack`` times, of a row the sizes of its terms. A
+        (single) zonotope takes one linear program for each point.
+        """
+        return np.asarray(self._holds(as_vector(points, self.dim), slack))
+
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
         from .distance import contains_by_distance
 
-        return contains_by_distance(self, points, slack)
+        return contains_by_distance(self, x, slack)
 
     def __radd__(self, other: Any) -> Any:
         return self + other
@@ -251,36 +275,3 @@ def weighed(rows: Array, extent: Array) -> Array:
     if np.all(np.isfinite(extent)):
         return np.asarray((np.abs(rows) @ extent[..., None])[..., 0])
     return np.asarray(np.where(rows != 0, np.abs(rows) * np.where(rows != 0, extent, 0.0), 0.0).sum(axis=-1))
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """Answer to a question about two sets; true in an ``if`` only when proved.
-
-    Attributes
-    ----------
-    holds : bool or None
-        True: proved, rounding included. False: `witness` shows why not. None: not decided, either
-        because the method is only sufficient or because the sets touch to within rounding.
-    margin : float
-        By how much it holds, never too large; negative where it does not. For containment in a
-        polytope or an interval: the distance to the nearest facet. In a zonotope or an ellipsoid:
-        one minus the factor by which it must be scaled about its centre to hold the inner set. For
-        disjointness: the distance of the sets, 0 where they meet.
-    witness : ndarray, shape (n,), or None
-        With a "no": a point of the inner set outside the outer one; a point in both sets.
-    direction : ndarray, shape (n,), or None
-        What separates: the facet that the witness is beyond; for disjoint sets a d with
-        ``d . x < d . y`` for all their points.
-    reason : str
-        Why it was not decided.
-    """
-
-    holds: bool | None
-    margin: float
-    witness: Array | None = None
-    direction: Array | None = None
-    reason: str = ""
-
-    def __bool__(self) -> bool:
-        return self.holds is True

@@ -1,4 +1,4 @@
-"""Nearest points of two convex sets, from their support vectors alone."""
+"""Nearest points of two convex sets, from their support vectors alone; answers about two sets."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..numerics.checks import Array, as_vector
+from ..numerics.checks import Array
 from .convex import ConvexSet
 
 STEPS = 300
@@ -16,6 +16,39 @@ STEPS = 300
 
 CLOSE = 1e-9
 """Distance, in sizes of the sets, that is as good as none, and relative gap at which the search ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Answer to a question about two sets; true in an ``if`` only when proved.
+
+    Attributes
+    ----------
+    holds : bool or None
+        True: proved, rounding included. False: `witness` shows why not. None: not decided, either
+        because the method is only sufficient or because the sets touch to within rounding.
+    margin : float
+        By how much it holds, never too large; negative where it does not. For containment in a
+        polytope or an interval: the distance to the nearest facet. In a zonotope or an ellipsoid:
+        one minus the factor by which it must be scaled about its centre to hold the inner set. For
+        disjointness: the distance of the sets, 0 where they meet.
+    witness : ndarray, shape (n,), or None
+        With a "no": a point of the inner set outside the outer one; a point in both sets.
+    direction : ndarray, shape (n,), or None
+        What separates: the facet that the witness is beyond; for disjoint sets a d with
+        ``d . x < d . y`` for all their points.
+    reason : str
+        Why it was not decided.
+    """
+
+    holds: bool | None
+    margin: float
+    witness: Array | None = None
+    direction: Array | None = None
+    reason: str = ""
+
+    def __bool__(self) -> bool:
+        return self.holds is True
 
 
 @dataclass(frozen=True)
@@ -30,10 +63,9 @@ class Nearest:
 
 
 def nearest(X: Any, Y: Any, scale: Array) -> Nearest:
-    """Nearest points of two bounded convex sets (Wolfe 1976: the point of least norm of ``X - Y``).
+    """Nearest points of two bounded convex sets (Wolfe 1976), distances measured in one unit for each axis.
 
-    Distances are measured in `scale`, one unit for each axis. Of the sets a `center` and `support_vector`
-    are asked, nothing else.
+    Asked of the sets are `center` and `support_vector`, nothing else.
     """
     pairs = [np.stack([X.center, Y.center])]
     corral, weights, least = ((X.center - Y.center) / scale)[None], np.ones(1), 0.0
@@ -64,10 +96,9 @@ def unit_sizes(half_widths: Array) -> Array:
 
 
 def _least_norm(points: Array) -> Array | None:
-    """Weights of the convex combination of least norm, shape (k,); at most n + 1 of them are not zero.
+    """Weights (k,) of the convex combination of least norm, at most n + 1 not zero; None if none is found.
 
-    None if the search for them does not end. With u >= 0 free in scale,
-    ``norm(u P)^2 + (sum(u) - 1)^2`` is least along the combination sought.
+    With u >= 0 free in scale, ``norm(u P)^2 + (sum(u) - 1)^2`` is least along it.
     """
     from scipy.optimize import nnls
 
@@ -82,13 +113,13 @@ def _least_norm(points: Array) -> Array | None:
     return np.asarray(found / total) if total > 0 else np.full(k, 1 / k)
 
 
-def contains_by_distance(X: ConvexSet, points: ArrayLike, slack: float) -> NDArray[np.bool_]:
+def contains_by_distance(X: ConvexSet, x: Array, slack: float) -> NDArray[np.bool_]:
     """Whether each point is within `slack` of the set, measured in sizes of its interval hull.
 
     A point is outside only if a direction shows it.
     """
     from .zonotope import Zonotope
 
-    x, size = as_vector(points, X.dim), unit_sizes(X.interval_hull().half_widths)
+    size = unit_sizes(X.interval_hull().half_widths)
     least = [nearest(Zonotope.point(p), X, size).least for p in x.reshape(-1, X.dim)]
     return np.array(least).reshape(x.shape[:-1]) <= slack

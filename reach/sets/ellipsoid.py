@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gamma as gamma_function
 
-from ..numerics.checks import Array, as_factor, as_numbers, as_vector, checked, finite_fields
+from ..numerics.checks import Array, as_factor, as_numbers, checked, finite_fields
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from .interval import Interval
@@ -87,14 +87,11 @@ class Ellipsoid(Generated):
         """Half-widths of the interval hull, shape (n,)."""
         return np.asarray(np.linalg.norm(self.L, axis=1))
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        D = as_vector(directions, self.dim)
+    def _support(self, D: Array) -> Array:
         return np.asarray(D @ self.c + _lengths(D @ self.L)[..., 0])
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support, shape of `directions`."""
-        inner = as_vector(directions, self.dim) @ self.L
+    def _furthest(self, D: Array) -> Array:
+        inner = D @ self.L
         norms = _lengths(inner)
         return np.asarray(self.c + (inner / np.where(norms > 0, norms, 1.0)) @ self.L.T)
 
@@ -102,10 +99,8 @@ class Ellipsoid(Generated):
         """Smallest box around the set, rounded outwards."""
         return Interval.ball(self.c, self.half_widths * (1 + gamma(self.L.shape[1])))
 
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point is reached with ``norm(u, 2) <= 1 + slack``, shape (...) for (..., n)."""
-        gap = as_vector(points, self.dim) - self.c
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
+        gap = x - self.c
         size = self.half_widths
         size = np.where(size > 0, size, 1.0)
         scaled = self.L / size[:, None]

@@ -87,15 +87,11 @@ class Interval(SetStack):
         """Number of products summed in one value of the support function."""
         return self.dim
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        D = self._rows(directions)
+    def _support(self, D: Array) -> Array:
         up, down = np.maximum(D, 0), np.minimum(D, 0)
         return np.asarray((up @ self.hi[..., None] + down @ self.lo[..., None])[..., 0])
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Corners that attain the support, shape of `directions` broadcast with the batch."""
-        D = self._rows(directions)
+    def _furthest(self, D: Array) -> Array:
         lo, hi = (self.lo, self.hi) if D.ndim == 1 else (self.lo[..., None, :], self.hi[..., None, :])
         return np.where(D >= 0, hi, lo)
 
@@ -103,15 +99,8 @@ class Interval(SetStack):
         """The box itself."""
         return self
 
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point lies in the box, shape (...) for points (..., n).
-
-        Batch axes broadcast with the points'. Each half-width is taken ``1 + slack`` times, and the
-        rounding of the points forgiven.
-        """
-        checks.require_alike(np.shape(points)[:-1], self.batch)
-        x = checks.as_vector(points, self.dim)
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
+        checks.require_alike(x.shape[:-1], self.batch)
         extra = slack * (self.hi - self.lo) / 2 + gamma(1) * self.extent
         return np.asarray(np.all((self.lo - extra <= x) & (x <= self.hi + extra), axis=-1))
 

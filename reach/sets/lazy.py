@@ -50,18 +50,14 @@ class AffineImage(SetOperators):
         """Image of the base set's centre, shape (m,)."""
         return np.asarray(self.M @ self.base.center + self.v)
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction over the set, shape (..., r) for rows (..., r, m)."""
-        D = as_vector(directions, self.dim)
+    def _support(self, D: Array) -> Array:
         return np.asarray(self.base.support(D @ self.M) + D @ self.v)
 
     def _booked(self, D: Array, way: int) -> Array:
         inner = self.base.support_up(D @ self.M) if way > 0 else self.base.support_down(D @ self.M)
         return np.asarray(inner + D @ self.v + way * gamma(2 * self.dim) * weighed(D, self.extent))
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support, shape of `directions`."""
-        D = as_vector(directions, self.dim)
+    def _furthest(self, D: Array) -> Array:
         return np.asarray(self.base.support_vector(D @ self.M) @ self.M.T + self.v)
 
     @property
@@ -151,17 +147,15 @@ class MinkowskiSum(OfParts):
         """Sum of the centres, shape (n,)."""
         return np.asarray(sum(part.center for part in self.parts))
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction over the set, shape (..., r) for rows (..., r, n)."""
-        return np.asarray(sum(part.support(directions) for part in self.parts))
+    def _support(self, D: Array) -> Array:
+        return np.asarray(sum(part.support(D) for part in self.parts))
 
     def _booked(self, D: Array, way: int) -> Array:
         values = (part.support_up(D) if way > 0 else part.support_down(D) for part in self.parts)
         return np.asarray(sum(values) + way * gamma(len(self.parts)) * weighed(D, self.extent))
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support, shape of `directions`."""
-        return np.asarray(sum(part.support_vector(directions) for part in self.parts))
+    def _furthest(self, D: Array) -> Array:
+        return np.asarray(sum(part.support_vector(D) for part in self.parts))
 
     @property
     def extent(self) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..numerics.checks import Array, require_sets
 from ..numerics.errors import ReachError
@@ -45,10 +46,7 @@ def vertices_2d(X: Any) -> Array:
 
 
 def _of_zonotope(Z: Zonotope) -> Array:
-    """Generators in the order of their angles, walked around; stacks give (..., 2 g, 2).
-
-    Points repeat or lie on an edge where generators vanish or are parallel.
-    """
+    """Generators in the order of their angles, walked around, (..., 2 g, 2); points may repeat."""
     if Z.order_count == 0:
         return Z.c[..., None, :]
     x, y = Z.G[..., 0, :], Z.G[..., 1, :]
@@ -90,8 +88,14 @@ def round_outline(X: Any, count: int = OUTLINE) -> Array:
     angles = 2 * np.pi * np.arange(count) / count
     normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     offsets = X.support(normals / size) - (normals / size) @ hull.center
-    following, behind = np.roll(normals, -1, axis=0), np.roll(offsets, -1)
-    turn = np.sin(2 * np.pi / count)
-    x = (offsets * following[:, 1] - behind * normals[:, 1]) / turn
-    y = (behind * normals[:, 0] - offsets * following[:, 0]) / turn
-    return np.asarray(np.stack([x, y], axis=-1) * size + hull.center)
+    return np.asarray(polygon(offsets, normals) * size + hull.center)
+
+
+def polygon(support: ArrayLike, rays: Array) -> Array:
+    """Corners (..., R, 2) of a polygon about a set, by its support (..., R) along rays in order of angle."""
+    h = np.asarray(support, dtype=float)
+    after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
+    cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
+    x = (h * after[:, 1] - h_after * rays[:, 1]) / cross
+    y = (h_after * rays[:, 0] - h * after[:, 0]) / cross
+    return np.stack([x, y], axis=-1)

@@ -13,7 +13,7 @@ from ..numerics.rounding import add_down, add_up
 from . import containment as inside
 from . import separation as apart
 from .containment import MOST, Method
-from .convex import Answer
+from .distance import Answer
 from .ellipsoid import Ellipsoid
 from .intersection import Intersection
 from .interval import Interval

@@ -170,13 +170,8 @@ class HPolytope(SetOperators):
         left = np.abs(directions - multipliers @ self.A)
         return level, left + gamma(m) * (multipliers @ np.abs(self.A) + np.abs(directions))
 
-    def support(self, directions: ArrayLike) -> Array:
-        """Largest value of each direction, one linear program each, shape (..., r); inf if unbounded.
-
-        The bound of `support_up` where there is one, else what the solver says (1e-9 relative). An
-        empty set is refused.
-        """
-        D = as_vector(directions, self.dim)
+    def _support(self, D: Array) -> Array:
+        """The bound of `support_up` where there is one, else what the solver says (1e-9 relative)."""
         values, _, multipliers = self._answers(D)
         proved = self._proved(D, values, multipliers)
         return np.where(np.isfinite(proved), proved, values)
@@ -207,9 +202,8 @@ class HPolytope(SetOperators):
         level, residual = self.weak_duality(D, np.where(np.isfinite(multipliers), multipliers, 0.0))
         return np.where(np.isfinite(values), level + weighed(residual, self.extent), np.inf)
 
-    def support_vector(self, directions: ArrayLike) -> Array:
-        """Points of the set that attain the support, shape of `directions`; refused where unbounded."""
-        points = self._answers(as_vector(directions, self.dim))[1]
+    def _furthest(self, D: Array) -> Array:
+        points = self._answers(D)[1]
         if np.any(np.isnan(points)):
             raise ReachError("the polytope is unbounded in a direction asked for")
         return points
@@ -228,10 +222,7 @@ class HPolytope(SetOperators):
         ends = level + residual @ self.extent
         return Interval(np.minimum(-ends[n:], ends[:n]), ends[:n])
 
-    @checked
-    def contains(self, points: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each point satisfies all rows to `slack` times the sizes of their terms, shape (...)."""
-        x = as_vector(points, self.dim)
+    def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
         room = slack * (np.abs(x) @ np.abs(self.A.T) + np.abs(self.b))
         return np.asarray(np.all(x @ self.A.T <= self.b + room, axis=-1))
 

@@ -110,10 +110,7 @@ def reduction_loss(before: Zonotope, after: Zonotope) -> Array:
 
 
 def _ranks(keys: Array, axis: int = -1) -> Array:
-    """Keys to choose by, without their last digits: equal but for rounding is a tie, and the first wins.
-
-    Rounding differs from processor to processor; the choice, and all that is computed from it, must not.
-    """
+    """Keys to choose by without their last digits: rounding differs between processors, choices must not."""
     known = np.isfinite(keys)
     most = np.abs(np.where(known, keys, 0.0)).max(axis=axis, keepdims=True, initial=0.0)
     mantissa, exponent = np.frexp(np.where(known, keys, 0.0) / np.where(most > 0, most, 1.0))
@@ -162,8 +159,7 @@ def pca(G: Array, budget: int) -> Array:
 def scott(G: Array, budget: int) -> Array:
     """Absorb generators one by one into a parallelotope of n of them, with the least volume added.
 
-    With ``G = T [1 R]``, giving up column r_j of R multiplies T by ``1 + |r_ij|`` column by column:
-    volume ``prod(1 + |r_ij|)`` instead of the ``1 + sum |r_ij|`` of the true set, to second order.
+    Giving up column r_j of R in ``G = T [1 R]`` multiplies T by ``1 + |r_ij|`` column by column.
     """
     n = G.shape[-2]
     order = _independent_first(G)

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from ..numerics.checks import Array
 from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, integers
-from .convex import Answer, weighed
-from .distance import nearest, unit_sizes
+from .convex import weighed
+from .distance import Answer, nearest, unit_sizes
 from .intersection import Intersection
 from .interval import Interval
 from .lazy import AffineImage, MinkowskiSum
@@ -25,10 +25,7 @@ CLOSER = "the sets are closer than rounding can tell"
 
 
 def separate(X: Any, Y: Any) -> Answer:
-    """One linear program where both sets have flat faces, else nearest points.
-
-    Of an unbounded polytope and a round set only the part within the other's interval hull is asked.
-    """
+    """One linear program where both sets have flat faces, else nearest points."""
     middle, size, units = _frame(X, Y)
     first, second = lifted(X, middle, size), lifted(Y, middle, size)
     if first is not None and second is not None:
@@ -139,10 +136,7 @@ class Lifted:
 
 
 def lifted(X: Any, middle: Array, size: Array) -> Lifted | None:
-    """A set with flat faces as the image of a polytope; None for any other set.
-
-    Polytopes are written in ``(x - middle) / size``, about where the points of interest lie.
-    """
+    """A set with flat faces as the image of a polytope (about a middle, in sizes); None for any other set."""
     if isinstance(X, Interval):
         return Lifted(X.center, np.diag(X.half_widths), *_cube(X.dim))
     if isinstance(X, Zonotope):

@@ -78,8 +78,7 @@ class SetStack(SetOperators):
         return self._translated(v)
 
     def _rows(self, directions: ArrayLike) -> Array:
-        """Finite rows (..., r, n), or one vector (n,), that go together with the stack."""
-        D = as_vector(directions, self.dim)
+        D = super()._rows(directions)
         if self.batch and D.ndim > 2:
             require_alike(D.shape[:-2], self.batch)
         return D

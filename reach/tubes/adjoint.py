@@ -74,10 +74,7 @@ class Adjoint:
         self.watch([])
 
     def watch(self, lags: list[float], moved: Array | float = 0.0) -> None:
-        """Weigh rounding by the sizes that states grow to after some lags (see `Rows.lags`).
-
-        `moved` are the sizes that a nominal input brings them to.
-        """
+        """Weigh rounding by the sizes that states, `moved` by a nominal input, grow to after some lags."""
         states = self._sizes[:, 0] + moved / self.rows.scale
         both = np.stack([states, self._sizes[:, 1:].sum(axis=1)], axis=1)
         self.weights = self.rows.weights(lags, self.rows.weights(lags, both))
@@ -206,10 +203,9 @@ def _ends(values: Array) -> Array:
 
 
 def augmented(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
-    """The system with its drift and the centre of its input moved into one more state, constantly 1.
+    """The system with its drift and its input's centre as one more state, constantly 1, and the set likewise.
 
-    What is left of the input varies about 0. Of an input that changes its set only the drift is moved. The
-    set gets the last coordinate 1, too; both are those given if there is nothing to move.
+    Of an input that changes its set only the drift is moved; what is left of the input varies about 0.
     """
     require_single("the initial set", start, system.dim)
     inputs, drift = system.U, system.c

@@ -119,8 +119,7 @@ def collect(
 def _booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
     """Bound on the rounding of the sum of both parts at the nodes, shape (K+1, r).
 
-    What a step gets wrong, a share of the row it is applied to, is then carried on as the row is:
-    it may grow although the row does not, where the row avoids a part of the system that grows.
+    What a step gets wrong is carried on: it may grow although its row avoids the part that grows.
     """
     lags = adjoint.rows.lags(float(steps.min()), times[-1])
     excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights, times[-1])
@@ -149,10 +148,7 @@ def _piece_starts(system: LinearSystem, times: Array, parts: int) -> tuple[list[
 
 
 def _totals(steps: Array, starts: list[int]) -> Array:
-    """Integral of the inputs at every node from what the steps add per input set, shape (K+1, r).
-
-    At time t the set that begins at b and ends at e has acted over the lags ``t - e`` to ``t - b``.
-    """
+    """Integral of the inputs at every node, (K+1, r): each set acted over the lags ``t - e`` to ``t - b``."""
     K, pieces, r = steps.shape
     sums = np.concatenate([np.zeros((1, pieces, r)), np.cumsum(steps, axis=0)])
     out, k = np.zeros((K + 1, r)), np.arange(K + 1)

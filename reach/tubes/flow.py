@@ -1,7 +1,6 @@
-"""Linear closed loops seen from their control samples: exact at the nodes, bounded between them.
+"""Linear closed loops from node to node: exact at the nodes, bounded between them.
 
-One class serves continuous feedback (the nodes are a grid fine enough for the bounds between them)
-and sampled feedback (the nodes are the instants at which the input is renewed).
+Nodes are a fine grid under continuous feedback, and the instants of renewal under sampled feedback.
 """
 
 from __future__ import annotations
@@ -122,10 +121,7 @@ class LinearFlow:
 
     @checked
     def bow(self, nodes: Zonotope) -> Array:
-        """Elementwise bound on ``|e(t) - chord|`` over the period after each node, shape (..., n).
-
-        The chord joins the two nodes of the same undisturbed motion: ``(h^2/8) sup |M''(s) e|``.
-        """
+        """Bound ``(h^2/8) sup |M''(s) e|`` on ``|e(t) - chord|`` after each node, shape (..., n)."""
         curvature = (self.A_x @ self.A_c) @ nodes
         extent = np.abs(curvature.c) + curvature.half_widths
         return np.asarray(self.h**2 / 8 * extent @ self.growth.T)
@@ -148,8 +144,7 @@ class LinearFlow:
     def _contraction(self) -> tuple[Array, float, float]:
         """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)`` for any M.
 
-        With R the root on scaled states and N the scaled M, products round by ``eps norm(R) norm(N)
-        norm(R^-1)``, and ``norm(N) <= cond(R) norm(R N R^-1)``.
+        With R the root on scaled states, products round by ``eps cond(R)^2`` of the norm.
         """
         radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
         if not radius < 1:
@@ -192,8 +187,7 @@ class LinearFlow:
     def disturbance_support(self, rows: Array, count: int) -> Array:
         """``sum_{l<L} sup_w rows phi^l int_0^h e^{A_x s} D w ds`` for L = 0..count, shape (count+1, r).
 
-        The tight gain of theory item 3, per direction. Each period's integral of the smooth norm
-        is bounded by the trapezoid plus ``h^3/12 sup |second derivative|``.
+        Each period's integral: the trapezoid plus ``h^3/12 sup |second derivative|`` (theory item 3).
         """
         if rows.ndim != 2 or rows.shape[1] != len(self.phi):
             raise ReachError(f"rows must have shape (r, {len(self.phi)}), got {rows.shape}")
@@ -223,10 +217,7 @@ class LinearFlow:
 
     @checked
     def disturbance_nodes(self, count: int, order: float = 30.0) -> Zonotope:
-        """Zonotopes enclosing the response to the disturbance at nodes 0..count from a rest start.
-
-        Every node's sum is formed in full and reduced once, so nothing is enclosed twice.
-        """
+        """Zonotopes around the response to the disturbance at nodes 0..count from rest, each reduced once."""
         n = len(self.phi)
         period = self.period_zonotope.G
         blocks = powers(self.phi, max(count - 1, 0)) @ period

@@ -80,10 +80,7 @@ class Flowpipes:
 
 
 class Propagator:
-    """A system in continuous time, with one input set at most, made ready for many flowpipes.
-
-    Its drift is in the state, its exponentials are kept.
-    """
+    """A system with its drift in the state, made ready for many flowpipes: one input set at most."""
 
     def __init__(self, system: LinearSystem) -> None:
         self.system, n = system, system.dim
@@ -112,10 +109,9 @@ def flowpipes(
 ) -> Flowpipes:
     """Follow a stack of start sets over a horizon, in steps of a length at most.
 
-    Steps are halved until the bow between nodes is below a tolerance, shape (n,) (but for `HALVINGS`). With
-    an `offset`, shape (N,), every start is followed from that local time on, and the response to the inputs
-    is not contained (see `input_response`). `going` is asked about every block of steps which starts (N,)
-    are still to be followed; stepping ends when there are none.
+    Steps are halved (`HALVINGS` times at most) until the bow meets a tolerance (n,). With an `offset` (N,)
+    each start is followed from that local time on, without the inputs (see `input_response`). `going` says
+    of every block which starts (N,) go on.
     """
     if horizon / step > MAX_STEPS:
         raise ReachError(f"more than {MAX_STEPS:,} steps: horizon {horizon:g}, step {step:g}")
@@ -221,10 +217,7 @@ class _Stepper:
 
 
 def images(rows: Array, sets: Zonotope) -> tuple[Array, Array]:
-    """Values of rows at the centres of a stack and half-widths around them, both (m, N, r).
-
-    The rows (m, M, r, d) are different for every set where M is N, and the same where M is 1.
-    """
+    """Values of rows (m, M, r, d) at the centres of N sets and half-widths around, (m, N, r); M is N or 1."""
     (m, M, r, d), N, g = rows.shape, len(sets), sets.order_count
     middle, spread = np.empty((m, N, r)), np.empty((m, N, r))
     columns = np.concatenate([sets.c[..., None], sets.G], axis=-1)  # (N, d, 1 + g)
@@ -241,10 +234,9 @@ def images(rows: Array, sets: Zonotope) -> tuple[Array, Array]:
 
 
 def input_response(system: LinearSystem, time: float, step: float) -> Zonotope:
-    """Zonotope around the response to the inputs after some time, with two generators per step.
+    """Zonotope around the centred response to the inputs, two generators per step: mean and first moment.
 
-    Over a step the input counts by its mean and its first moment, ``|moment| <= h^2/4``; what is
-    left is of third order and enclosed by a box. The centre of the input set is in the flowpipes' drift.
+    ``|moment| <= h^2/4``; what is left is of third order and enclosed by a box.
     """
     n = system.dim
     U = system.U[0]

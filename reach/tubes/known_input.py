@@ -31,8 +31,7 @@ class KnownResponse:
 def known_response(system: LinearSystem, D: Array, nodes: Array, steps: Array) -> KnownResponse:
     """Follow ``y' = A y + B u_0(t)``, ``y(0) = 0``, over nodes whose distances are `steps`.
 
-    Where the signal jumps between two nodes the slope jumps, by J, and the line is left by J times a
-    quarter of the step: better are nodes where a signal jumps.
+    Where the signal jumps by J in the slope between nodes, the line is left by J times a quarter of the step.
     """
     K, r, signal = len(steps), len(D), system.nominal
     assert signal is not None
@@ -79,10 +78,7 @@ class _Substeps:
 
 
 def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array, Array]:
-    """The trajectory at the ends of all sub-steps, and the largest second derivative along D in each.
-
-    The state is followed together with the input and its slope: ``z' = A_z z``.
-    """
+    """The trajectory at the ends of all sub-steps, and its largest second derivative along D in each."""
     n, m = system.dim, system.inputs
     blocks = [
         [sparse.csr_matrix(system.A), sparse.csr_matrix(system.B), None],

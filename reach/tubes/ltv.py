@@ -1,14 +1,11 @@
 """Tubes of linear systems whose matrices vary in time.
 
-Over a step of length h the matrix A(t) is compared with the chord between its values at both ends,
-with mean M and slope S. The transition over the step is
+Over a step of length h, A(t) is compared with the chord of mean M and slope S. The transition is
 
     P = e^{h M} + h^3/12 e^{h M/2} (S M - M S) e^{h M/2}
 
-but for a rest of third order, bounded elementwise by a matrix that follows from the bounds on the
-derivatives. The rest, times the box around the state, is one more input, carried on with the others:
-each by the product of all later transitions, so that nothing is enclosed twice. The cost therefore
-grows with the square of the number of steps.
+but for a rest of third order, bounded elementwise by the bounds on the derivatives. Times the box around the
+state it is one more input, carried on by the product of all later transitions: nothing is enclosed twice.
 """
 
 from __future__ import annotations

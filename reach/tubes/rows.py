@@ -31,8 +31,7 @@ WATCHED = 400  # states up to which the growth of rounding is bounded by exponen
 def balance(A: Array) -> Array:
     """Powers of two s that make the rows and columns of ``A[i, j] s[j] / s[i]`` alike, shape (n,).
 
-    A state that nothing acts on (a constant), or that acts on nothing (an integral), has no scale of
-    its own: it gets one that leaves the norm of the others as it is.
+    Constants and integrals get a scale that leaves the norm of the others as it is.
     """
     size = abs(A)
     logs = np.zeros(size.shape[0])
@@ -60,10 +59,7 @@ def balance(A: Array) -> Array:
 class Rows:
     """Rows ``d e^{A t}`` on regular grids, in coordinates in which A is balanced.
 
-    They are carried through the action of the exponential, or the exponential itself where that is thin, if A
-    is large and sparse, and through the dense exponential otherwise.
-
-    `work` is how many roundings of a row one unit of time takes.
+    Carried through a dense, a thin or no exponential (its action). `work` are roundings per unit of time.
     """
 
     def __init__(self, system: LinearSystem) -> None:
@@ -83,10 +79,7 @@ class Rows:
         self._closings: dict[float, Any] = {}
 
     def map(self, h: float) -> Any:
-        """``e^{A h}`` (``A^h`` of a discrete system); squared from the half of h where that is known.
-
-        None where A is large and sparse and its exponential is not.
-        """
+        """``e^{A h}`` (``A^h`` if discrete), from its half where known; None if sparse A fills up."""
         if h not in self._maps:
             # Squaring what is close to the identity loses its digits, and no series needs it.
             long = self.discrete or self.norm * h > 0.5
@@ -127,10 +120,9 @@ class Rows:
         return out
 
     def closing(self, h: float, vectors: Array) -> Array:
-        """Bound on ``sup_s |e^{A s}| v`` over [0, h], elementwise, for v >= 0 of shape (n,) or (n, q).
+        """Bound on ``sup_s |e^{A s}| v`` over [0, h], elementwise, for v >= 0 (n,) or (n, q).
 
-        ``|e^{A s}| <= e^{M s}`` with M the absolute values of A off its diagonal and the positive
-        part of its diagonal, so that the bound grows with s. Infinite where it overflows.
+        ``|e^{A s}| <= e^{M s}``, M being |A| off the diagonal, the positive part on it; inf if it overflows.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             if h not in self._closings:
@@ -150,11 +142,7 @@ class Rows:
         return [h * 2.0**i for i in range(int(np.log2(horizon / h)) + 1)]
 
     def weights(self, lags: list[float], sizes: Array) -> Array:
-        """Sizes (n, q) that states of given sizes (n, q) grow to after any of some lags.
-
-        Less the growth at the rate over the longest of them: what grows all alike at one rate has no
-        preferred direction, and `amplification` counts the rate.
-        """
+        """Sizes (n, q) that states of given sizes grow to after any of some lags, less growth at one rate."""
         if not lags and self.contracts:  # the largest of all states bounds each of them ever after
             return np.broadcast_to(sizes.max(axis=0), sizes.shape).copy()
         with np.errstate(over="ignore", invalid="ignore"):
@@ -168,11 +156,8 @@ class Rows:
     ) -> tuple[Array, Array]:
         """Numbers a and b with ``norm(e e^{A t}) <= norm(e) exp(a + b t)``, each (q, r).
 
-        For perturbations e of the states that one of r rows depends on, and the norm ``sum |e_i| w_i``
-        of each of the q weights; measured at the lags and carried on from the last of them to the
-        horizon, with a factor of 2 for the times between.
-        (The product over the lags that make up a time would be a bound, but one out of all
-        proportion: every lag adds the norm's own distortion.)
+        For perturbations e of the states that a row depends on, in q norms ``sum |e_i| w_i``; measured at the
+        lags, with a factor 2 for times between (a product over lags would be out of all proportion).
         """
         r, q = len(rows), weights.shape[1]
         if not lags:
@@ -200,11 +185,9 @@ class Rows:
         return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
 
     def _sampled_growth(self, weights: Array, horizon: float) -> Array:
-        """Factors (q,) by which states of given sizes grow, from one motion with random signs each.
+        """Factors (q,) by which states grow, from one motion with random signs, times 10 for what it misses.
 
-        For systems too large for their exponentials, where the logarithmic norm does not tell. A
-        direction that grows is met by random signs almost surely; the factor of 10 stands for what
-        they see of it less than fully.
+        For systems too large for their exponentials, where the logarithmic norm does not tell.
         """
         if self.contracts:
             return np.full(weights.shape[1], 2.0)

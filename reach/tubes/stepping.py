@@ -38,10 +38,7 @@ FINEST = 2.0**-40  # shortest step of the automatic choice, as a share of the ho
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """How a horizon is stepped through: with a step or by a tolerance, see `reach.support_tube`.
-
-    Rows are kept if asked for; `deadline` is a time of `perf_counter`.
-    """
+    """How a horizon is stepped through, see `reach.support_tube`; `deadline` is a time of `perf_counter`."""
 
     step: float | None = None
     tolerance: ArrayLike | None = None
@@ -85,10 +82,7 @@ def row_bounds(
 
 
 def substeps(adjoint: Adjoint, step: float, horizon: float = 0.0, rows: int = 1) -> int:
-    """Parts, a power of two, that a given step is carried in so that little turns in one.
-
-    Up to `PARTS`; more where the whole run, if its horizon is given, stays `CHEAP`.
-    """
+    """Parts (a power of two, up to `PARTS`, more while the run stays `CHEAP`) in which little turns."""
     if adjoint.system.discrete or not step > 0:
         return 1
     most = np.log2(PARTS)
@@ -145,8 +139,7 @@ def _halved(
 ) -> RowBounds:
     """Steps of one length, halved until they meet the tolerance: for inputs known or of changing sets.
 
-    Where they have a grid in common, every change of an input set and every jump of a nominal input is at
-    a node. Half of the tolerance is for the nodes and half for what lies between them.
+    Changes of inputs are at nodes where they have a grid; nodes and bows get half of the tolerance each.
     """
     system = adjoint.system
     changes = system.breaks if system.nominal is None else np.r_[system.breaks, system.nominal.jumps]
@@ -171,9 +164,8 @@ def _adaptive(
 ) -> Iterator[tuple[float, Block]]:
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
 
-    Half of the tolerance is for the integral of the inputs, spent in proportion to time but never
-    less than a twentieth of what is left on one block; half for the bow between nodes. Without a
-    goal the tolerance is `SHARE` of the largest value met so far.
+    Half of it is for the integral of the inputs, in proportion to time but never less than a twentieth of
+    what is left on one block; half for the bow. Without a goal it is `SHARE` of the largest value met so far.
     """
     rows = D * adjoint.rows.scale
     level = int(np.clip(np.ceil(np.log2(max(horizon * adjoint.rows.norm, 1.0))), 0, 40))
@@ -237,8 +229,7 @@ def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None,
 def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
     """About what rows will come to over the horizon, from rates at a few instants, shape (r,).
 
-    From rest nothing is met in the first step, and a hundredth of nothing is no tolerance. Nothing but
-    the default tolerance rests on this: integrals are taken with the lesser rate at the ends of each part.
+    Nothing but the default tolerance rests on it: from rest nothing is met in the first step.
     """
     early = [horizon / AHEAD * 2.0**-i for i in range(AHEAD // 2, 0, -1)]
     try:

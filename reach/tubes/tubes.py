@@ -251,10 +251,7 @@ def zonotope_tube(
 def along_frame(
     times: Array, image: Zonotope, inputs: tuple[Array, Array], bow: Array, F: Array
 ) -> ZonotopeTube:
-    """A tube from the image of the initial set in coordinates along the axes F, batch (K+1,).
-
-    The response to the inputs lies between ``-inputs[0]`` and ``inputs[1]`` in them, each (K+1, n).
-    """
+    """A tube from the image of the initial set along the axes F, batch (K+1,), and bounds on the inputs."""
     low, high = inputs
     middle, widths = (high - low) / 2, (high + low) / 2
     size = np.abs(image.c + middle) + image.half_widths + widths
@@ -266,13 +263,7 @@ def along_frame(
 
 @checked
 def locate(times: Array, t: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-    """Interval of every time and its place in it from 0 to 1.
-
-    Raises
-    ------
-    ReachError
-        If a time lies outside the nodes, or is not a number.
-    """
+    """Interval of every time and its place in it from 0 to 1; `ReachError` if one lies outside the nodes."""
     t = np.atleast_1d(as_numbers("t", t))
     if t.ndim != 1:
         raise ReachError(f"times must be a number or a vector of them, got shape {t.shape}")

@@ -56,11 +56,7 @@ class Motions:
         return support_tube(self.system, self.initial, self.window[1], C, max_seconds=seconds, **how)
 
     def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
-        """A tube as sharp as a tolerance asks.
-
-        What stays below its limit between nodes is sharp enough; at a single instant, which is a node,
-        nothing between nodes matters.
-        """
+        """A tube as sharp as a tolerance asks; between nodes what stays below its limit is sharp enough."""
         end = self.window[1]
         if end == 0:
             start, none = self.initial.support(C)[None], np.zeros((0, len(C)))

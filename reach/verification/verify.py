@@ -1,9 +1,7 @@
 """Verification in one call: proven, violated with a trajectory that shows it, or unknown.
 
-Never entering a polytope: along each direction d the reachable set stays below the least value o that d
-takes in the region, or it does not. Directions are the outer normals of the region first; where none
-separates, the nearest points of the region and of the exact reachable set at that time give the next one,
-or a trajectory that ends in the region.
+Of a region to avoid, directions that separate are sought: its normals, then those between nearest points of
+the region and of the exact reachable set, which else give a trajectory into it.
 """
 
 from __future__ import annotations
@@ -112,11 +110,7 @@ def _without_limits(motions: Motions, spec: Always | Never) -> Verdict:
 
 @dataclass
 class Reached:
-    """What rows are at one time, asked through trajectories of a system: its answers are attained.
-
-    Each answer is kept, so that a point found as a mixture of answers can be traced back to one
-    trajectory: initial sets and input sets are convex, and motions are linear in them.
-    """
+    """What rows are at one time, asked through trajectories, whose mixtures are trajectories again."""
 
     motions: Motions
     rows: Array
@@ -209,8 +203,7 @@ def _try(
 ) -> tuple[Trajectory | None, Array | None]:
     """A trajectory that ends in the region at about a time, or else what separates there.
 
-    In the coordinates ``y = A x`` the region is what lies below b, so that a separating direction
-    is a mixture of the rows of A: with l >= 0, ``-l A x >= -l b`` in the region.
+    In ``y = A x`` the region is what lies below b: a separating direction is a mixture of the rows of A.
     """
     held = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
     if motions.system.discrete:

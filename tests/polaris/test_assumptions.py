@@ -80,7 +80,7 @@ def test_screen_and_report_say_all_of_them():
     screen, page = console.export_text(), told_in_report(result["guarantee"], "polytope")
     for line in schedule.assumptions:
         assert f"  - {line}\n" in screen
-        assert line.replace("'", "&#x27;").replace("<", "&lt;") in page or line in page
+        assert line.replace("'", "&#39;").replace("<", "&lt;") in page or line in page
 
 
 @pytest.mark.parametrize("name", ["tiny", "satellite", "static"])

@@ -21,7 +21,10 @@ from polaris.simulation.integration import Integrator
 from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.controllers import AnyThrust
 from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.neural import NeuralController, Policy
 from polaris.synthesis.synthesize import synthesize
+from reach.networks.bands import Activation
+from reach.networks.network import Affine, Network
 
 from .conftest import printed, synthesised
 from .tiny import TINY
@@ -203,6 +206,55 @@ def test_a_tube_that_is_too_thin_is_caught():
     found = falsify(replace(schedule, steps=thin), 600)
     assert found.failure is not None and found.failure.kind == "margin"
     assert found.failure.margin > 0, "it enters nothing; it only comes closer than was claimed"
+
+
+def springy():
+    """A schedule whose network swings about the reference, and claims 60 % of its tubes after a while."""
+    scenario, _ = tiny()
+    sampled = {"feedback": {"kind": "sampled", "period_s": 0.25}, "tracking.R": [60.0, 60.0]}
+    safety = get_safety(scenario.with_overrides(sampled))
+    system, eye = safety.problem.system, np.eye(2)
+    layers = (
+        Affine(np.hstack([2 * eye, 0.1 * eye]), np.zeros(2)),
+        Activation("tanh"),
+        Affine(eye, np.zeros(2)),
+    )
+    policy = Policy(Network(layers), ("error",), np.ones(4), np.ones(2))
+    law = NeuralController("spring", system, policy, *[safety.reference] * 2, safety.tracking)
+    made, start = synthesize(safety, experimental=[law]), safety.start
+    steps = []
+    for k, step in enumerate(made.steps):
+        tube = law.fly(start, k)
+        start = tube.end
+        nodes = replace(tube.nodes, G=(THIN if k > 6 else 1) * tube.nodes.G)
+        steps.append(replace(step, mode=1, tube=replace(tube, nodes=nodes)))
+    safety = replace(made.safety, end=replace(made.safety.end, horizon="none"))
+    return replace(made, steps=tuple(steps), safety=safety)
+
+
+THIN = 0.6
+
+
+def test_gradients_of_a_network_are_those_of_its_flights():
+    schedule = springy()
+    flight = flight_of(schedule)[1]
+    rows, middle = np.eye(4), schedule.safety.problem.initial_set.c
+    for target in (flight.steps // 2, flight.steps):
+        _, _, adjoint = adjoint_worst_case(flight, rows, np.full(4, target))
+        x0 = middle + 1e-5 * np.vstack([np.eye(4), -np.eye(4)])
+        ends = flight.run(x0, np.zeros((flight.steps, 8, flight.system.p))).states[:, target]
+        assert adjoint == pytest.approx((ends[:4] - ends[4:]).T / 2e-5, rel=1e-4, abs=1e-6)
+
+
+def test_gradients_of_a_network_find_what_chance_does_not(monkeypatch):
+    schedule = springy()
+    found = falsify(schedule, 300)
+    assert found.failure is not None and found.failure.kind == "margin"
+    claims, flight = flight_of(schedule)
+    chance = Attacker(claims, flight, np.random.default_rng(0)).random(3000)
+    assert attained(claims, chance.fly(flight)).below.max() < -EXACT_M
+    monkeypatch.setattr(NeuralController, "pullback", lambda law, k, own, x, weights: 0 * x)
+    assert falsify(schedule, 3000).failure is None, "nor does the whole search without them"
 
 
 def test_a_disturbance_beyond_its_bound_breaks_the_margin():

@@ -19,7 +19,7 @@ from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.style import style
 from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.geometry import faces, flat_outline, polygon, stretches, tube_support
+from polaris.report.scene.geometry import faces, flat_outline, stretches, tube_support
 from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
 from polaris.report.scene.palette import (
     GREEN,
@@ -35,6 +35,7 @@ from polaris.report.scene.space import Space
 from polaris.runs.picture import Frame, Picture, directions
 from polaris.runs.picturing import picture_of, picture_of_safety, tube_of
 from polaris.simulation.baselines import Flights
+from reach.sets.outlines import polygon
 from reach.sets.zonotope import Zonotope
 
 from .random_scenarios import synthesised as random_schedule

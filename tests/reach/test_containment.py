@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
 from reach.numerics.rounding import cross, integers
-from reach.sets.convex import Answer
+from reach.sets.distance import Answer
 from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.interval import Interval
 from reach.sets.norms import largest_norm

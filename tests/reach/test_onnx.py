@@ -87,16 +87,42 @@ def test_it_computes_what_the_file_says(name, tmp_path):
 
 
 FIRST = node("Gemm", "x W1 b1", "h")
+SECOND = node("Gemm", "t W2 b2", "y", transB=1)
 WRONG = {
     "an operator": ([node("Softmax", "x", "h"), LAST], {}, "Softmax is not understood"),
-    "a branch": ([FIRST, node("Add", "h h", "t"), node("Gemm", "t W2 b2", "y", transB=1)], {}, "no chain"),
+    "a branch": ([FIRST, node("Add", "h h", "t"), SECOND], {}, "no chain"),
     "a step back": ([FIRST, node("Relu", "x", "t"), LAST], {}, "no chain"),
     "shapes": ([node("MatMul", "x W2", "y")], {}, "follow 3 values"),
     "nan": ([FIRST, LAST], {"W1": np.full((3, 5), np.nan)}, "not finite"),
     "an end elsewhere": ([FIRST], {}, "not the end"),
     "a clip without limits": ([FIRST, node("Clip", "h", "c"), LAST], {}, "both limits"),
+    "infinity": ([FIRST, LAST], {"b1": np.full(5, np.inf)}, "not finite"),
+    "a bias of another size": ([node("Gemm", "x W1 b2", "h"), LAST], {}, "follow 5 values"),
+    "nothing": ([node("Identity", "x", "y")], {}, "affine layer"),
     "zero": ([node("Div", "x zero", "c"), node("Gemm", "c W1 b1", "h"), LAST], {"zero": 0.0}, "not zero"),
 }
+
+BETWEEN = {
+    "a column": (node("Add", "h column", "t"), {"column": np.ones((5, 1))}, "of shape"),
+    "an integer": (node("Cast", "h", "t", to=6), {}, "Cast"),
+    "half precision": (node("Cast", "h", "t", to=10), {}, "Cast"),
+    "a foreign operator": (node("Relu", "h", "t", domain="some.where"), {}, "not understood"),
+    "a column by a reshape": (node("Reshape", "h shape", "t"), {"shape": [5, 1]}, "last axis"),
+    "a column by flattening": (node("Flatten", "h", "t", axis=2), {}, "last axis"),
+    "a column by an axis": (node("Unsqueeze", "h axes", "t"), {"axes": [-1]}, "last axis"),
+    "squeezed": (node("Squeeze", "h axes", "t"), {"axes": [1]}, "last axis"),
+    "a steep relu": (node("LeakyRelu", "h", "t", alpha=1.5), {}, "leaky"),
+    "a clip upside down": (node("Clip", "h one none", "t"), {"one": 1.0, "none": 0.0}, "low <= high"),
+    "a clip by vectors": (
+        node("Clip", "h low high", "t"),
+        {"low": [0.0] * 5, "high": [1.0] * 5},
+        "one number",
+    ),
+    "a norm of another size": (node("BatchNormalization", "h W W W W", "t"), {"W": np.ones(4)}, "follow 5"),
+    "a variance below 0": (node("BatchNormalization", "h W W W W", "t"), {"W": -np.ones(5)}, "variance"),
+    "too many": (node("Gemm", "h wide", "t"), {"wide": np.zeros((5, 4097))}, "at most 4096"),
+}
+WRONG |= {name: ([FIRST, kept, SECOND], more, words) for name, (kept, more, words) in BETWEEN.items()}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -105,6 +131,40 @@ def test_what_is_not_understood_is_one_error(name, tmp_path):
     with pytest.raises(ReachError, match=words) as told:
         read_onnx(saved(tmp_path, nodes, WEIGHTS | more))
     assert "policy.onnx" in str(told.value) and "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        node("Reshape", "h shape", "t"),
+        node("Flatten", "h", "t"),
+        node("Cast", "h", "t", to=11),
+        node("Unsqueeze", "h front", "t"),
+        node("Squeeze", "h front", "t"),
+    ],
+    ids=lambda kept: kept.op_type,
+)
+def test_shapes_may_change_where_no_value_moves(kept, tmp_path):
+    path = saved(tmp_path, [FIRST, kept, SECOND], WEIGHTS | {"shape": [-1, 5], "front": [0]})
+    x = RNG.normal(size=3)
+    assert read_onnx(path)(x) == pytest.approx((x @ W1 + b1) @ W2.T + b2, rel=1e-6)
+
+
+def test_garbled_files_are_one_error_or_a_network(tmp_path):
+    nodes, more = CHAINS["normalised"]
+    whole, path, told = saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), tmp_path / "garbled.onnx", 0
+    for _ in range(400):
+        data = bytearray(whole)
+        for at in RNG.integers(0, len(data), int(RNG.integers(1, 6))):
+            data[at] = int(RNG.integers(256))
+        path.write_bytes(data[: len(data) if RNG.random() < 0.7 else int(RNG.integers(len(data)))])
+        try:
+            net = read_onnx(path)
+        except ReachError as error:
+            told += "garbled.onnx" in str(error)
+        else:
+            assert np.all(np.isfinite(net.layers[0].W)) and net.inputs > 0
+    assert 100 < told < 400
 
 
 def test_files_that_are_none(tmp_path):

@@ -7,11 +7,10 @@ from hypothesis import given, settings
 
 from reach.numerics.errors import ReachError
 from reach.sets.ellipsoid import Ellipsoid
-from reach.sets.facets import facet_normals
 from reach.sets.interval import Interval
 from reach.sets.outlines import outline, vertices_2d
 from reach.sets.polytope import HPolytope
-from reach.sets.zonotope import Zonotope
+from reach.sets.zonotope import Zonotope, facet_normals
 
 from .strategies import directions, polytopes, sets, size, zonotopes
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from polaris.rta.decision_grid import DecisionGrid
-from polaris.rta.flight import Conditions, _Engine
+from polaris.rta.flight import Conditions, Engine
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.estimate import Measurement
 
@@ -262,7 +262,7 @@ def fly_streams(monitor, operators, deciders, seed, second_clock=(), applied=())
     states : ndarray, shape (nodes + 1, R, n)
     """
     scene, runs = monitor.grid, len(operators)
-    conditions, engine = Conditions.draw(scene, runs, seed), _Engine(scene)
+    conditions, engine = Conditions.draw(scene, runs, seed), Engine(scene)
     c = scene.nodes
     x, past = conditions.x0, [[] for _ in range(runs)]
     states, steps = [x], [[] for _ in range(runs)]

@@ -18,7 +18,7 @@ from polaris.model.tolerances import ROUNDING
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
-from polaris.rta.flight import _Engine
+from polaris.rta.flight import Engine
 from polaris.rta.method import FILTERED, Seen
 from polaris.rta.methods import METHODS
 from polaris.rta.methods.monitor import Monitor
@@ -156,7 +156,7 @@ def test_the_attack_breaks_a_monitor_without_its_limits(order):
 
 def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
     scene = DecisionGrid.of(line(any_thrust=False, jump=True, goal=3.0), 0.25)
-    monitor, engine, rng = Monitor(scene, "declared"), _Engine(scene), np.random.default_rng(0)
+    monitor, engine, rng = Monitor(scene, "declared"), Engine(scene), np.random.default_rng(0)
     prospect, compared = monitor.prospects[1, 0], 0
     none = np.zeros((20, 1))
     for k in range(scene.decisions - 1):

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
+from ...runs.claims import besides
 from ...synthesis.recoverable import directed
 from . import RED, Printout, alarming, table
 
@@ -44,12 +45,18 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     if start is not None:
         out.say(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}.")
     out.say(f"U flies {_share(synthesis)}.")
+    if "proven_share" in synthesis:
+        told = "proven for anything within the thrust limits instead of black boxes"
+        out.say(f"{synthesis['proven_share']:.1%} of the time is {told}.")
+        out.say(_worst(synthesis["worst_found"]))
     out.say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
-    proved = claim["kind"] == "proved"
-    out.say(f"Guarantee: {_claim(claim)}", "bold" if proved else RED)
+    proved = claim["kind"] != "none"
+    out.say(f"Guarantee: {_claim(claim)}", "bold" if claim["kind"] == "proved" else RED)
     out.assume(claim["assumptions"] if proved else ())
     if proved:
         out.say(f"Goal: {_goal(claim['goal'])}")
+    for head, sentence in besides(claim) if proved else ():
+        out.say(f"{head}: {sentence}")
     out.say(f"Run folder: {folder}")
 
 
@@ -71,14 +78,28 @@ def _planned(plan: Mapping[str, Any]) -> str:
     return f"{ended} ({plan['solver_name']})"
 
 
+def _worst(found: Mapping[str, Any] | None) -> str:
+    """What flights at their worst do with black boxes."""
+    if found is None:
+        return "Black boxes fly no step: nothing could be said of them with the probability asked for."
+    hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"
+    near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
+    leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
+    return f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
+
+
 def _claim(claim: Mapping[str, Any]) -> str:
-    if claim["kind"] != "proved":
+    if claim["kind"] == "none":
         return "none; this option is not sound, and nothing is proven"
     reach = {
         "infinite": "for all time",
         "one_period": f"until {claim['until_s'] or 0:.6g} s",
         "none": "up to the end of the schedule only",
     }[claim["horizon"]]
+    if "statement" in claim:
+        said = claim["statement"]
+        most = directed(said["probability"], ".2g", up=True)
+        reach += f" but for {most} of all flights, said with a confidence of {said['confidence']:g}"
     return f"{claim['kind']}, safe {reach} ({claim['reason']}), assuming that"
 
 
@@ -106,8 +127,6 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
     found.add_row("runs that enter an unsafe set", *(alarming(str(count), count > 0) for count in hits))
     return found
 
-
-# -- campaigns ---------------------------------------------------------------------------------------
 
 COLUMNS = (
     "mode",

@@ -120,12 +120,8 @@ def _paths(found: ComparisonPicture) -> Any:
     return figure
 
 
-GAP = 0.14
-"""Height of a label [in]."""
-
-
-SPREAD = 4.0
-"""Ratio of the largest velocity change to the least from which on the axis is logarithmic."""
+GAP = 0.14  # height of a label [in]
+SPREAD = 4.0  # ratio of the largest velocity change to the least from which on the axis is logarithmic
 
 
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
@@ -244,5 +240,4 @@ def _points(points: Sequence[Mapping[str, Any]]) -> Any:
     return _sensitivity(points) if points[0]["non_dominated"] is None else _front(points)
 
 
-TRADEOFF = {"tradeoff": _points}
-"""Figures of a trade-off."""
+TRADEOFF = {"tradeoff": _points}  # figures of a trade-off

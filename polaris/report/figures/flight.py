@@ -22,14 +22,9 @@ from .style import ABOVE, WIDTH, new_figure, step_edges
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)))
 
 
-SHOWN_FLIGHTS = 16
-"""Free flights that are drawn."""
-
-FINE = 101
-"""Instants of a free flight that are drawn."""
-
-MOST_NAMED = 10
-"""Most lines that a legend names."""
+SHOWN_FLIGHTS = 16  # free flights that are drawn
+FINE = 101  # instants of a free flight that are drawn
+MOST_NAMED = 10  # most lines that a legend names
 
 
 # -- figures ----------------------------------------------------------------------------------------

@@ -1,7 +1,4 @@
-"""Figures of a campaign (initial conditions by success, figure 8) and of the fuel limit (figure 9).
-
-And the parts that figures of flights are made of.
-"""
+"""Figures of a campaign (figure 8) and of the fuel limit (figure 9), and parts of those of flights."""
 
 from __future__ import annotations
 
@@ -78,10 +75,7 @@ def without_legend(ax: Any) -> None:
 
 
 def initial_conditions(picture: CampaignPicture) -> Any:
-    """Where every deputy of every run starts, one panel per study: red where it failed, else cyan.
-
-    Of a run that failed, the deputies that the failures concern are red.
-    """
+    """Where every deputy of every run starts, one panel per study: red those that a failure concerns."""
     count = len(picture.studies)
     columns = min(count, 2)
     rows = -(-count // columns)
@@ -139,16 +133,9 @@ def failures(picture: CampaignPicture) -> Any:
     return figure
 
 
-FIGURES = {"initial_conditions": initial_conditions, "failures": failures}
-"""Figures of a campaign."""
-
-
-PIECES = 400
-"""Pieces in which a path changes its colour."""
-
-
-AFTER = 500.0
-"""Time [s] for which a predicted flight is shown after its last thrust: nothing more is spent."""
+FIGURES = {"initial_conditions": initial_conditions, "failures": failures}  # figures of a campaign
+PIECES = 400  # pieces in which a path changes its colour
+AFTER = 500.0  # time [s] for which a predicted flight is shown after its last thrust: nothing more is spent
 
 
 def _path(ax: Any, run: FuelRun) -> None:

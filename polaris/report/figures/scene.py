@@ -27,10 +27,7 @@ from .view import LETTERS, View, draw_closeup
 
 
 def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:
-    """A figure of the scene with the close-ups it needs, no higher than they ask for.
-
-    `new` makes an empty figure of some height [in].
-    """
+    """A figure of the scene with the close-ups it needs; `new` makes an empty one of some height [in]."""
     scene = describe(picture)
     found = scene.closeups
     wide = 1 if len(found) == 1 else 2
@@ -55,10 +52,7 @@ def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> 
 
 
 def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
-    """Draw everything in the plane of motion; on the line, position over time. Height of the legend [in].
-
-    If `lettered`, close-ups are drawn beside it, in the order of their letters.
-    """
+    """Draw all in the plane (or over time), close-ups perhaps lettered; height of the legend [in]."""
     view = View(scene)
     if scene.time_axis is None:
         ax.set_aspect("equal")
@@ -91,10 +85,7 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
 
 
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
-    """Recoverable sets at the hand-overs, with the chaser in them, rimmed in the colour of who takes over.
-
-    On the line, over time, there is room for all.
-    """
+    """Recoverable sets at the hand-overs, with the chaser in them, rimmed in the colour of who takes over."""
     look, slices, printed = LOOKS["slice"], scene.picture.slices, list(scene.picture.printed_slices())
     if slices is not None and scene.time_axis == 0:
         ends = slices.outlines[:, 0, :, 0]

@@ -1,7 +1,4 @@
-"""How every printed figure looks: type readable at column width, quick to embed, the same bytes every time.
-
-Labels are plain text: setting mathematics takes longer than drawing everything else.
-"""
+"""How every printed figure looks: readable at column width, in plain text, the same bytes every time."""
 
 from __future__ import annotations
 
@@ -28,8 +25,7 @@ from ...runs.picture import Picture
 from ..scene.items import by_mode
 from ..scene.palette import GREY, mode_colour
 
-WIDTH = 3.5
-"""Width of a figure [in]: one column of a two-column page."""
+WIDTH = 3.5  # width of a figure [in]: one column of a two-column page
 
 DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 
@@ -82,8 +78,7 @@ def printing() -> Iterator[None]:
 def _light_font() -> str:
     """Name of a copy of DejaVu Sans with Latin and Greek letters, digits and punctuation only.
 
-    Every PDF embeds the glyphs it shows, and searching all of the font for them again for each figure
-    takes longer than drawing it. The glyphs are the same; what is missing comes from DejaVu Sans itself.
+    Searching all of the font for the glyphs that each PDF embeds takes longer than drawing.
     """
     options = subset.Options(legacy_kern=True, glyph_names=True, notdef_outline=True)
     options.drop_tables += ["FFTM", "GDEF", "GPOS", "GSUB", "MATH"]
@@ -128,11 +123,7 @@ def save_all(figures: Iterable[tuple[str, Any]], folder: Path) -> list[Path]:
 
 
 def keep_ticks(axes: Iterable[Any]) -> None:
-    """Settle how many ticks axes have, and the size of their type.
-
-    Left alone, matplotlib finds as many as fit by the settings and the width of the moment, however long
-    their labels: others after the layout is solved than before, or outside of `style`.
-    """
+    """Settle how many ticks axes have and their type size: else both change as matplotlib draws."""
     for ax in axes:
         ax.tick_params(labelsize=_STYLE["xtick.labelsize"])
         place = ax.get_position(original=True)

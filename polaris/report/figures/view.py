@@ -1,8 +1,4 @@
-"""The plane that is drawn, where in it there is room for names, and close-ups where it does not tell.
-
-A set may be passed above or below. What a close-up shows is how the path lies to the set, in a plane or over
-time: of a moving set, relative to its centre.
-"""
+"""The plane that is drawn, where in it there is room for names, and close-ups where it does not tell."""
 
 from __future__ import annotations
 
@@ -20,10 +16,8 @@ from ..scene.palette import BLACK, RED, tint
 from ..scene.space import Space, moves
 from .style import draw_safe_path, shortened, text_width
 
-WIDTH = 2.8
-"""Of the axes [in]."""
-CLASH = 4.0
-"""What it counts if a name lies on another: more than all else; then a line further off will do."""
+WIDTH = 2.8  # of the axes [in]
+CLASH = 4.0  # what it counts if a name lies on another: more than all else; then a line further off will do
 
 
 class View:

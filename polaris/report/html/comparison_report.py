@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup, escape
 
 from ...runs.comparison import ComparisonPicture
 from ...runs.folder import RunFolder
@@ -18,14 +19,11 @@ from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
 from .page import Page, reading
 from .run_report import NOTE, guarantee, loud
-from .tables import Cell, Measure, badge, details, escaped, items, number_cell, shown, table, text_cell
+from .tables import Cell, Measure, badge, details, items, macros, number_cell, shown, table, text_cell
 from .timelines import Flown, flight_data
 
-FIRST = 4
-"""Methods that are shown at first; the others can be chosen."""
-
-MOST_STRETCHES = 40
-"""Stretches of alike decisions that are listed of each method."""
+FIRST = 4  # methods that are shown at first; the others can be chosen
+MOST_STRETCHES = 40  # stretches of alike decisions that are listed of each method
 
 Methods = Sequence[Mapping[str, Any]]
 
@@ -35,8 +33,9 @@ def comparison_page(folder: RunFolder) -> Page:
     picture: ComparisonPicture = folder.picture()
     found, summary = picture.table, picture.run.summary
     methods, claim = found["methods"], summary["guarantee"]
-    name, recoverable = escaped(found["scenario"]), str(summary["synthesis"]["recoverable"])
-    lead = f"<p>{len(methods)} methods flown under the same conditions. Scenario <code>{name}</code>.</p>"
+    recoverable, scenario = str(summary["synthesis"]["recoverable"]), found["scenario"]
+    lead = Markup("<p>{} methods flown under the same conditions. Scenario <code>{}</code>.</p>")
+    lead = lead.format(len(methods), scenario)
     if claim["kind"] != "proved":
         lead += loud(recoverable)
     names = {method["key"]: str(method["name"]) for method in methods}
@@ -69,37 +68,33 @@ def comparison_data(picture: ComparisonPicture, proved: bool) -> dict[str, Any]:
     return flight_data(replace(picture.run.picture(), slices=None), flown, proved, "pilot", opened)
 
 
-def _tradeoffs(methods: Methods) -> str:
+def _tradeoffs(methods: Methods) -> Markup:
     """The picture of what every method gains and loses, within the page."""
     from ..figures.comparison import tradeoffs_png
 
-    image = base64.b64encode(tradeoffs_png(methods)).decode()
     told = (
         "What each method gains and loses: means over all runs with 95 % confidence bounds, a stroke for the"
         " worst run. Green: with a proof; red: without."
     )
-    return (
-        f'<figure id="tradeoffs"><img src="data:image/png;base64,{image}" alt="Diagram of the table below">'
-        f"<figcaption>{told}</figcaption></figure>"
-    )
+    return Markup(macros().picture(base64.b64encode(tradeoffs_png(methods)).decode(), told))
 
 
 def _name_cell(name: str) -> Cell:
-    return Cell(escaped(name), name)
+    return Cell(name, name)
 
 
 def _claim_cell(method: Mapping[str, Any], told: str) -> Cell:
     return Cell(told, str(method["guarantee"]), text=True)
 
 
-def _methods(methods: Methods) -> str:
+def _methods(methods: Methods) -> Markup:
     measures = Measure.known(*(method.get("metrics") or {} for method in methods))
     rows = []
     for method in methods:
         values, name = method.get("metrics") or {}, _name_cell(str(method["name"]))
         if not method.get("available", True):
-            name = replace(name, html=name.html + ' <span class="quiet">(not available)</span>')
-        told = f'<span title="{escaped(method.get("reach") or "")}">{badge(method["guarantee"])}</span>'
+            name = replace(name, html=macros().not_available(name.html))
+        told = macros().titled(badge(method["guarantee"]), method.get("reach") or "")
         cells = [one.cell(values[one.key], unit=False) if one.key in values else Cell("") for one in measures]
         rows.append([name, _claim_cell(method, told), *cells])
     caption = (
@@ -108,20 +103,18 @@ def _methods(methods: Methods) -> str:
     return table(caption, ["method", "guarantee", *(one.head for one in measures)], rows, sort=True)
 
 
-def _protocol(protocol: Mapping[str, Any]) -> str:
+def _protocol(protocol: Mapping[str, Any]) -> Markup:
     measures = [Measure.of(key) for key in protocol if key != "statement"]
-    rows = [
-        [Cell(escaped(one.title)), number_cell(protocol[one.key], one.key, unit=one.unit)] for one in measures
-    ]
+    rows = [[Cell(one.title), number_cell(protocol[one.key], one.key, unit=one.unit)] for one in measures]
     statement = protocol.get("statement")
-    told = f"<p>{escaped(statement)}</p>" if statement else ""
-    return f"<h3>How it was compared</h3>{told}" + table("Protocol", ["", "value"], rows)
+    told = Markup("<p>{}</p>").format(statement) if statement else ""
+    return Markup("<h3>How it was compared</h3>") + told + table("Protocol", ["", "value"], rows)
 
 
-def _claims(methods: Methods) -> str:
+def _claims(methods: Methods) -> Markup:
     rows = [
         [
-            Cell(escaped(method["name"])),
+            Cell(str(method["name"])),
             _claim_cell(method, badge(method["guarantee"])),
             text_cell(method.get("reach") or "none"),
             text_cell(method.get("note") or ""),
@@ -131,7 +124,7 @@ def _claims(methods: Methods) -> str:
     return table("How far each claim goes", ["method", "guarantee", "reach", "decisions by reason"], rows)
 
 
-def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> str:
+def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Markup:
     """One table for each method that others are compared with: a row per method, a column per metric."""
     found: dict[str, dict[str, dict[str, Cell]]] = {}
     for one in paired:
@@ -150,7 +143,7 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> st
             " differences that could as well be 0 say so"
         )
         tables.append(table(caption, ["method", *(one.head for one in measures)], rows, sort=True))
-    return "\n".join(tables) or "<p>None were computed.</p>"
+    return Markup("\n").join(tables) or Markup("<p>None were computed.</p>")
 
 
 def _difference(one: Mapping[str, Any]) -> Cell:
@@ -159,10 +152,7 @@ def _difference(one: Mapping[str, Any]) -> Cell:
     cell = Measure.of(one["metric"]).cell(told, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
-    return replace(cell, html=f'{cell.html}<span class="range">perhaps 0</span>')
-
-
-# -- decisions --------------------------------------------------------------------------------------
+    return replace(cell, html=escape(cell.html) + macros().range("perhaps 0"))
 
 
 Decisions = list[dict[str, Any]]
@@ -180,17 +170,17 @@ def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
     return {key: [list(group) for _, group in groupby(own, alike)] for key, own in found.items()}
 
 
-def _decisions(path: Path, names: Mapping[str, str]) -> str:
+def _decisions(path: Path, names: Mapping[str, str]) -> Markup:
     """Why each online method decided as it did."""
     if not path.is_file():
-        return "<p>This folder has no log of decisions.</p>"
+        return Markup("<p>This folder has no log of decisions.</p>")
     with path.open(encoding="utf-8") as file:
         found = stretches(file)
-    logs = "\n".join(details(names.get(key, key), _log(own)) for key, own in found.items())
-    return logs or "<p>The log is empty.</p>"
+    logs = Markup("\n").join(details(names.get(key, key), _log(own)) for key, own in found.items())
+    return logs or Markup("<p>The log is empty.</p>")
 
 
-def _log(own: Sequence[Decisions]) -> str:
+def _log(own: Sequence[Decisions]) -> Markup:
     rows = []
     for alike in own[:MOST_STRETCHES]:
         first, last = alike[0], alike[-1]
@@ -200,7 +190,7 @@ def _log(own: Sequence[Decisions]) -> str:
             margin = Cell(directed(least, ".4g"), least)  # a share of room left is rounded down
         rows.append(
             [
-                Cell(f"{shown(first['t'])} to {shown(last['t'])} s", first["t"]),
+                Cell(shown(first["t"]) + " to " + shown(last["t"]) + " s", first["t"]),
                 text_cell({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})")),
                 number_cell(len(alike)),
                 margin,

@@ -1,7 +1,4 @@
-"""The page of a run folder of the inspection problem: a flight, a fuel limit, or a campaign.
-
-It draws deputies about the chief, constraint margins and thrust; of a campaign it has tables alone.
-"""
+"""The page of the inspection problem: a flight, a fuel limit, or a campaign (tables alone)."""
 
 from __future__ import annotations
 
@@ -9,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from ...inspection.constraints.allowable_set import allowable
 from ...inspection.constraints.catalogue import PASSIVE
@@ -23,9 +21,8 @@ from ..scene.geometry import Shape, gapped
 from ..scene.items import Item
 from ..scene.unsafe import AXES, ORDER, surroundings
 from .page import Page, reading
-from .run_report import other_guarantee
 from .scene import layer, plain
-from .tables import Cell, Measure, badge, escaped, number_cell, table, text_cell
+from .tables import Cell, Measure, badge, macros, number_cell, table, text_cell
 from .timelines import WHO, input_panels, kept, limit, modes_present, panel, pilot
 
 LIMITS = (
@@ -45,12 +42,8 @@ def inspection_page(folder: RunFolder) -> Page:
     """The report of a run folder of the inspection problem."""
     summary, kind = folder.summary, folder.scenario.kind
     claim = summary["guarantee"]
-    lead = f"<p>{badge(claim['kind'])} Scenario <code>{escaped(summary['scenario'])}</code>.</p>"
-    if "safe" in summary and summary["safe"]:
-        lead += "<p>No constraint is violated in this flight.</p>"
-    elif "safe" in summary:
-        told = "<strong>A CONSTRAINT IS VIOLATED</strong> in this flight."
-        lead += f'<div class="loud" role="alert">{told}</div>'
+    kinds = macros("run.html")
+    lead = Markup(kinds.lead(summary["scenario"], badge(claim["kind"]), summary.get("safe")))
     data: dict[str, Any] = {}
     parts = [("numbers", "Metrics", _values(summary))]
     if kind == "inspection":
@@ -60,7 +53,8 @@ def inspection_page(folder: RunFolder) -> Page:
         data = fuel_data(folder.picture())
     else:
         parts.insert(0, ("studies", "Studies", _studies(summary)))
-    parts.append(("guarantee", "What is claimed", other_guarantee(claim, LIMITS)))
+    told = Markup(kinds.other_guarantee(claim, badge(claim["kind"]), LIMITS))
+    parts.append(("guarantee", "What is claimed", told))
     return Page(str(summary["title"]), lead, (*parts, reading(summary)), data, summary)
 
 
@@ -68,10 +62,10 @@ def _share(value: Any, bad: bool = False) -> Cell:
     return Cell(Measure.of("_share").text(value), value, bad=bad)
 
 
-def _constraints(summary: Mapping[str, Any]) -> str:
+def _constraints(summary: Mapping[str, Any]) -> Markup:
     rows = [
         [
-            Cell(escaped(row["constraint"])),
+            Cell(str(row["constraint"])),
             text_cell(MEANING.get(row["constraint"], (row["meaning"], ""))[0]),
             Cell(
                 number_cell(row["least"], unit=row["unit"]).html,
@@ -89,7 +83,7 @@ def _constraints(summary: Mapping[str, Any]) -> str:
     return table(caption, heads, rows, sort=True)
 
 
-def _values(summary: Mapping[str, Any]) -> str:
+def _values(summary: Mapping[str, Any]) -> Markup:
     """Every value of a summary that is not shown elsewhere."""
     rows = []
     for key, value in summary.items():
@@ -98,11 +92,11 @@ def _values(summary: Mapping[str, Any]) -> str:
         for name, one in value.items() if isinstance(value, Mapping) else [("", value)]:
             unit = "s" if key.endswith("_seconds") else Measure.of(name or key).unit
             title = " ".join(part for part in (Measure.of(key).title, name.replace("_", " ")) if part)
-            rows.append([Cell(escaped(title)), number_cell(one, key, unit="" if unit == "%" else unit)])
+            rows.append([Cell(str(title)), number_cell(one, key, unit="" if unit == "%" else unit)])
     return table("Values of summary.json", ["", "value"], rows)
 
 
-def _studies(summary: Mapping[str, Any]) -> str:
+def _studies(summary: Mapping[str, Any]) -> Markup:
     kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
     rows = []
     for study in summary["studies"]:
@@ -110,7 +104,7 @@ def _studies(summary: Mapping[str, Any]) -> str:
         counts = (int(study["failures"].get(kind, 0)) for kind in kinds)
         rows.append(
             [
-                Cell(escaped(study["name"])),
+                Cell(str(study["name"])),
                 number_cell(study["successes"]),
                 *map(_share, shares),
                 number_cell(study["delta_v_mean_m_s"], unit="m/s"),
@@ -120,8 +114,6 @@ def _studies(summary: Mapping[str, Any]) -> str:
     heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "velocity change", *kinds]
     return table(f"{counted(summary['runs'], 'run')} each", heads, rows, sort=True)
 
-
-# -- what is drawn ----------------------------------------------------------------------------------
 
 LOOK = {"dash": "solid", "on": True}
 THRUSTS = tuple(f"Thrust, {name.lower()}" for name in AXES)

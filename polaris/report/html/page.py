@@ -10,26 +10,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from string import Template
 from typing import Any
 
-from .tables import Measure, details, escaped, items
+from markupsafe import Markup
+
+from .tables import Measure, macros, template
 
 SCRIPTS = ("tables.js", "scene.js", "timelines.js", "main.js")
 
 
 @dataclass(frozen=True)
 class Page:
-    """What a report says.
+    """What a report says: title, HTML under it, sections (key, title, HTML), data for scripts, the summary.
 
-    The title (of the scenario, escaped when the page is written), HTML right under it, sections (key, title,
-    HTML) in their order, what the scripts draw (nothing without ``scene``), and the summary of the folder,
-    whose definitions and versions come last. The scene and the timelines come first, if there are any.
+    The scene and the timelines come first (if ``scene`` is drawn), definitions and versions last.
     """
 
     title: str
     lead: str
-    sections: tuple[tuple[str, str, str], ...]
+    sections: tuple[tuple[str, str, Markup], ...]
     data: dict[str, Any] = field(default_factory=dict)
     summary: Mapping[str, Any] = field(default_factory=dict)
 
@@ -37,36 +36,25 @@ class Page:
 def page_html(page: Page) -> str:
     """The whole file; it makes no connections, and runs no scripts but those that it was written with."""
     drawn = "scene" in page.data
-    scripts = [plotly(), own_script()] if drawn else [own_script()]
-    sections = [*([("flight", "The flight", resource("flight.html"))] if drawn else []), *page.sections]
-    versions = ", ".join(f"{name} {version}" for name, version in page.summary.get("versions", {}).items())
+    scripts = [Markup(text) for text in ([plotly(), own_script()] if drawn else [own_script()])]
+    flight = [("flight", "The flight", Markup(resource("flight.html")))] if drawn else []
     digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
-    made = escaped(page.summary.get("created", "an unknown date"))
-    return Template(resource("page.html")).substitute(
-        hashes=" ".join(f"'sha256-{digest}'" for digest in digests),
-        title=escaped(page.title),
-        style=resource("report.css"),
-        lead=page.lead,
-        links="".join(f'<li><a href="#{key}">{escaped(title)}</a></li>' for key, title, _ in sections),
-        body="\n".join(
-            f'<section id="{key}" aria-labelledby="{key}-h">\n<h2 id="{key}-h">{escaped(title)}</h2>\n{inner}'
-            "\n</section>"
-            for key, title, inner in sections
-        ),
-        footer=f"<p>Made by polaris report. Folder of {made}; {escaped(versions)}.</p>",
-        data=script_json(page.data),
-        scripts="\n".join(f"<script>{text}</script>" for text in scripts),
+    return template("page.html").render(
+        page=page,
+        hashes=Markup(" ".join(f"'sha256-{digest}'" for digest in digests)),
+        style=Markup(resource("report.css")),
+        sections=[*flight, *page.sections],
+        versions=", ".join(f"{name} {version}" for name, version in page.summary.get("versions", {}).items()),
+        data=Markup(script_json(page.data)),
+        scripts=scripts,
     )
 
 
-def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, str]:
+def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, Markup]:
     """The section that says how to read the page: a note, and what each metric means, as the folder says."""
-    told = summary.get("definitions", {})
-    texts = items(f"{Measure.of(key).title} ({key}): {text}" for key, text in told.items())
-    inner = f"<p>{note}</p>" if note else ""
-    if told:
-        inner += details("Definitions of the metrics", texts)
-    return "reading", "How to read this", inner
+    known = summary.get("definitions", {})
+    told = [f"{Measure.of(key).title} ({key}): {text}" for key, text in known.items()]
+    return "reading", "How to read this", Markup(macros().reading(note, told))
 
 
 def script_json(data: Any) -> str:

@@ -23,8 +23,7 @@ from ..scene.palette import LOOKS, mode_colour
 
 Layer = dict[str, Any]
 
-DIGITS = 6
-"""Significant digits of what is drawn; tables show the folder's numbers with four."""
+DIGITS = 6  # significant digits of what is drawn; tables show the folder's numbers with four
 
 AREAS = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
 AREAS |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
@@ -35,8 +34,7 @@ LINES |= {"reference": (3.0, "dot"), "tail": (1.5, "dot"), "keep": (1.0, "solid"
 LINES |= {"predicted": (1.5, "solid")}
 """Width and dashes of lines, by role."""
 
-POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}
-"""Symbol and size of single points, by role."""
+POINTS = {"start": ("circle", 4), "goal": ("diamond", 5)}  # symbol and size of single points, by role
 
 
 def plain(values: ArrayLike) -> Any:

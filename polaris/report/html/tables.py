@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup, escape
 
 from ...simulation.metrics import possible
 from ...synthesis.recoverable import directed
@@ -63,57 +65,55 @@ BADGES = {
 }
 """Class and text of a badge, by kind of guarantee."""
 
-MOST = 4
-"""Columns of a table that have room on any screen."""
+MOST = 4  # columns of a table that have room on any screen
 
 
-# -- values -----------------------------------------------------------------------------------------
+@cache
+def template(name: str) -> Template:
+    """A template of this package; whatever is not markup already is escaped in it."""
+    loader = PackageLoader("polaris.report.html", "static")
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(name)
 
 
-def escaped(text: Any) -> str:
+def macros(name: str = "parts.html") -> Any:
+    """Its macros, as functions that give markup."""
+    return template(name).module
+
+
+def escaped(text: Any) -> Markup:
     """Text from a file as HTML, in elements and in attributes."""
-    return html.escape(str(text), quote=True)
+    return escape(str(text))
 
 
-def shown(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> str:
-    """A value of a file as HTML: a number in some form with its unit, a text, truth value, list or None.
-
-    The key in the file says what null means there (`ABSENT`).
-    """
+def shown(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> Markup:
+    """A value of a file as HTML, numbers in a form with a unit; `ABSENT` says by key what null means."""
     after = f" {unit}" if unit else ""
     if value is None:
         return _without_number(*ABSENT.get(key, ("none", "no value")))
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return escaped("yes" if value else "no")
     if isinstance(value, (list, tuple)):
-        return ", ".join(shown(item, key, form) for item in value) + (after if value else "")
+        return Markup(", ").join(shown(item, key, form) for item in value) + (after if value else "")
     if not isinstance(value, (int, float)):
         return escaped(value)
     if np.isnan(value):
         return _without_number("none", "no value")
     if np.isinf(value):
         return _without_number(*(("∞", "infinite") if value > 0 else ("−∞", "minus infinite")))
-    return (f"{value:d}" if isinstance(value, int) and form == ".4g" else f"{value:{form}}") + after
+    return escaped((f"{value:d}" if isinstance(value, int) and form == ".4g" else f"{value:{form}}") + after)
 
 
-def _without_number(text: str, why: str) -> str:
-    return f'<span class="none" title="{escaped(why)}">{text}</span>'
+def _without_number(text: str, why: str) -> Markup:
+    return Markup(macros().without_number(text, why))
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-# -- cells ------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a table.
-
-    What the column is sorted by may be None, which comes last whichever way. A bad cell tells of something
-    that must not happen; a text is set to the left.
-    """
+    """One cell: HTML, what it is sorted by (None comes last), whether it tells of what must not happen."""
 
     html: str
     sort: float | str | None = None
@@ -170,20 +170,17 @@ class Measure:
         return shown(value, self.key, ".4g", told)
 
     def cell(self, value: Any, unit: bool = True, difference: bool = False) -> Cell:
-        """A value of a file, or a mean with its bounds, as a cell; marked if it tells of a collision.
-
-        A `difference` of two methods has other limits, and tells of no collision.
-        """
+        """A value, or a mean with its bounds, as a cell, marked if it tells of a collision."""
         if not isinstance(value, Mapping):
             return Cell(self.text(value, unit), number_cell(value).sort, not difference and self._bad(value))
         mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
         least, most = possible(self.key, difference)  # folders of older versions know no limits
         low, high = (None if v is None else min(max(v, least), most) for v in (low, high))
-        told = self.text(mean, unit=False)
+        told = escape(self.text(mean, unit=False))
         if low is not None or high is not None:
-            told += f'<span class="range">{self.text(low, False)} to {self.text(high, False)}</span>'
+            told += macros().range(escape(self.text(low, False)) + " to " + self.text(high, False))
         if worst is not None and self.key != "violations":  # a count over all runs: there is no worst one
-            told += f'<span class="range">worst {self.text(worst, False)}</span>'
+            told += macros().range(escape("worst ") + self.text(worst, False))
         bad = not difference and self._bad(mean if worst is None else worst)
         return Cell(told, number_cell(mean).sort, bad)
 
@@ -193,54 +190,21 @@ class Measure:
         return bool(value < 0) if self.key.endswith("_m") else bool(value > 0)
 
 
-# -- tables and lists -------------------------------------------------------------------------------
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], sort: bool = False) -> Markup:
+    """A table whose first column names the rows."""
+    return Markup(macros().table(caption, heads, list(rows), sort, len(heads) > MOST))
 
 
-def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], sort: bool = False) -> str:
-    """A table whose first column names the rows, perhaps sortable; without room its rows become cards.
-
-    Caption and heads are escaped here.
-    """
-    rows = list(rows)
-    told = []
-    for column, head in enumerate(heads):
-        text = f'<button type="button">{escaped(head)}</button>' if sort else escaped(head)
-        told.append(f'<th scope="col"{_classes(text=bool(rows) and rows[0][column].text)}>{text}</th>')
-    body = "\n".join(
-        "<tr>" + "".join(_cell(*one) for one in zip(row, heads, range(len(row)), strict=True)) + "</tr>"
-        for row in rows
-    )
-    return (
-        f'<div class="scroll" role="region" tabindex="0" aria-label="{escaped(caption)}">'
-        f"<table{_classes(sortable=sort, wide=len(heads) > MOST)}><caption>{escaped(caption)}</caption>"
-        f"<thead><tr>{''.join(told)}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>"
-    )
-
-
-def _cell(cell: Cell, head: str, column: int) -> str:
-    tag, more = ("td", f' data-head="{escaped(head)}"') if column else ("th", "")
-    kind = _classes(bad=cell.bad, text=cell.text)
-    sort = "" if cell.sort is None else escaped(cell.sort)
-    scope = "" if column else ' scope="row"'
-    return f'<{tag}{scope}{kind} data-sort="{sort}"{more}>{cell.html}</{tag}>'
-
-
-def _classes(**wanted: bool) -> str:
-    names = " ".join(name for name, one in wanted.items() if one)
-    return f' class="{names}"' if names else ""
-
-
-def badge(kind: Any) -> str:
+def badge(kind: Any) -> Markup:
     """The kind of a guarantee, by colour, sign and word."""
-    look, text = BADGES.get(str(kind), ("limited", escaped(kind)))
-    return f'<span class="badge {look}">{text}</span>'
+    return Markup(macros().badge(*BADGES.get(str(kind), ("limited", str(kind)))))
 
 
-def items(texts: Iterable[Any]) -> str:
+def items(texts: Iterable[Any]) -> Markup:
     """A list of texts."""
-    return "<ul>" + "".join(f"<li>{escaped(text)}</li>" for text in texts) + "</ul>"
+    return Markup(macros().items(texts))
 
 
-def details(summary: str, inner: str) -> str:
+def details(summary: str, inner: str) -> Markup:
     """A part that can be unfolded."""
-    return f"<details><summary>{escaped(summary)}</summary>{inner}</details>"
+    return Markup(macros().details(summary, inner))

@@ -32,8 +32,7 @@ from ..scene.palette import GREEN, input_labels, mode_colour
 from ..scene.scene import describe, shown_axes
 from .scene import plain, scene_data
 
-MOST = 400
-"""Most samples of a run that are drawn, besides changes of controller."""
+MOST = 400  # most samples of a run that are drawn, besides changes of controller
 
 WHO = "Who flies"
 
@@ -53,10 +52,10 @@ class Flown(NamedTuple):
 def flight_data(
     picture: Picture, flown: Sequence[Flown], proved: bool, by: str, opened: float | None = None
 ) -> dict[str, Any]:
-    """What the page's script draws of a schedule and of those that flew it.
+    """What the page's script draws of a schedule and its pilots, coloured by ``mode`` or ``pilot``.
 
-    Paths are coloured by ``mode`` or by ``pilot``. The distance that is proven is shown if there is a proof.
-    The page opens at some time [s], by default that of the closest approach.
+    The distance that is proven is shown if there is a proof. The page opens at `opened` [s], by default the
+    closest approach.
     """
     C = picture.system.position
     paths = [one.runs.states[0] @ C.T for one in flown]
@@ -190,9 +189,6 @@ def _margins(picture: Picture) -> dict[str, Any]:
     return panel("margin", title, "share of room", [limit(0.0, "")], [series])
 
 
-# -- what is proven ---------------------------------------------------------------------------------
-
-
 def _proven(bound: Array, delta: float) -> dict[str, Any]:
     """The distance that is proven, held over every period."""
     K, q = bound.shape
@@ -205,10 +201,8 @@ def _proven(bound: Array, delta: float) -> dict[str, Any]:
 def proven_distance(picture: Picture) -> Array | None:
     """Least distance (K, q) [m] from all unsafe sets that a proved schedule promises over every period.
 
-    The tube over a period lies in the hull of the sets at its ends, up to its bow and that of the
-    reference, and the offsets of a timed polytope run linearly over it: the gap to one facet is least at
-    an end. Where this comes out negative the proof rests on S taking over from a recoverable set, and
-    promises no more than 0. Without a tube or unsafe sets there is none; without a proof it means nothing.
+    The tube lies in the hull of its ends, up to its bow and that of the reference; offsets run linearly, so
+    the gap to a facet is least at an end. Negative gaps rest on S taking over: no more than 0 is promised.
     """
     tube, system = picture.tube, picture.system
     unsafe = perceive(picture.obstacles, system, picture.reference.delta, picture.planned)

@@ -18,10 +18,7 @@ from ...runs.picture import directions
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A ``line`` (with gaps where it is nan), single ``points``, an ``area`` in an outline, or a ``mesh``.
-
-    Points are of shape (N, dim) [m]; a mesh has triangles (F, 3) with corners among them.
-    """
+    """A ``line`` (nan: gap), ``points``, ``area`` or ``mesh`` of triangles (F, 3); points (N, dim) [m]."""
 
     kind: str
     points: Array
@@ -36,24 +33,10 @@ class Shape:
         return Shape(self.kind, self.points + shift, self.faces)
 
 
-# -- in the plane -----------------------------------------------------------------------------------
-
-
-def polygon(support: ArrayLike, rays: Array) -> Array:
-    """Corners (..., R, 2) of a polygon about a set, by its support (..., R) along rays in order of angle."""
-    h = np.asarray(support, dtype=float)
-    after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
-    cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
-    x = (h * after[:, 1] - h_after * rays[:, 1]) / cross
-    y = (h_after * rays[:, 0] - h * after[:, 0]) / cross
-    return np.stack([x, y], axis=-1)
-
-
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
-    """Support (K, parts, R) [m] of a tube over parts of every step, at most q, along rays (R, e).
+    """Support (K, parts, R) [m] of a tube over parts of every step along rays (R, e).
 
-    Centres (K, q+1, e) and generators (K, q+1, e, g) are those at the nodes of every step; the bow (K, q, e)
-    bounds what lies outside the hull of consecutive nodes.
+    From centres (K, q+1, e) and generators (K, q+1, e, g) at nodes, and the bow (K, q, e) between them.
     """
     node = centre @ rays.T + np.abs(np.einsum("ri,kqig->kqrg", rays, generators)).sum(axis=-1)
     between = np.maximum(node[:, :-1], node[:, 1:]) + bow @ np.abs(rays).T
@@ -90,9 +73,6 @@ def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
     """First and one-past-last index of every stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-# -- in space ---------------------------------------------------------------------------------------
 
 
 def hull(points: Array) -> Shape | None:

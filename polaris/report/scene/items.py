@@ -1,7 +1,4 @@
-"""What a scene is made of, whoever draws it: plain data in its axes, and passages that need a close-up.
-
-A close-up is needed where the plane of motion shows the safe path within a set that it passes above or below.
-"""
+"""What a scene is made of: plain data in its axes, and passages that the plane does not show to be safe."""
 
 from __future__ import annotations
 
@@ -28,10 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """The true set at one of the instants that print shows, and what is written there besides its name.
-
-    Perhaps with the outline (V, 2) of where another satellite is known to be, and the chaser's place (dim,).
-    """
+    """The true set at an instant that print shows, what is told, a cover's outline, the chaser's place."""
 
     shape: Shape
     told: str = ""
@@ -76,8 +70,7 @@ class Item:
 class Scene:
     """What is drawn of a picture in two or three axes, from `low` to `high` (dim,) [m], along time [s].
 
-    `axes` are the position coordinates drawn; `time_axis` is the first axis for motion on a line, the last
-    one for a plane seen in space; `closeups` are the passages that the plane does not show to be safe.
+    `time_axis` is the first axis for motion on a line, the last one for a plane seen in space.
     """
 
     picture: Picture
@@ -127,10 +120,7 @@ def under_mode(flown: Array, flags: NDArray[np.bool_]) -> Array:
 
 
 def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> dict[int, Array]:
-    """The first run under Polaris in pieces by mode: the one that flew most first, so that none is hidden.
-
-    `shown` (N+1, dim) says where its nodes are drawn, `span` the first and one-past-last node to draw.
-    """
+    """The first run under Polaris at places (N+1, dim) by mode, over nodes `span`: most flown first."""
     a, b = (0, len(shown)) if span is None else span
     who = modes_per_node(picture.flights["polaris"])[0, a : b - 1]
     modes, counts = np.unique(who, return_counts=True)
@@ -138,20 +128,15 @@ def by_mode(picture: Picture, shown: Array, span: tuple[int, int] | None = None)
     return {int(mode): under_mode(shown[a:b], who == mode) for mode in order}
 
 
-MOST = 6
-"""Most close-ups of a figure: those that are passed nearest."""
-
-
-FLAT = 0.05
-"""Motion out of the plane that nobody would see, as a share of its size."""
+MOST = 6  # most close-ups of a figure: those that are passed nearest
+FLAT = 0.05  # motion out of the plane that nobody would see, as a share of its size
 
 
 @dataclass(frozen=True, eq=False)
 class CloseUp:
-    """One passage of one unsafe set, closest at a time [s] with a distance [m].
+    """One passage of an unsafe set, closest at a time [s] with a distance [m].
 
-    `axes` are the two position coordinates that show the gap, or None if only the distance over time does;
-    `span` is the first and one-past-last sample of the safe path at which they do.
+    `axes` are the coordinates that show the gap, None if only distance over time does; `span` its samples.
     """
 
     obstacle: Obstacle
@@ -164,8 +149,7 @@ class CloseUp:
 def closeups(picture: Picture) -> list[CloseUp]:
     """Passages that the plane of the figures does not show to be safe, in the order of time.
 
-    A passage is a stretch of the safe path that is drawn within a set at the same time but is outside it. A
-    set that is truly entered has none.
+    Stretches of the safe path drawn within a set but outside it; none of a set truly entered.
     """
     if picture.system.d < 3:
         return []
@@ -208,10 +192,7 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
 
 
 def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
-    """Whether the plane of the figures shows all there is to see: motion within it, past all sets.
-
-    `paths` are further positions flown, shape (N, d) [m].
-    """
+    """Whether the plane of the figures shows all there is to see, of `paths` (N, d) [m] flown too."""
     if picture.system.d < 3:
         return True
     space = Space.of(picture)
@@ -222,10 +203,7 @@ def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
 
 
 def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
-    """How far the safe path is from a set at the same time, as both look along the other axes, (N,) [m].
-
-    Negative where the path is drawn within the set. Of another satellite the timed cover counts.
-    """
+    """How far the safe path is from a set (a satellite's timed cover) seen along the other axes, (N,) [m]."""
     axes, system, shape = list(axes), picture.system, obstacle.drawn
     times, path = picture.safe_path()
     if isinstance(obstacle, SatelliteObstacle) or not shape.bounded:  # by the facets that are seen edge on

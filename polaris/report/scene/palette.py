@@ -1,7 +1,6 @@
 """Colours safe for colour-blind readers, and what things are called, in print and on the page alike.
 
-No two kinds of thing share a colour: controllers have hues of their own, unsafe sets are red, inputs grey or
-black, goals green, recoverable sets yellow.
+No two kinds of thing share a colour.
 """
 
 from __future__ import annotations

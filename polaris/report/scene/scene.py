@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from reach.sets.outlines import polygon
+
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.obstacle import directions as directions_in_space
@@ -22,8 +24,7 @@ from .unsafe import prisms, unsafe_items
 MOST_FRAMES = (1, 960, 240)
 """Most sets of a tube that are drawn on the line (one per step), in the plane and in space."""
 
-PATHS = ("reference", "tail")
-"""Roles of the reference until the horizon and after it."""
+PATHS = ("reference", "tail")  # roles of the reference until the horizon and after it
 
 
 def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
@@ -35,8 +36,7 @@ def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
 def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
     """What a scene shows of a picture in two or three axes, by default the plane of the figures.
 
-    It is widened for paths flown (N, d) [m] that stay near, by default the picture's own. Motion on a line is
-    drawn over time.
+    Widened for paths flown (N, d) [m] that stay near; motion on a line is drawn over time.
     """
     if picture.system.d == 1:
         return _on_the_line(picture, paths)
@@ -91,7 +91,7 @@ def _start(picture: Picture, axes: list[int]) -> list[Item]:
     rays = directions(64) if len(axes) == 2 else directions_in_space(3)
     size = np.abs(rays @ G).sum(axis=-1)
     if len(axes) == 2:
-        shape: Shape | None = Shape("area", geometry.polygon(rays @ c + size, rays))
+        shape: Shape | None = Shape("area", polygon(rays @ c + size, rays))
     else:
         thick = np.maximum(size, 1e-3 * float(np.max(size, initial=0.0)))
         shape = geometry.polyhedron(rays, rays @ c + thick, c)
@@ -143,7 +143,7 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
         steps = [np.array([[t, a], [t + delta, a], [t + delta, b], [t, b]]) for t, a, b in ends]
         shapes = [Shape("area", one) for one in steps]
     elif dim == 2:
-        shapes = [Shape("area", one) for one in geometry.polygon(support, rays)]
+        shapes = [Shape("area", one) for one in polygon(support, rays)]
     else:
         inside = centre[:, (edges[:-1] + edges[1:]) // 2].reshape(-1, 3)
         shapes = [geometry.polyhedron(rays, b, c) for b, c in zip(support, inside, strict=True)]
@@ -154,8 +154,7 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
 INSTANTS = 121
 
 
-WIDEN = 2.5
-"""Sets are shown that are no further from the path than so many times its extent."""
+WIDEN = 2.5  # sets are shown that are no further from the path than so many times its extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,16 +18,12 @@ from ...planning.goals import EllipticalNMT, Goal, LinearNMT
 from ...runs.picture import Approach, Picture, directions
 from .geometry import Shape, ball_points, boxed, flat_outline
 
-NEAR = 0.35
-"""How far a flight may stray beyond the safe path, in widths of it, and still widen the view."""
+NEAR = 0.35  # how far a flight may stray beyond the safe path, in widths of it, and still widen the view
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The part of space a scene shows, from `low` to `high` (d,) [m], and the sets in it.
-
-    Everything is in the system's coordinates; whoever draws picks the axes.
-    """
+    """The part of space a scene shows, from `low` to `high` (d,) [m] in the system's coordinates."""
 
     picture: Picture
     low: Array
@@ -35,10 +31,7 @@ class Space:
 
     @classmethod
     def of(cls, picture: Picture, paths: Sequence[Array] | None = None) -> Space:
-        """Room for the safe path and the reference, what they come near, and paths (N, d) [m] about them.
-
-        The paths are by default the picture's first runs; those that stray far are left out.
-        """
+        """Room for the safe path and the reference, what they come near, and paths (N, d) [m] near them."""
         flat = picture.frame.flat
         start = picture.initial_positions
         reach = np.abs(start.G).sum(axis=-1)
@@ -82,10 +75,7 @@ class Space:
         return Space(self.picture, self.low - more, self.high + more)
 
     def corners(self, obstacle: Obstacle, t: float) -> Array:
-        """Corners (V, d) of the true set at t (another satellite's about its nominal place).
-
-        Of a keep-in set the inside. Unbounded sets are cut to this space; V is 0 if nothing is left.
-        """
+        """Corners (V, d) of the true set at t (of a keep-in set the inside), cut to this space."""
         system = self.picture.system
         centre = np.asarray(obstacle.centre(t, system))
         shape = obstacle.drawn
@@ -110,10 +100,7 @@ class Space:
         return np.asarray(obstacle.outline(t, self.picture.system))
 
     def goal(self) -> list[Shape]:
-        """The goal's positions as far as it limits them: lines, points, or the corners of a convex ``area``.
-
-        Infinite widths are cut to this space.
-        """
+        """The goal's positions as far as it limits them: lines, points, or an ``area``."""
         goal = self.picture.goal
         if isinstance(goal, EllipticalNMT):
             angle = np.linspace(0, 2 * np.pi, 121)

@@ -21,24 +21,17 @@ from .palette import LOOKS
 from .space import Space, moves
 
 AXES = ("Radial", "Along-track", "Cross-track")
-ORDER = [1, 0, 2]
-"""Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track."""
-
-PATH = 121
-"""Instants between which a moving set is carried evenly."""
+ORDER = [1, 0, 2]  # Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track
+PATH = 121  # instants between which a moving set is carried evenly
 
 APART = 2.2
 """A moving set is marked before and after the closest approach where it has moved so many times its width."""
 
-PRISMS = 5
-"""Instants between which a set that moves in the plane is a prism along the axis of time."""
+PRISMS = 5  # instants between which a set that moves in the plane is a prism along the axis of time
 
 
 def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
-    """All unsafe sets of a scene in the plane or in space, by its axes and the passages out of the plane.
-
-    Unbounded sets are cut to the space, in the plane to more, so that they fill any frame.
-    """
+    """All unsafe sets of a scene by its axes and close-ups; unbounded ones are cut."""
     items: list[Item] = []
     for obstacle in space.picture.obstacles:
         if isinstance(obstacle, KeepIn):
@@ -101,10 +94,7 @@ def _marks(
 
 
 def instants(obstacle: Obstacle, space: Space) -> list[float]:
-    """When a set is marked: at the closest approach, and if it moves at hand-overs, if it is then in view.
-
-    Without hand-overs once before and after.
-    """
+    """When a set is marked: closest approach; if it moves, at hand-overs, or once before and after."""
     picture, axes, system = space.picture, space.picture.frame.flat, space.picture.system
     closest = picture.approach(obstacle).time
     if not moves(obstacle, picture):
@@ -164,8 +154,7 @@ def _edges(corners: Array) -> Array:
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
     """The timed cover within which another satellite is known to be, as the proof uses it.
 
-    Its offsets run evenly over a step, as the nominal place does here from one decision to the next: seen
-    from there, the larger ones of either end hold for all of the step.
+    Seen from its nominal place, the larger offsets of either end hold for all of a step.
     """
     picture = space.picture
     system, K = picture.system, picture.planned

@@ -1,7 +1,4 @@
-"""One task of a campaign, and what a kind of run brings to it: flying a batch, statistics, replay.
-
-A task is text and numbers, its result plain arrays: nothing else travels between processes.
-"""
+"""One task of a campaign, and what a kind of run brings to it; only text and plain arrays travel."""
 
 from __future__ import annotations
 
@@ -20,27 +17,16 @@ from ...model.version import version
 from ..atomic import check_file, replacing_file
 from ..tables import write_csv
 
-Columns = dict[str, Array]
-"""Results by name, one entry per run: one mode after the other."""
+Columns = dict[str, Array]  # results by name, one entry per run: one mode after the other
 
 
 @dataclass(frozen=True)
 class Case:
-    """One scenario with one combination of values, flown many times.
+    """One scenario with one combination of values, flown many times."""
 
-    Attributes
-    ----------
-    scenario : str
-        Name of the scenario.
-    parameters : tuple of (str, value)
-        Keys of the grid and their values here.
-    text : str
-        The whole scenario as TOML, overrides and parameters applied.
-    """
-
-    scenario: str
-    parameters: tuple[tuple[str, Any], ...]
-    text: str
+    scenario: str  # its name
+    parameters: tuple[tuple[str, Any], ...]  # keys of the grid and their values here
+    text: str  # the whole scenario as TOML, overrides and parameters applied
 
     @property
     def label(self) -> str:
@@ -54,11 +40,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Task:
-    """One batch of runs of one case: the scenario as TOML, and numbers.
-
-    Cases, batches and runs count from 0; `first` is the number of its first run in the case, `runs` how
-    many each mode flies. A worker with another `version` of this package refuses.
-    """
+    """One batch of runs of one case (TOML); a worker with another `version` of this package refuses."""
 
     kind: Kind
     case: int
@@ -72,30 +54,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """One run of a campaign, flown again.
+    """One run of a campaign, flown again."""
 
-    Attributes
-    ----------
-    arrays : mapping
-        Its trajectory by the names arrays have in an ``.npz`` file, units included.
-    table : mapping
-        The same as columns; those of control periods are one shorter than those of instants.
-    row : mapping
-        What the campaign's table says of it.
-    """
-
-    arrays: Mapping[str, Any]
-    table: Mapping[str, Array]
-    row: Mapping[str, Any] = field(default_factory=dict)
+    arrays: Mapping[str, Any]  # its trajectory by the names arrays have in an ``.npz`` file, units included
+    table: Mapping[str, Array]  # the same as columns: those of periods are one shorter than of instants
+    row: Mapping[str, Any] = field(default_factory=dict)  # what the campaign's table says of it
 
     def write(self, path: str | Path) -> Path:
-        """Write the trajectory as CSV or, if the name ends so, as ``.npz``; whole, or not at all.
-
-        Raises
-        ------
-        ScenarioError
-            If the name ends otherwise, or the file cannot be written.
-        """
+        """Write the trajectory as CSV or ``.npz``, whole or not at all; `ScenarioError` if it cannot be."""
         target = check_trajectory(path)
         with replacing_file(target) as beside:
             if target.suffix == ".npz":
@@ -115,8 +81,7 @@ def check_trajectory(path: str | Path) -> Path:
 class Batch:
     """What became of a task: columns, shapes (modes * runs,), or why its case cannot be flown.
 
-    `schedule` is the SHA-256 of what the schedule that flies does, on which all batches of a case must agree;
-    it may be empty. `trajectory` is that of the run that was asked for.
+    All batches of a case must agree on `schedule`, the SHA-256 of what the schedule that flies does.
     """
 
     schedule: str
@@ -128,11 +93,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A finished campaign, as statistics see it.
-
-    `failures` tells ``message`` and ``exit_code`` of cases that cannot be flown; `read` gives columns of all
-    runs of a case, by its number and their names (None: all), in order.
-    """
+    """A finished campaign, as statistics see it; `read` gives columns of all runs of a case, in order."""
 
     cases: Sequence[Case]
     runs: int
@@ -144,10 +105,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Kind(ABC):
-    """What a kind of run brings to a campaign; plain data, for it travels with every task.
-
-    Every run is flown once by each of the `modes`.
-    """
+    """What a kind of run brings to a campaign; plain data. Every run is flown once by each of the `modes`."""
 
     modes: tuple[str, ...]
 
@@ -172,10 +130,7 @@ class Kind(ABC):
 
     @abstractmethod
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
-        """Fly and measure one mode of a batch, bit for bit the same in every process.
-
-        The trajectory is that of `run`. A `PolarisError` says why the case cannot be flown.
-        """
+        """Fly and measure one mode of a batch, the same in every process, with the trajectory of `run`."""
 
     @abstractmethod
     def summarise(self, results: Results, worst: int) -> dict[str, Any]:

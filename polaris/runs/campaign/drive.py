@@ -1,7 +1,4 @@
-"""Flying a campaign: hands tasks to an executor, keeps what comes back, and survives lost workers.
-
-One run of it can be flown again: the same numbers, with its whole trajectory.
-"""
+"""Flying a campaign: tasks to an executor, survival of lost workers; and flying one run again."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
 from .workers import Workers, going_on, work_through, workers_of
 
-RECOVERIES = 3
-"""Times in a row that lost workers are replaced without a batch being finished."""
+RECOVERIES = 3  # times in a row that lost workers are replaced without a batch being finished
 
 Progress = Callable[[int, int], None]
 
@@ -142,13 +138,7 @@ def run_campaign(
 def find_worst(
     folder: CampaignFolder, rank: int, mode: str | None = None, case: int | None = None
 ) -> tuple[int, int, int]:
-    """Case, batch and run that came closest to an unsafe set, or the `rank`-th closest (1 is the closest).
-
-    Raises
-    ------
-    ScenarioError
-        If there are fewer runs, not all of the parts yet, or runs of this kind are not ranked.
-    """
+    """Case, batch and run that came `rank`-th closest to an unsafe set; `ScenarioError` if there is none."""
     ranking = folder.plan.kind.ranking
     if not ranking:
         raise ScenarioError("--worst", rank, "runs of this kind are not ranked; give --case, --batch, --run")

@@ -134,11 +134,9 @@ class CampaignFolder:
 
 
 def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> CampaignFolder:
-    """Make a folder for a campaign, or take up the one that is there.
+    """Make a folder for a campaign, or take up the one that is there; `ScenarioError` if something else is.
 
-    What killed processes left half written is removed, and failures that more time might change (not
-    certified, rather than infeasible) are forgotten. `ScenarioError` if there is something else, or another
-    campaign and not `fresh`.
+    What is half written is removed, and failures that more time might change are forgotten.
     """
     path = Path(out).resolve()
     table = usable(plan.kind.formats)
@@ -224,8 +222,7 @@ def _difference(known: dict[str, Any], plan: CampaignPlan) -> str:
     return "other " + ", ".join(names) if names else "its manifest was changed"
 
 
-KEY = "polaris"
-"""Where a part says which campaign, case, batch and schedule it belongs to."""
+KEY = "polaris"  # where a part says which campaign, case, batch and schedule it belongs to
 
 
 class Parquet:

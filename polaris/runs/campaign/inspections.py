@@ -22,8 +22,7 @@ from ..folder import summary_of
 from ..inspection import ARRAYS
 from .batch import Batch, Case, Kind, Replayed, Results, Task, of_mode
 
-BLOCK = 100
-"""Runs flown together: what fits into fast memory."""
+BLOCK = 100  # runs flown together: what fits into fast memory
 
 STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
 
@@ -47,13 +46,7 @@ GUARANTEE = {
 
 @dataclass(frozen=True)
 class InspectionRuns(Kind):
-    """Runs of a scenario of the kind ``monte_carlo``.
-
-    Attributes
-    ----------
-    modes : tuple of str
-        Names of the scenario's studies; all fly the same initial conditions.
-    """
+    """Runs of a ``monte_carlo`` scenario; the modes are its studies, on the same initial conditions."""
 
     name: ClassVar[str] = "inspection"
     formats: ClassVar[tuple[str, ...]] = ("parquet", "npz")

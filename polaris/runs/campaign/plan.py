@@ -24,8 +24,7 @@ FORMAT, VERSION = "polaris campaign", 2
 KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, InspectionRuns)}
 """Kinds of run by the name in a manifest."""
 
-BATCH = 250
-"""Runs per task: enough to be worth sending, few enough to lose little with a worker."""
+BATCH = 250  # runs per task: enough to be worth sending, few enough to lose little with a worker
 
 
 @dataclass(frozen=True)
@@ -136,9 +135,6 @@ def _column_type(found: set[type]) -> type:
     if found in ({bool}, {int}):
         return found.pop()
     return float if found <= {int, float} else str
-
-
-# -- cases -------------------------------------------------------------------------------------------
 
 
 def make_cases(

@@ -31,8 +31,7 @@ from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
 """Who flies: the schedule, S alone, or the preferred U alone."""
 
-KEPT = 4
-"""Schedules a process keeps; cases come one after the other, so few are in use at a time."""
+KEPT = 4  # schedules a process keeps; cases come one after the other, so few are in use at a time
 
 _lock = threading.Lock()
 
@@ -105,17 +104,8 @@ def schedule_of(text: str) -> tuple[Schedule, str]:
 class ScheduleRuns(Kind):
     """Runs of switching schedules, as `polaris.simulate` flies and `polaris.evaluate` measures them.
 
-    Attributes
-    ----------
-    modes : tuple of str
-        ``polaris``, ``safety``, ``experimental``.
-    initial, disturbance : str
-        As in `polaris.simulate`.
-
-    Raises
-    ------
-    ScenarioError
-        If a value is not allowed.
+    The modes are among ``polaris``, ``safety``, ``experimental``; `initial` and `disturbance` are those of
+    `polaris.simulate`. `ScenarioError` if a value is not allowed.
     """
 
     modes: tuple[str, ...] = ("polaris",)
@@ -191,10 +181,7 @@ class ScheduleRuns(Kind):
 
 
 def batch_seeds(task: Task) -> tuple[int, int]:
-    """Seeds of the flights and of the other satellites' true states, below 2^63.
-
-    They hang on the campaign's seed, the case's text and the batch's number alone.
-    """
+    """Seeds of the flights and of true satellites, below 2^63, from seed, case text and batch alone."""
     case = int.from_bytes(hashlib.sha256(task.text.encode()).digest()[:16], "big")
     drawn = np.random.SeedSequence([task.seed, case, task.batch]).generate_state(2, np.uint64) >> np.uint64(1)
     return int(drawn[0]), int(drawn[1])

@@ -19,20 +19,11 @@ from typing import Any, TypeVar
 
 from ...model.errors import PolarisError, ScenarioError, failed
 
-TICK = 2.0
-"""Seconds without a result after which the workers are asked whether there are any."""
-
-PATIENCE = 5.0
-"""Seconds a scheduler may take to answer."""
-
-DESERTED = 60.0
-"""Seconds a cluster may be without any worker before the campaign ends."""
-
-LOGGERS = ("distributed", "tornado", "asyncio")
-"""Roots of the loggers of Dask's client."""
-
-AHEAD = 4
-"""Tasks handed out per worker: enough to keep it busy, few enough to bound the memory."""
+TICK = 2.0  # seconds without a result after which the workers are asked whether there are any
+PATIENCE = 5.0  # seconds a scheduler may take to answer
+DESERTED = 60.0  # seconds a cluster may be without any worker before the campaign ends
+LOGGERS = ("distributed", "tornado", "asyncio")  # roots of the loggers of Dask's client
+AHEAD = 4  # tasks handed out per worker: enough to keep it busy, few enough to bound the memory
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -58,27 +49,13 @@ def going_on(kept: Callable[[], str]) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor that can be made again, and how losses of workers show.
+    """An executor that can be made again, and how losses of workers show."""
 
-    Attributes
-    ----------
-    make : callable
-        A new executor.
-    window : callable
-        Most tasks to hand out at a time, now.
-    lost : tuple of exception types
-        Errors of a future whose worker was lost: its task is to be done again.
-    again : bool
-        Whether a broken executor is to be replaced by a new one.
-    trouble : callable
-        Why nothing can come back any more; empty if nothing speaks against it.
-    """
-
-    make: Callable[[], Executor]
-    window: Callable[[], int]
-    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)
-    again: bool = True
-    trouble: Callable[[], str] = lambda: ""
+    make: Callable[[], Executor]  # a new executor
+    window: Callable[[], int]  # most tasks to hand out at a time, now
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)  # its task is to be done again
+    again: bool = True  # whether a broken executor is to be replaced by a new one
+    trouble: Callable[[], str] = lambda: ""  # why nothing can come back any more, if so
 
 
 class InProcess(Executor):

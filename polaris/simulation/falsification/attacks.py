@@ -88,7 +88,7 @@ class Attacker:
             rows[:near] = self.rows[self.first[which] + self._best[which, period]]
             later = self.rng.integers(0, self.flight.substeps + 1, near)
             targets[:near] = np.clip(period * self.flight.substeps + later, 1, self.flight.steps)
-        return self._towards(rows, targets, None)
+        return self._towards(rows, targets)
 
     def again(self, runs: Runs, found: Attained, count: int) -> Attack:
         """The worst case about runs just flown, their clipped inputs as they were.
@@ -108,7 +108,7 @@ class Attacker:
         rows = np.array([self._row(*given) for given in at])
         clipped = np.abs(runs.inputs) >= self.flight.system.u_max * (1 - 1e-12)
         per_step = np.repeat(clipped.swapaxes(0, 1), self.flight.substeps, axis=0)
-        return self._towards(rows[:count], step[:count], per_step[:, :count])
+        return self._towards(rows[:count], step[:count], per_step[:, :count], runs.states[:count])
 
     def mutate(self, elites: Attack, count: int) -> Attack:
         """Elites changed a little: a stretch of their disturbance from elsewhere, a corner flipped."""
@@ -128,8 +128,14 @@ class Attacker:
         x0[swapped] = donor.x0[swapped]
         return Attack(x0, w, free)
 
-    def _towards(self, rows: Array, targets: NDArray[np.int_], clipped: NDArray[np.bool_] | None) -> Attack:
-        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped)
+    def _towards(
+        self,
+        rows: Array,
+        targets: NDArray[np.int_],
+        clipped: NDArray[np.bool_] | None = None,
+        about: Array | None = None,
+    ) -> Attack:
+        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped, about)
         return Attack(self.flight.schedule.safety.problem.initial_set.support_vector(adjoint), w, free)
 
     def _row(self, limit: int, x: Array, node: int) -> Array:

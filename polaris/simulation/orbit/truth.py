@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
+from ...model.thrusters import Thrusters
 from ...synthesis.schedule import Schedule
+from ..delayed import Predicting
 from ..disturbances import disturbances
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
@@ -60,7 +62,9 @@ def fly_true(
     of the size declared for everything else. With errors of navigation or thrusters, half of the runs have
     them, that acceleration and the start at the worst for a limit and an instant, by the adjoint of the
     linear loop. In the others estimates err at random, and thrusters are as built: each has its own strength,
-    all are turned about an axis, and impulses are rounded to the bit.
+    all are turned about an axis, and impulses are rounded to the bit. Under sampled feedback, delays and
+    missed periods are flown as they are, with predictions on board; else as errors within the bounds of
+    predictions.
 
     Parameters
     ----------
@@ -84,7 +88,10 @@ def fly_true(
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
-    flight = _TrueMotion(schedule, modes, substeps)
+    at_once = schedule.safety.problem.system.timing.instant or not schedule.safety.tracking.feedback.sampled
+    flight = (_TrueMotion if at_once else _Predicting)(schedule, modes, substeps)
+    if isinstance(flight, _Predicting):
+        flight.prepare(n, rng)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
     pushed, adjoint = flight.at_their_worst(push, rng)
@@ -104,6 +111,7 @@ class _TrueMotion(Integrator):
     residual: Array  # largest within each period, (nodes, R)
     axis: Array  # about which the last runs' thrusters are turned, (r, 3)
     strength: Array  # of each of them, as a share of the error, (r, 3)
+    errors = Thrusters()  # of thrusters alone, jitter left out
 
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         return super().command(number, k, half, x[:, :6], later)
@@ -114,6 +122,7 @@ class _TrueMotion(Integrator):
         pushed = np.broadcast_to(push, (self.steps, n, 3))
         if system.ideal:
             return pushed, np.zeros((0, 6))
+        self.errors = system.prompt.thrusters
         w, adjoint = disturbances(self, n, rng, "mixed")
         worst = np.arange(n) < len(adjoint)
         force = (w[..., :p] @ system.D.T)[..., 3:] * (self.env.other / max(system.w_max, 1e-300))
@@ -123,7 +132,7 @@ class _TrueMotion(Integrator):
         return np.concatenate([np.where(worst[:, None], force, pushed), w[..., p:]], axis=2), adjoint
 
     def applied(self, raw: Array, step: int) -> Array:
-        u, errors = super().applied(raw, step), self.system.thrusters
+        u, errors = super().applied(raw, step), self.errors
         if errors.exact:
             return u
         built = slice(len(u) - len(self.axis), None)
@@ -153,6 +162,10 @@ class _TrueMotion(Integrator):
         node = k * self.q + step // self.substeps
         self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
         return runge_kutta(rate, x, self.dt, first)
+
+
+class _Predicting(Predicting, _TrueMotion):
+    """The same, what controllers act on being predicted on board."""
 
 
 def declared(env: Environment, target: Array) -> NDArray[np.bool_]:

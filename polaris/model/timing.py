@@ -1,0 +1,41 @@
+"""When commands take effect: the delay since the measurement they rest on, missed periods, jitter, clocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What lies between a measurement and the thrust that answers it (docs/theory.md, Lemmas 25 and 26).
+
+    Controllers act on the state as it is predicted for the instant at which their command takes effect.
+
+    Parameters
+    ----------
+    delay, jitter : float
+        From a measurement until the command that rests on it takes effect, and by how much that may vary [s].
+    missed : int
+        Periods in a row in which there may be no new measurement.
+    clock : float
+        How far the schedule's clock may be from that of the unsafe sets [s].
+    bit, longer : float
+        Error of an input, whatever its command, without jitter [N]; the share of a period by which a command
+        may be in force for longer.
+    measured, displaced : tuple of float
+        Bounds on the errors of the measured states, and on how far jitter displaces states, (n,).
+    """
+
+    delay: float = 0.0
+    jitter: float = 0.0
+    missed: int = 0
+    clock: float = 0.0
+    bit: float = 0.0
+    longer: float = 0.0
+    measured: tuple[float, ...] = ()
+    displaced: tuple[float, ...] = ()
+
+    @property
+    def instant(self) -> bool:
+        """Whether commands take effect at once, and on time."""
+        return not (self.delay > 0 or self.jitter > 0 or self.missed > 0)

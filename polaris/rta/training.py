@@ -1,0 +1,189 @@
+"""Many flights of a switching scene for learning, each at its own decision, with or without the monitor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from ..synthesis.neural import stacked
+from .decision_grid import DecisionGrid
+from .flight import Conditions, Engine
+from .method import FILTERED
+from .methods.monitor import REENTRY, Monitor
+
+POOL = 32
+"""Fewest flights whose conditions are drawn at a time."""
+
+FLAGS = ("collided", "ended", "intervened")
+TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
+"""What is told of every flight after a period, see `TrainingFlights.advance`."""
+
+
+@dataclass(eq=False)
+class TrainingFlights:
+    """R flights of one scene. A policy commands an input, held for a decision period.
+
+    It reads the numbers that a `polaris.synthesis.neural.Policy` reads, in the same order: what was trained
+    can be flown as a controller of ``kind = "neural"``. It is paid, per period,
+    ``period / T * (1 / (1 + d / length) - effort * mean(|u| / u_max))`` for a distance d [m] at the period's
+    end to the reference of the first experimental controller (the safe one if that has none), and one less
+    where it collides: at most 1 per flight.
+
+    Parameters
+    ----------
+    grid : DecisionGrid
+        Without latency.
+    runs : int
+    inputs : tuple of str
+        As those of `Policy`.
+    input_scale : ndarray, shape (r,), optional
+        By default such that every number is about 1 along the safe reference.
+    length : float, optional
+        [m]; by default a tenth of the way from the reference's start to its end, or of 1 m.
+    effort : float
+        Price of full thrust.
+
+    Attributes
+    ----------
+    k : ndarray of int, shape (R,)
+        Decisions made.
+    x : ndarray, shape (R, n)
+        States.
+    monitor : Monitor or None
+        Decides who flies; without it always the policy does.
+    """
+
+    grid: DecisionGrid
+    runs: int
+    inputs: tuple[str, ...] = ("error",)
+    input_scale: Array | None = None
+    length: float | None = None
+    effort: float = 0.05
+    monitor: Monitor | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        grid, n = self.grid, self.grid.system.n
+        if grid.delay:
+            raise ScenarioError("latency", grid.latency, "must be 0 for training")
+        sizes = {"error": n, "state": n, "time": 1, "reference_input": grid.system.m}
+        names = set(self.inputs)
+        if not names or not names <= sizes.keys() or len(names) < len(self.inputs):
+            rule = f"must name each at most once, of {', '.join(sizes)}"
+            raise ScenarioError("inputs", list(self.inputs), rule)
+        self.engine, self.target = Engine(grid), grid.own.get(1, grid.xi)
+        law = grid.controllers[min(1, len(grid.controllers) - 1)]
+        self._nu = getattr(law, "own", grid.clearance.reference).nu
+        nodes = np.arange(grid.decisions) * grid.nodes
+        ends = self.target[nodes[[0, -1]]] @ grid.system.position.T
+        self._length = self.length or 0.1 * (float(np.linalg.norm(ends[1] - ends[0])) or 1.0)
+        half = np.abs(grid.schedule.safety.problem.initial_set.G).sum(axis=1)
+        most = np.abs(self._read(np.arange(len(nodes)), grid.xi[nodes] + half)).max(axis=0)
+        self.scale = 1 / np.where(most > 0, most, 1.0)
+        if self.input_scale is not None:
+            if np.shape(self.input_scale) != self.scale.shape:
+                rule = f"must have {self.scale.size} numbers"
+                raise ScenarioError("input_scale", np.size(self.input_scale), rule)
+            self.scale = np.array(self.input_scale, dtype=float)
+        self.k, self.x = np.zeros(self.runs, dtype=int), np.zeros((self.runs, n))
+        self._flown, self._left = np.zeros(self.runs, dtype=int), 0
+        self._w = np.zeros((0, self.runs, 0))
+        self._errors = np.zeros((grid.decisions + 1, self.runs, n))
+
+    def shield(self, reentry: float = REENTRY) -> None:
+        """Let the online monitor decide, which assumes nothing of the policy but the thrust limits.
+
+        Raises
+        ------
+        NotCertified
+            If the initial set is not inside the first recoverable set.
+        """
+        self.monitor = Monitor(self.grid, "thrust_limits", reentry=reentry)
+        self.monitor.modes = (1,)  # whoever it is: the policy
+
+    def restart(self, chosen: NDArray[np.bool_], rng: np.random.Generator, fresh: bool = False) -> None:
+        """Begin some flights (R,) anew; starts, disturbances and errors are those of `Conditions.draw`.
+
+        They are drawn many at a time and used one by one; `fresh` throws away what is left.
+        """
+        self._left = 0 if fresh else self._left
+        for run in np.flatnonzero(chosen):
+            if not self._left:
+                self._left = max(self.runs, POOL)
+                self._drawn = Conditions.draw(self.grid, self._left, int(rng.integers(2**31)))
+                if not self._w.size:
+                    self._w = np.zeros((len(self._drawn.w), self.runs, self._drawn.w.shape[2]))
+            self._left -= 1
+            self.x[run], self._w[:, run] = self._drawn.x0[self._left], self._drawn.w[:, self._left]
+            self._errors[:-1, run] = self._drawn.errors[:, self._left]
+        self.k[chosen] = self._flown[chosen] = 0
+
+    def observe(self) -> Array:
+        """What policies read of the states as measured, shape (R, r)."""
+        return self._read(self.k, self.x + self._errors[self.k, np.arange(self.runs)]) * self.scale
+
+    def _read(self, k: NDArray[np.int_], x: Array) -> Array:
+        grid = self.grid
+        step = np.minimum(k * grid.nodes // grid.clearance.q, len(self._nu) - 1)
+        parts = {
+            "error": self.target[k * grid.nodes] - x,
+            "state": x,
+            "time": (step * grid.tracking.delta)[:, None],
+            "reference_input": self._nu[step],
+        }
+        return stacked(self.inputs, parts)
+
+    def advance(self, u: Array, moving: NDArray[np.bool_] | None = None) -> dict[str, NDArray[Any]]:
+        """Fly a decision period with inputs (R, m), clipped to the limits; some flights may stand still.
+
+        Where an input is not finite, S flies under the monitor, and nothing thrusts without it.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (R,)
+            ``reward``; ``collided`` (at a node, with an unsafe set as perceived); ``ended`` (the plan);
+            ``intervened`` (S flew); ``margin`` of the monitor, if there is one (least share of room left);
+            ``distance_m`` (least at the nodes, by the farthest facet of a set); ``delta_v_m_s`` (spent).
+        """
+        moving = np.ones(self.runs, dtype=bool) if moving is None else moving
+        names = TOLD if self.monitor is None else (*TOLD, "margin")
+        out = {name: np.zeros(self.runs, dtype=bool if name in FLAGS else float) for name in names}
+        for k in np.unique(self.k[moving]).tolist():
+            chosen = np.flatnonzero(moving & (self.k == k))
+            for name, values in self._advanced(k, chosen, u[chosen]).items():
+                out[name][chosen] = values
+        return out
+
+    def _advanced(self, k: int, chosen: NDArray[np.intp], u: Array) -> dict[str, NDArray[Any]]:
+        """The flights that are all at decision k."""
+        grid, finite, x = self.grid, np.asarray(np.isfinite(u).all(axis=1)), self.x[chosen]
+        told: dict[str, NDArray[Any]] = {}
+        mode = np.full(len(chosen), FILTERED)
+        if self.monitor is not None:
+            e = x + self._errors[k, chosen] - grid.xi[k * grid.nodes]
+            found, told["margin"] = self.monitor.judge(k, e, self._flown[chosen])
+            mode = np.where((found > 0) & finite, FILTERED, 0)
+        u = np.where(finite[:, None], u, 0.0)
+        distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
+        normals, offsets, _ = grid.facets
+        for node in range(k * grid.nodes, (k + 1) * grid.nodes):
+            x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
+            spent += thrust * self.engine.dt
+            room = x @ (normals @ grid.system.position).T - offsets[node + 1]
+            distance = np.minimum(distance, grid.nearest(room))
+        self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
+        off = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
+        near = 1 / (1 + np.linalg.norm(off, axis=1) / self._length)
+        worth = near - self.effort * spent / (grid.period * grid.system.u_max.sum())
+        return told | {
+            "reward": worth / grid.decisions - (distance < 0),
+            "collided": np.asarray(distance < 0),
+            "ended": np.full(len(chosen), k + 1 == grid.decisions),
+            "intervened": np.asarray(mode == 0),
+            "distance_m": distance,
+            "delta_v_m_s": spent / grid.system.mass,
+        }

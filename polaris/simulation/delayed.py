@@ -1,0 +1,73 @@
+"""Delays, missed periods and predictions flown for real: what controllers act on is worked out on board."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from .integration import Integrator
+
+
+class Predicting(Integrator):
+    """A flight whose controllers predict the state from measurements that are late; sampled feedback.
+
+    `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
+    Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
+    flown as the nearest whole number of steps of the integration; jitter makes commands late by up to one.
+    """
+
+    ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
+    late: Array  # by which share of a step a command comes late, (nodes, R)
+    off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
+
+    def prepare(self, runs: int, rng: np.random.Generator) -> None:
+        """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
+        system, timing = self.system, self.system.timing
+        if not self.sampled:
+            raise ScenarioError("feedback.kind", "continuous", "must be 'sampled' to fly delays step by step")
+        nodes = len(self.modes) * self.q
+        self.lag, self.off = round(timing.delay / self.dt), np.zeros(system.n)
+        lost, self.ages = rng.random((nodes, runs)) < 0.5, np.zeros((nodes, runs))
+        for node in range(1, nodes):
+            older = self.ages[node - 1] + 1
+            self.ages[node] = np.where(lost[node] & (older <= timing.missed), older, 0)
+        # Every instant's measurement, and what is commanded from then on.
+        self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
+        self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
+        bound = np.maximum(system.navigation, 1e-300)
+        self.noise = np.array(timing.measured or system.navigation) / bound
+
+    def estimate(self, step: int, x: Array) -> Array:
+        """The state as it is predicted from the last measurement under what was commanded since."""
+        self.seen[step] = x
+        found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
+        (Ad, Bd, _), bound = self.held, np.maximum(self.system.navigation, 1e-300)
+        for age in np.unique(ages).astype(int).tolist():
+            start, runs = step - self.lag - age * self.substeps, ages == age
+            if start < 0:
+                continue
+            y = self.seen[start, runs]
+            if self.eta is not None:
+                y = y + self.noise * self.eta[start, runs]
+            for at in range(start, step):
+                y = y @ Ad.T + self.told[at, runs] @ Bd.T
+            self.off = np.maximum(self.off, np.max(np.abs(y - x[runs]), axis=0) / bound)
+            found[runs] = y
+        return np.asarray(found)
+
+    def applied(self, raw: Array, step: int) -> Array:
+        """Noted for predictions, too."""
+        self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
+        return super().applied(raw, step)
+
+    def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
+        """States a step later, what is measured at its start being noted."""
+        at = k * self.steps_per_cell + step
+        self.seen[at] = x[:, : self.system.n]
+        if at and at % self.substeps == 0:  # part of the step still flies what was commanded before
+            u = u + self.late[at // self.substeps][:, None] * (self.told[at - 1] - self.told[at])
+        return super().move(number, k, step, x, u, w)
+
+    def _unclipped(self, *cell: object) -> None:
+        """What is commanded depends on more than the state."""

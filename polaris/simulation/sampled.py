@@ -1,0 +1,137 @@
+"""Schedules that rest on samples: how surely the commands of black boxes keep to their bands.
+
+Everything is decided first: modes, sets, margins. Then flights that nothing was fitted to are drawn, and how
+many of them leave any band is held against the asked probability by the exact binomial bound.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta, binom
+
+from ..synthesis.black_box import BlackBox, FittedSegment
+from ..synthesis.controllers import Controller
+from ..synthesis.get_safety import Safety
+from ..synthesis.schedule import Schedule, Statement
+from ..synthesis.synthesize import synthesize
+from .falsification.search import Falsification, falsify
+from .run_metrics import Runs
+from .simulate import simulate
+
+ATTEMPTS = 4
+"""How often wider bands are tried, with other flights each, before no statement is made."""
+WIDEN = 1.6
+"""By how much they are wider each time."""
+SPARE = 8
+"""Flights that may leave a band without a further attempt: what they cost is more flights."""
+MOST = 10_000_000
+"""No more flights than this are ever drawn for a statement."""
+BATCH = 1000
+"""Flights at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """What becomes of a scenario with black boxes.
+
+    Attributes
+    ----------
+    schedule : Schedule
+        With the boxes, its guarantee ``statistical``; `proven` itself where no statement could be made.
+    proven : Schedule
+        With anything within the thrust limits in place of the boxes.
+    worst : Falsification or None
+        The worst that a search found with the boxes; None where none of them flies.
+    adverse : float
+        Share of flights from corners of the initial set under worst-case disturbances that leave a band:
+        what the statement, which is about flights drawn at random, says nothing of.
+    """
+
+    schedule: Schedule
+    proven: Schedule
+    worst: Falsification | None
+    adverse: float = 0.0
+
+
+def flights_needed(probability: float, doubt: float) -> int:
+    """Least number of flights of which more than `SPARE` would leave a band, but for a chance of `doubt`."""
+    return bisect_left(range(MOST), True, SPARE + 1, key=lambda n: binom.cdf(SPARE, n, probability) <= doubt)
+
+
+def at_most(outside: int, flights: int, doubt: float) -> float:
+    """Upper bound on a probability (Clopper and Pearson 1934), wrong with one of at most `doubt`."""
+    return 1.0 if outside >= flights else float(beta.ppf(1 - doubt, outside + 1, flights - outside))
+
+
+def outside(runs: Runs) -> NDArray[np.float64]:
+    """How far each flight leaves the bands of its boxes, at its worst, shape (R,); above 1 it is outside."""
+    schedule, most = runs.schedule, np.zeros(len(runs.states))
+    q = schedule.safety.tracking.feedback.nodes_per_cell
+    arcs = schedule.safety.reference.fine(q)
+    for step in schedule.steps:
+        if isinstance(step.tube, FittedSegment):
+            part = slice(step.k * q, (step.k + 1) * q)
+            errors = runs.states[:, part] - arcs[step.k, :-1]
+            most = np.maximum(most, step.tube.outside(errors, runs.inputs[:, part]))
+    return np.asarray(most)
+
+
+def synthesize_sampled(
+    scenario: Any,
+    safety: Safety,
+    experimental: Sequence[Controller],
+    *,
+    probability: float = 0.01,
+    confidence: float = 0.999,
+    seed: int = 0,
+    attacks: int = 1000,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sampled:
+    """Schedules of controllers some of which are black boxes: one by samples, and the proven one beside it.
+
+    Parameters
+    ----------
+    scenario, safety, experimental, progress
+        As in `synthesize`.
+    probability : float
+        With which a flight may leave a band in any step that a box flies.
+    confidence : float
+        Of the statement that it is no more; over the samples.
+    seed : int
+        Of the samples.
+    attacks : int
+        Flights of the search for the worst.
+
+    Notes
+    -----
+    The doubt ``1 - confidence`` is shared out among the attempts: a half to the first, a quarter to the
+    second, and so on, so that the statement holds though later attempts depend on earlier samples.
+    """
+    known = [law.anything if isinstance(law, BlackBox) else law for law in experimental]
+    proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
+    doubt, laws = 1 - confidence, list(experimental)
+    for attempt in range(ATTEMPTS):
+        found, doubt = synthesize(scenario, safety, laws, progress=progress), doubt / 2
+        if not found.sampled_steps:
+            return Sampled(found if found.share() > proven.share() else proven, proven, None)
+        flights, left = flights_needed(probability, doubt), 0
+        for first in range(0, flights, BATCH):
+            drawn = seed + 1_000_000 * (attempt + 1) + first
+            count = min(BATCH, flights - first)
+            runs = simulate(found, count, drawn, initial="random", disturbance="random")
+            left += int(np.count_nonzero(outside(runs) > 1))
+        most = at_most(left, flights, doubt)
+        if most <= probability:
+            said = Statement(most, confidence, flights, left, seed, attempt + 1)
+            found = replace(found, statement=said)
+            hostile = simulate(found, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
+            adverse = float(np.mean(outside(hostile) > 1))
+            return Sampled(found, proven, falsify(found, attacks, seed), adverse)
+        laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
+    return Sampled(proven, proven, None)

@@ -1,0 +1,345 @@
+"""Black boxes: what samples say of them, what they do not say, and that nobody calls it proven."""
+
+import json
+import shlex
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import binom
+
+import polaris
+from polaris.certificate.checker import verify
+from polaris.certificate.document import digest
+from polaris.model.errors import ScenarioError
+from polaris.runs.program import program
+from polaris.runs.run import read_run, run
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import ScheduleScenario, load_scenario
+from polaris.simulation.integration import Integrator
+from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
+from polaris.simulation.simulate import initial_states, simulate
+from polaris.synthesis.black_box import BlackBox
+from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
+
+from .tiny import TINY
+
+PERIOD = 0.25
+TABLE = {"kind": "black_box", "name": "box", "probability": 0.02}
+
+
+def document(**table):
+    found = load_scenario(TINY, {"feedback": {"kind": "sampled", "period_s": PERIOD}}).to_dict()
+    return found | {"experimental": [TABLE | table], "simulation": {"runs": 3}}
+
+
+@cache
+def hasty():
+    """What the box of these tests asks in secret: the affine law of the scene, by time."""
+    scenario = load_scenario(TINY, {"feedback": {"kind": "sampled", "period_s": PERIOD}})
+    law = scenario.controllers(polaris.get_safety(scenario))[0]
+    nodes = law.own.fine(4)[:, :-1].reshape(-1, 4)
+
+    def ask(t, x, xi):
+        node = min(round(t / PERIOD), len(nodes) - 1)
+        return law.own.nu[min(node // 4, len(law.own.nu) - 1)] + (nodes[node] - x) @ law.gain.T
+
+    return ask
+
+
+@cache
+def safety():
+    return polaris.get_safety(ScheduleScenario.from_dict(document()))
+
+
+def box(ask=None, **more):
+    part = safety()
+    return BlackBox("box", part.problem.system, part.reference, part.tracking, ask or hasty(), **more)
+
+
+# -- statistics -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("probability", "doubt"), [(0.01, 5e-4), (0.02, 1e-3), (0.2, 0.05)])
+def test_so_many_flights_are_enough_and_no_fewer_are(probability, doubt):
+    count = flights_needed(probability, doubt)
+    assert binom.cdf(SPARE, count, probability) <= doubt < binom.cdf(SPARE, count - 1, probability)
+    assert at_most(SPARE, count, doubt) <= probability < at_most(SPARE + 1, count, doubt)
+
+
+def test_the_bound_is_wrong_no_more_often_than_it_says():
+    """Over all numbers of flights outside, weighted by how probable each is."""
+    for probability in (0.001, 0.01, 0.1, 0.5, 0.9):
+        for flights, doubt in ((40, 0.05), (300, 0.01)):
+            found = np.arange(flights + 1)
+            wrong = np.array([at_most(int(k), flights, doubt) < probability for k in found])
+            assert binom.pmf(found, flights, probability) @ wrong <= doubt
+
+
+# -- sets -------------------------------------------------------------------------------------------
+
+
+def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes():
+    law, rng = box(), np.random.default_rng(0)
+    start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
+    tube = law.fly(start, k)
+    system, q, parts = law.system, 4, 8
+    xi = law.reference.fine(parts * q)[k]
+    x = xi[0] + rng.uniform(-1, 1, (200, 4)) @ start.G.T
+    Ad, Bd = discretize(system.A, system.B, PERIOD / parts)
+    Dd = discretize(system.A, system.D, PERIOD / parts)[1]
+    rows = rng.normal(size=(40, 4))
+    support = tube.nodes.support(rows)
+    for i in range(q):
+        asked = law.command(k, xi[i * parts], xi[i * parts], x, i * PERIOD)
+        K, c, r = tube.fit[i, :, :4], tube.fit[i, :, 4], tube.fit[i, :, 5]
+        told = (x - xi[i * parts]) @ K.T + c
+        u = np.clip(np.clip(asked, -system.u_max, system.u_max), told - r, told + r)
+        u[::2] = told[::2] + rng.choice([-1.0, 1.0], u[::2].shape) * r  # at the edge of the bands
+        w = rng.normal(size=(len(x), system.p))
+        w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
+        for part in range(1, parts + 1):
+            x = x @ Ad.T + u @ Bd.T + w @ Dd.T
+            s, e = part / parts, x - xi[i * parts + part]
+            most = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
+            assert np.all(e @ rows.T <= most + 1e-9)
+
+
+def test_an_affine_box_is_fitted_to_rounding():
+    law = box(lambda t, x, xi: 0.3 * (xi - x)[:, :2])
+    tube = law.fly(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
+    assert_allclose(tube.fit[1, :, :3], -0.3 * np.eye(4)[:2, :3], atol=1e-9)
+    assert np.all(tube.fit[..., 5] < 1e-7)
+
+
+def test_the_same_seed_gives_the_same_sets():
+    start = Zonotope.box(np.zeros(4), np.full(4, 0.02))
+    assert np.array_equal(box().fly(start, 3).fit, box().fly(start, 3).fit)
+    assert not np.array_equal(box().fly(start, 3).fit, box(seed=1).fly(start, 3).fit)
+
+
+# -- what the statement catches, and what it does not ---------------------------------------------------
+
+
+def follower(t, x, xi):
+    """Nearly the safety controller: it may fly most of the time."""
+    part = safety()
+    nu = part.reference.nu[min(int(t + 1e-9), len(part.reference.nu) - 1)]
+    return nu + 0.8 * (xi - x) @ part.tracking.gain.T
+
+
+def faulty(width):
+    """The same, but full thrust the wrong way where x starts within a narrow strip."""
+
+    def ask(t, x, xi):
+        wrong = (np.abs(x[:, 0] - 0.02) < width) & (t < 0.1)
+        return np.where(wrong[:, None], -1.0, follower(t, x, xi))
+
+    return ask
+
+
+def sampled(ask, **asked):
+    scenario = ScheduleScenario.from_dict(document())
+    return synthesize_sampled(scenario, safety(), [box(ask)], attacks=200, **asked)
+
+
+def started(schedule, x):
+    """How far flights leave their sets that start at a given position along the first axis."""
+    flight = Integrator(schedule, schedule.modes, 1)
+    x0 = initial_states(schedule, 50, np.random.default_rng(0), "random")
+    x0[:, 0] = x
+    return outside(flight.run(x0, np.zeros((flight.steps, 50, 2))))
+
+
+def test_a_rare_fault_is_within_what_is_said_and_not_found():
+    """In 0.1 % of the initial set the box is wrong: 2 % hold; of that strip nothing is said."""
+    found = sampled(faulty(5e-5), probability=0.02)
+    schedule, said = found.schedule, found.schedule.statement
+    assert schedule.modes[0] == 1 and schedule.share() > 0.8 and said.outside <= SPARE
+    assert 0.001 <= said.probability <= 0.02
+    assert found.worst.failure is None and found.adverse < 0.05
+    assert np.all(started(schedule, 0.02) > 1)
+    assert np.mean(started(schedule, 0.03) > 1) < 0.1
+
+
+def test_a_frequent_fault_is_seen():
+    """In 20 % of it: the sets of the first step hold the fault, or the box does not fly it."""
+    found = sampled(faulty(0.01), probability=0.02)
+    assert found.schedule.guarantee == "statistical" and found.schedule.statement.probability <= 0.02
+    assert np.mean(started(found.schedule, 0.02) > 1) < 0.1
+
+
+def test_without_a_statement_nothing_is_guaranteed():
+    scenario = ScheduleScenario.from_dict(document())
+    schedule = polaris.synthesize(scenario, safety(), [box()])
+    assert schedule.sampled_steps and schedule.guarantee == "none"
+
+
+def test_a_box_that_is_never_followed_leaves_the_proven_schedule():
+    found = sampled(lambda t, x, xi: np.tile([1.0, -1.0], (len(x), 1)))
+    assert found.schedule.guarantee == "proved" and found.worst is None
+
+
+# -- runs and their certificates ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("box")
+    return run(ScheduleScenario.from_dict(document()), folder / "run", black_boxes={"box": hasty()}).path
+
+
+def test_the_run_is_statistical_and_so_is_its_verdict(made):
+    folder, verdict = read_run(made), verify(made)
+    assert folder.summary["guarantee"]["kind"] == "statistical"
+    assert folder.summary["synthesis"]["experimental_share"] > folder.summary["synthesis"]["proven_share"]
+    assert folder.summary["synthesis"]["worst_found"]["violated"] is False
+    assert (verdict.outcome, verdict.exit_code) == ("STATISTICAL", 7), verdict.text()
+    assert "VERIFIED" not in verdict.text()
+    assert any("rest on samples" in told for _, told in verdict.checked)
+    assert any(line.startswith("distribution") for line in verdict.trusted)
+    assert any(line.startswith("no drift") for line in verdict.trusted)
+
+
+def forged(made, change):
+    data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
+    change(data)
+    data["digest"] = digest(data)
+    from polaris.certificate.checker import verify_document
+
+    return verify_document(data)
+
+
+def _proved(data):
+    data["guarantee"] = "proved"
+
+
+def _no_samples(data):
+    del data["samples"]
+
+
+def _fewer_outside(data):
+    data["samples"]["probability"] = (1e-4).hex()
+
+
+def _later_attempt(data):
+    data["samples"]["attempts"] = 40
+
+
+def _wider(data):
+    for fit in filter(None, data["samples"]["fits"]):
+        for row in fit[1]:
+            row[-1] = (1.0).hex()
+
+
+def _another_step(data):
+    data["samples"]["fits"] = [None, *data["samples"]["fits"][:-1]]
+
+
+def _anything(data):
+    data["controllers"][1] = {"name": "box", "kind": "any_thrust"}
+    del data["samples"]
+    data["guarantee"] = "proved"
+    data["assumptions"] = [
+        x for x in data["assumptions"] if not x.startswith(("black", "distribution", "no drift"))
+    ]
+
+
+FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _wider, _another_step, _anything)
+
+
+@pytest.mark.parametrize("change", FORGERIES, ids=lambda change: change.__name__)
+def test_a_forged_certificate_is_refused(change, made):
+    verdict = forged(made, change)
+    assert verdict.outcome in ("REJECTED", "UNKNOWN"), verdict.text()
+
+
+# -- programs -------------------------------------------------------------------------------------------
+
+GOOD = """
+import json, sys
+for line in sys.stdin:
+    asked = json.loads(line)
+    xi = asked["reference"][:2]
+    print(json.dumps({"u": [[0.3 * (r - v) for r, v in zip(xi, x)] for x in asked["x"]]}), flush=True)
+"""
+
+
+def python(text, seconds=20.0):
+    return program([sys.executable, "-c", text], seconds)
+
+
+def test_a_program_answers_like_a_callable():
+    x, xi = np.arange(12.0).reshape(3, 4), np.ones(4)
+    with python(GOOD) as asked:
+        for t in (0.0, 1.5):
+            assert_allclose(asked(t, x, xi), 0.3 * (xi - x)[:, :2])
+
+
+BAD = {
+    "ends": ("raise SystemExit('tired')", "tired"),
+    "silent": ("import time; time.sleep(60)", "within"),
+    "garbage": ("input(); print('hello', flush=True); input()", "must answer"),
+    "no command": ("input(); print('{}', flush=True); input()", "must answer"),
+    "half a line": ("input(); print('{\"u\": [', end='', flush=True)", "it ended"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_program_that_does_not_answer_is_one_error(name):
+    text, told = BAD[name]
+    seconds = 0.5 if name == "silent" else 20.0
+    with python(text, seconds) as asked, pytest.raises(ScenarioError, match=told) as error:
+        asked(0.0, np.zeros((2, 4)), np.zeros(4))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "answer", [[[np.nan, 0.0]], [[0.0, 0.0, 0.0]], "fast", None, [[0.0], [1.0, 2.0]], [[1j, 0]]]
+)
+def test_an_answer_that_is_no_command_is_one_error(answer):
+    with pytest.raises(ScenarioError, match="must answer finite numbers"):
+        box(lambda t, x, xi: answer).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+
+
+def test_a_program_that_is_none_is_one_error():
+    with pytest.raises(ScenarioError, match="cannot be started"), program(["/nowhere/at-all"]):
+        pass
+
+
+def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, capsys):
+    from typer.testing import CliRunner
+
+    from polaris.cli.app import app
+
+    (tmp_path / "scene.toml").write_text(write_toml(document()), encoding="utf-8")
+    (tmp_path / "box.py").write_text(GOOD, encoding="utf-8")
+    place = [str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
+    alone = CliRunner().invoke(app, ["run", *place])
+    assert alone.exit_code == 2 and "--black-box" in alone.output and not (tmp_path / "run").exists()
+    command = shlex.join([sys.executable, str(tmp_path / "box.py")])
+    given = CliRunner().invoke(app, ["run", *place, "--black-box", f"box={command}"])
+    assert given.exit_code == 0, given.output
+    assert "proven for anything within the thrust limits" in " ".join(given.output.split())
+    wrong = CliRunner().invoke(app, ["run", *place, "--black-box", "other=true"])
+    assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_statements_hold_of_other_boxes(seed):
+    """Random clipped laws with kinks: of flights drawn afresh no more leave their sets than is said."""
+    rng = np.random.default_rng(seed)
+    gain, bend = rng.normal(size=(2, 4)) * 0.3, rng.normal(size=(4, 2)) * 3
+
+    def ask(t, x, xi):
+        d = xi - x
+        return hasty()(t, x, xi) + d @ gain.T + 0.05 * np.abs(np.sin(d @ bend))
+
+    found = sampled(ask, probability=0.02, seed=seed)
+    if found.schedule.sampled_steps:
+        flown = simulate(found.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
+        assert np.mean(outside(flown) > 1) <= found.schedule.statement.probability

@@ -1,0 +1,219 @@
+"""Delay, missed periods, jitter, clocks: what predictions are off by, in proofs, certificates and flights."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.model.obstacles import BallObstacle
+from polaris.model.prediction import jitter_error, prediction_error
+from polaris.model.satellite import SatelliteObstacle
+from polaris.model.timing import Timing
+from polaris.runs.certificate import certificate
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.delayed import Predicting
+from polaris.simulation.disturbances import disturbances
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import flown_modes, initial_states
+from polaris.synthesis.synthesize import synthesize
+
+from ..kept import kept
+from .closed_loops import attack
+from .forging import CERTIFICATE, Forger, make
+from .random_scenarios import random_scenario
+from .test_closed_loops import judge
+from .tiny import TINY
+
+SAMPLED = ("feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]")
+ERRORS = (
+    "navigation.state_error=[0.005, 0.005, 0.002, 0.002]",
+    "thrusters.magnitude_error=0.01",
+    "timing.delay_s=0.5",
+    "timing.missed_periods=1",
+    "timing.jitter_s=0.001",
+    "timing.clock_error_s=0.2",
+)
+
+
+def late():
+    """The tiny scene with all of it."""
+    scenario = load_scenario(TINY).with_assignments([*SAMPLED, *ERRORS])
+    return scenario, kept("late", lambda: synthesize(scenario))
+
+
+def fly_delayed(schedule, n, seed, substeps=4):
+    """Runs with predictions worked out on board, and by which shares of their bounds these are off."""
+    rng = np.random.default_rng(seed)
+    flight = Predicting(schedule, flown_modes(schedule, False), substeps)
+    flight.prepare(n, rng)
+    x0 = initial_states(schedule, n, rng, "mixed")
+    return flight.run(x0, disturbances(flight, n, rng, "mixed")[0]), flight.off
+
+
+def systems():
+    """Systems of several kinds with errors."""
+    for name, more in (("static", ["navigation.velocity_error_m_s=0.002"]), (TINY, [ERRORS[0]])):
+        yield load_scenario(name).with_assignments([*more, "thrusters.magnitude_error=0.05"]).system()
+
+
+def test_the_error_of_a_prediction_is_what_the_worst_of_everything_reaches():
+    """Every state's bound is reached by the worst of estimate, disturbance and thrust, up to little."""
+    for system in systems():
+        worst = system.thrusters.error(system.u_max)
+        for tau in (0.5, 20.0):
+            bound, steps = prediction_error(system, system.navigation, worst, tau), 400
+            step, x = tau / steps, np.eye(system.n)
+            reached = np.abs(expm(system.A * tau)) @ system.navigation
+            x = x @ expm(system.A * step / 2)
+            for _ in range(steps):
+                reached += step * system.w_max * np.linalg.norm(x @ system.D, axis=1)
+                reached += step * np.abs(x @ system.B) @ worst
+                x = x @ expm(system.A * step)
+            assert np.all(reached <= bound * (1 + 1e-6)) and np.all(reached >= 0.999 * bound)
+
+
+@pytest.mark.parametrize("share", [0.005, 0.1, 0.5])
+def test_an_impulse_out_of_time_is_an_error_within_a_period_and_a_displacement(share):
+    """Fly the jitter and the input that stands for it side by side: same end, and never far apart."""
+    rng = np.random.default_rng(3)
+    for system in systems():
+        h, steps = 2.0, 2000
+        jitter, step = share * h, h / steps
+        bit, displaced = jitter_error(system, jitter, h)
+        change = 2 * system.u_max + system.thrusters.error(system.u_max)
+        s = (np.arange(steps) + 0.5) * step - h / 2
+        carry, push = expm(system.A * step), expm(system.A * step / 2) @ system.B * step
+        back = np.array([expm(-system.A * each) @ system.B for each in s])
+        moments = np.concatenate([back.sum(0), (back * (2 * s / h)[:, None, None]).sum(0)], axis=1) * step
+        for late in (1, -1):
+            wrong = np.where((s * late > 0) & (s * late < jitter), 1.0, 0.0)[:, None]
+            wrong = wrong * change * rng.choice([-1, 1], system.m)
+            a, b = np.split(np.linalg.pinv(moments) @ np.einsum("sij,sj->i", back, wrong) * step, 2)
+            stands = a + b * (2 * s / h)[:, None]
+            assert np.all(np.abs(stands) <= bit * (1 + 1e-3))
+            d, most = np.zeros(system.n), np.zeros(system.n)
+            for one, other in zip(wrong, stands, strict=True):
+                d = carry @ d + push @ (one - other)
+                most = np.maximum(most, np.abs(d))
+            assert np.all(most <= displaced) and np.all(np.abs(d) <= 1e-6 * displaced)
+            assert np.abs(stands).max() > 0.3 * bit
+
+
+def test_without_timing_everything_is_as_without_the_table():
+    plain = load_scenario(TINY)
+    zero = plain.with_assignments(["timing.delay_s=0.0", "timing.missed_periods=0", "timing.clock_error_s=0"])
+    assert certificate(synthesize(plain), "tiny") == certificate(synthesize(zero), "tiny")
+    assert zero.system().timing == Timing() and zero.system().prompt is zero.system()
+
+
+def test_delays_flown_for_real_stay_within_the_bounds_and_use_them():
+    scenario, schedule = late()
+    runs, off = fly_delayed(schedule, 60, 1, substeps=10)
+    system = scenario.system()
+    assert np.all(off <= 1) and off.max() > 0.8
+    assert np.any(off * system.navigation > system.timing.measured)  # without delay the bound would not hold
+    assert not runs.metrics().collided.any() and runs.states.shape[0] == 60
+    assert falsify(schedule, 200, 1).failure is None
+    judge(0, attack(schedule, 40, 0))
+
+
+def test_a_longer_delay_needs_more_and_what_is_too_long_is_named():
+    scenario = load_scenario(TINY).with_assignments([*SAMPLED, ERRORS[0]])
+    bounds = [
+        scenario.with_assignments([f"timing.delay_s={tau}", f"timing.missed_periods={missed}"]).system()
+        for tau, missed in ((0.0, 0), (0.25, 0), (0.0, 1), (0.25, 2))
+    ]
+    found = [system.navigation for system in bounds]
+    assert np.all(found[0] <= found[1]) and np.all(found[1] <= found[3]) and np.any(found[1] < found[3])
+    assert np.array_equal(found[1], found[2])
+    assert all(np.array_equal(system.prompt.navigation, found[0]) for system in bounds)
+    with pytest.raises(SynthesisInfeasible, match=r"of that for delay, missed periods and jitter"):
+        synthesize(scenario.with_assignments(["timing.delay_s=20.0"]))
+
+
+@pytest.mark.parametrize(
+    ("assignments", "field"),
+    [
+        (["timing.delay_s=-1"], "timing.delay_s"),
+        (["timing.missed_periods=1"], "timing.missed_periods"),
+        (["timing.jitter_s=0.1"], "timing.jitter_s"),
+        ([*SAMPLED, "timing.jitter_s=0.2"], "timing.jitter_s"),
+        ([*SAMPLED, "timing.missed_periods=0.5"], "timing.missed_periods"),
+        (["system.A=[[0,0,1,0],[0,0,0,1],[0,0,9,0],[0,0,0,9]]", "timing.delay_s=1000"], "timing.delay_s"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(assignments, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments(assignments)
+    assert error.value.field.startswith(field)
+
+
+def test_where_jitter_or_clocks_are_not_covered_they_are_refused():
+    system = load_scenario(TINY).system()
+    with pytest.raises(ScenarioError, match="jitter"):
+        jitter_error(replace(system, B=system.B[:, :1], u_max=system.u_max[:1]), 0.01, 0.25)
+    other = SatelliteObstacle("other", [0, 9, 0, 0, 0, 0], [0] * 6, 1.0)
+    with pytest.raises(ScenarioError, match="clock_error"):
+        other.blurred(0.1, 0.0)
+    assert other.blurred(0.0, 0.5).radius == 1.5
+    moving = BallObstacle("ball", [0, 0, 0], 1.0, velocity=[0.3, 0, 0.4])
+    assert moving.blurred(2.0, 0.1).radius == pytest.approx(2.1) and moving.blurred(0.0, 0.0) is moving
+    assert BallObstacle("ball", [0, 0, 0], 1.0).blurred(2.0, 0.0).radius == 1.0
+
+
+@pytest.mark.slow
+def test_proofs_of_random_scenes_hold_with_all_of_it():
+    scenes = 0
+    for seed in range(5000, 5060):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "scene.toml"
+            path.write_text(random_scenario(seed), encoding="utf-8")
+            scenario = load_scenario(path, ["recoverable.kind=polytope"])
+        period, step = scenario.problem().period, scenario.problem().delta
+        more = ["thrusters.magnitude_error=0.01", f"timing.delay_s={(period or step / 8) * 2}"]
+        more += ["timing.missed_periods=1", f"timing.jitter_s={period / 500}"] if period else []
+        try:
+            schedule = synthesize(scenario.with_assignments(more))
+        except PolarisError:
+            continue
+        scenes += 1
+        judge(seed, attack(schedule, 100, seed))
+        if period:
+            assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1), seed
+    assert scenes >= 25
+
+
+def test_forged_timing_is_refused(tmp_path):
+    """Neither a smaller delay, nor smaller bounds than it gives, nor a displacement that shrinks sets."""
+    forger = Forger(make([*SAMPLED, *ERRORS], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    data, names = forger.tree(CERTIFICATE), forger.honest["assumptions"]
+
+    def judged(words=names, timing=(), **system):
+        system = data["system"] | system
+        system["timing"] = system["timing"] | dict(timing)
+        return forger.judge({CERTIFICATE: json.dumps(data | {"system": system, "assumptions": words})})
+
+    told = [w.replace("effect 0.5 s", "effect 0.25 s") for w in names]
+    fewer = [float.fromhex(x) * 0.999 for x in data["system"]["estimate_error"]]
+    less = data["system"]["thrusters"] | {"bit": data["system"]["timing"]["bit"]}
+    for verdict, claim in (
+        (judged(timing={"delay": (0.25).hex()}), "assumptions"),
+        (judged(told, timing={"delay": (0.25).hex()}), "system"),
+        (judged(estimate_error=[x.hex() for x in fewer]), "system"),
+        (judged(thrusters=less), "system"),
+        (judged(timing={"displaced": [(0.0).hex()] * 4}), "system"),
+        (judged(timing={"displaced": [(-0.5).hex()] * 4}), "system"),
+        (judged(timing={"missed": 0}), "assumptions"),
+    ):
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
+    for key, value in (("delay_s", 0.75), ("jitter_s", 0.01), ("missed_periods", 2), ("clock_error_s", 1.0)):
+        scenario = forger.tree("scenario.toml")
+        scenario["timing"][key] = value
+        assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"

@@ -1,0 +1,79 @@
+"""Flight software that reads run folders alone; a flight in Basilisk, which is no part of the test extra."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from benchmarks.basilisk.onboard import FlightSoftware, held
+from polaris.runs.schedule import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
+
+SAMPLED = ["feedback.kind=sampled", "feedback.period_s=10", "recoverable.recourse=none"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    scenario = load_scenario("static", SAMPLED)
+    schedule, place = synthesize(scenario), tmp_path_factory.mktemp("run")
+    write_run(place / "static", scenario, schedule)
+    return schedule, place / "static"
+
+
+def test_software_commands_what_the_scheduled_controller_does(run):
+    schedule, folder = run
+    software, rng = FlightSoftware(folder), np.random.default_rng(0)
+    q, safety = schedule.safety.tracking.feedback.nodes_per_cell, schedule.safety.reference
+    fine = [law.own.fine(q) if hasattr(law, "own") else safety.fine(q) for law in schedule.controllers]
+    assert len(set(schedule.modes)) == 2
+    for tick in range(q * len(schedule.modes)):
+        k, place = divmod(tick, q)
+        law, xi = schedule.controllers[schedule.modes[k]], safety.fine(q)[k, place]
+        x = xi + rng.normal(size=6) * [5, 5, 5, 0.05, 0.05, 0.05]
+        wanted = np.clip(law.command(k, xi, fine[schedule.modes[k]][k, place], x), -0.2, 0.2)
+        assert np.allclose(software.command(tick, x), wanted, atol=1e-9)
+
+
+def test_after_the_schedule_the_safety_controller_keeps_the_coasting_tail(run):
+    schedule, folder = run
+    software = FlightSoftware(folder)
+    tail = schedule.safety.reference.chi
+    k = len(schedule.modes) + 7
+    tick = k * schedule.safety.tracking.feedback.nodes_per_cell
+    assert np.allclose(software.command(tick, tail[k]), 0.0, atol=1e-9)
+    assert np.all(software.command(tick, tail[k] + [1, 0, 0, 0, 0, 0])[0] < 0)
+
+
+def test_a_late_command_is_that_of_the_predicted_state(run):
+    folder = run[1]
+    prompt, late = FlightSoftware(folder), FlightSoftware(folder)
+    late.late = 2
+    x, phi, gamma = np.array([0.5, 401, 0.2, 0.24, 0.01, 0]), *held(prompt.A, prompt.B, prompt.period)
+    path = [x]
+    for tick in range(20):
+        path.append(phi @ path[-1] + gamma @ prompt.command(tick, path[-1]))
+    late.issued = list(prompt.issued[:2])  # what was sent before the first measurement counts as well
+    for tick in range(18):
+        assert np.allclose(late.command(tick, path[tick]), prompt.issued[tick + 2], atol=1e-12)
+
+
+def test_feedback_without_a_period_is_refused(run, tmp_path):
+    shutil.copytree(run[1], tmp_path / "static")
+    gains = tmp_path / "static" / "gains.json"
+    gains.write_text(gains.read_text().replace('"sampled": true', '"sampled": false'))
+    with pytest.raises(ValueError, match="sampled"):
+        FlightSoftware(tmp_path / "static")
+
+
+@pytest.mark.slow
+def test_a_flight_in_basilisk_keeps_within_what_was_proven(tmp_path):
+    pytest.importorskip("Basilisk")
+    from benchmarks.basilisk.__main__ import REAL, scene
+
+    row = scene("static", 2, tmp_path / "static", [*REAL])
+    assert row.violations == 0
+    assert row.tube <= 1 + 1e-6
+    assert row.thrust <= 1
+    assert 0.05 < row.residual < 1
+    assert 0.3 < row.seen <= 1
