@@ -16,6 +16,7 @@ from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.thrusters import Thrusters
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.estimate import BoxFilter, BoxMotion
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
@@ -221,6 +222,21 @@ def printed(seed, errors=True):
 def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
     found, under = attack_monitor(monitored(seed, printed(seed)), 40, seed)
     judge(seed, found)
+    assert under > 0.1
+
+
+def test_delays_and_jitter_are_among_the_errors_of_a_monitor():
+    scenario = exact(5001)
+    h = scenario.problem().period
+    late = [f"timing.delay_s={h}", "timing.missed_periods=1", f"timing.jitter_s={h / 500}"]
+    schedule = synthesize(scenario.with_assignments([PRINTED, *tables(scenario, 5001), *late]))
+    system = schedule.safety.problem.system
+    assert np.all(system.navigation > printed(5001).safety.problem.system.navigation)
+    assert DecisionGrid.of(schedule).half_widths.tolist() == system.navigation.tolist()
+    assert DecisionGrid.of(schedule, half_widths=0.0).half_widths.tolist() == system.displaced.tolist()
+    assert np.any(system.displaced)
+    found, under = attack_monitor(Monitor(DecisionGrid.of(schedule)), 40, 5001)
+    judge(5001, found)
     assert under > 0.1
 
 
