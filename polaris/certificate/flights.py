@@ -84,7 +84,7 @@ class Pilot:
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
             tops = self.clipped(_ranges(u, most))
-        return sum(sums(tops, self.plant.thruster_error(tops)), arb(0)) * self.plant.h
+        return self.plant.spent(tops)
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""

@@ -22,8 +22,7 @@ from .arrays import read_flights
 from .folder import SCENARIO, RunFolder, RunKind, read_json, readable
 from .tables import write_csv
 
-Row = dict[str, Any]
-"""What one point says, by column."""
+Row = dict[str, Any]  # what one point says, by column
 
 
 COLUMNS = {
@@ -125,12 +124,7 @@ def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
     return row["weighted_share"], -row["delta_v_m_s"], -row["switches"], reached, proved, until
 
 
-Points = tuple[Sequence[Row], float]
-"""Rows of all points, and the share asked."""
-
-
-def _write_points(folder: Path, scenario: ScheduleScenario, found: Points) -> None:
-    write_csv(folder / "tradeoff.csv", found[0])
+Points = tuple[Sequence[Row], float]  # rows of all points, and the share asked
 
 
 def _tell_points(scenario: ScheduleScenario, found: Points, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -141,16 +135,12 @@ def _tell_points(scenario: ScheduleScenario, found: Points, seconds: Mapping[str
     return {"points": list(rows), "needed": asked, "definitions": COLUMNS}
 
 
-def _read_points(folder: Path, scenario: ScheduleScenario) -> list[Row]:
-    return list(read_json(folder / "tradeoff.json")["points"])
-
-
 TRADEOFF = RunKind(
     "tradeoff",
     (SCENARIO, "tradeoff.csv"),
-    _write_points,
+    lambda folder, scenario, found: write_csv(folder / "tradeoff.csv", found[0]),
     _tell_points,
-    _read_points,
+    lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
     summary="tradeoff.json",
 )
 """What a trade-off leaves."""

@@ -22,7 +22,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import TubeSegment
+from .controllers import AffineController, TubeSegment
 from .tracking import Feedback, Tracking
 
 WIDER = 0.02
@@ -166,6 +166,14 @@ class NeuralController:
         }
         return read, np.abs(self.policy.stack(off)) + gamma(4) * np.abs(read)
 
+    @property
+    def slope(self) -> AffineController:
+        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        own, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m))
+        known = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *known, clips=True)
+
     @cached_property
     def booked(self) -> Array:
         """What scaling the output rounds to, as part of the state at the next node, shape (n,)."""
@@ -232,6 +240,7 @@ def check_exact(system: LinearSystem) -> None:
     """Refuse errors of estimates and of thrusters: no tube of a black box knows of them."""
     if not system.ideal:
         field = "navigation" if np.any(system.navigation) else "thrusters"
+        field = field if system.timing.instant else "timing"
         raise ScenarioError(
             field, None, "must be left out where a black box flies: its tube knows of no such error"
         )

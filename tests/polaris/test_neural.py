@@ -482,3 +482,11 @@ def test_numbers_beyond_floating_point_refuse_a_step():
     controller, _ = random_controller(0)
     start = Zonotope.box(np.zeros(4), np.full(4, 1e308))
     assert controller.fly(start, 0).refused
+
+
+def test_the_slope_of_an_affine_network_is_the_network():
+    controller, rng = random_controller(0)
+    W = rng.normal(size=(2, 4))
+    policy = Policy(Network((Affine(W, np.zeros(2)),)), ("error",), np.full(4, 0.5), np.array([0.1, 0.3]))
+    slope = replace(controller, policy=policy).slope
+    assert slope.clips and slope.gain == pytest.approx(np.array([[0.1], [0.3]]) * W * 0.5)

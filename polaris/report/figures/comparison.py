@@ -240,5 +240,4 @@ def _points(points: Sequence[Mapping[str, Any]]) -> Any:
     return _sensitivity(points) if points[0]["non_dominated"] is None else _front(points)
 
 
-TRADEOFF = {"tradeoff": _points}
-"""Figures of a trade-off."""
+TRADEOFF = {"tradeoff": _points}  # figures of a trade-off
