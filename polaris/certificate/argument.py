@@ -9,6 +9,7 @@ from flint import arb, arb_mat
 from .arrival import Arrival
 from .balls import above, column, identity, largest, magnitude, matrix, plain, require, sums
 from .document import Document, UnsafeSet
+from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
@@ -16,6 +17,7 @@ from .motion import Arc, Path
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery
 from .samples import check_statement
+from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
@@ -25,7 +27,7 @@ ORDERS = (12, 80, 400)
 NETWORK_ORDER = 30
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
-NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal")
+NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal", "passive")
 """Claims that may fail because sets are wider than they need to be."""
 
 PATH_SLACK = 1e-9
@@ -83,6 +85,8 @@ class Argument:
                     raise
                 del self.record.checked[confirmed:]
         self.end(path)
+        if self.document.drift is not None:
+            self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
         if self.document.guarantee == "none" or self.document.recoverable == "paper_ball":
             told = f"recoverable kind {self.document.recoverable}, guarantee {self.document.guarantee}"
             raise Rejected("guarantee", f"the certificate itself claims nothing ({told})")
@@ -110,6 +114,8 @@ class Argument:
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
             arrival = Arrival(self.document, path, self.loop, memory, held, spent)
             self.record.holds("goal", arrival.check(*self.stated.goal))
+            if self.stated.upkeep is not None:
+                self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
@@ -140,7 +146,9 @@ class Argument:
         sets, flown = [start], []
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
-            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging))
+            parts = doc.drift.steps[k] if doc.drift is not None else None
+            departures = None if parts is None else Departures(self.plant, k, parts)
+            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")

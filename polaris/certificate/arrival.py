@@ -174,16 +174,14 @@ class Arrival:
         rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
         self._tolerance(claim, spec, rows.scale, largest(needs.settled))
-        nodes = [self._node(by)] if by is not None else self._likely(rows, needs, claim["distance_m"])
+        nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim["distance_m"])
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
-                self._no_less(
-                    "distance from the goal", claim["distance_m"], self._distance(rows, needs, node)
-                )
+                self.no_less("distance from the goal", claim["distance_m"], self._distance(rows, needs, node))
                 self._drift(claim["drift_m_per_orbit"], node)
-                spent = self.spent + self._correcting(node)
-                self._no_less("velocity change", claim["delta_v_max_m_s"], spent)
+                spent = self.spent + self.correcting(node)
+                self.no_less("velocity change", claim["delta_v_max_m_s"], spent)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
             else:
@@ -206,7 +204,7 @@ class Arrival:
             spare = arb(claim["tolerance_m"]) - claim["distance_m"]
             require("goal", spare, "the distance is more than tolerated")
 
-    def _node(self, by: float) -> int:
+    def node_at(self, by: float) -> int:
         """The node of the tail at an instant [s]."""
         doc = self.document
         T = doc.steps * doc.delta
@@ -237,7 +235,8 @@ class Arrival:
             raise Rejected("goal", f"not even the middle of the flights comes as near as {claimed:.6g} m")
         return [node for _, node in sorted(found)[:MOST]]
 
-    def _no_less(self, what: str, claimed: float, derived: arb) -> None:
+    def no_less(self, what: str, claimed: float, derived: arb) -> None:
+        """What is claimed is no less than what is derived, up to rounding."""
         spare = arb(claimed) * (1 + SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
@@ -289,23 +288,29 @@ class Arrival:
         both = above(matrix([row]), -matrix([row]))
         need = self._at(Needs(self.loop, self.memory, both), node)
         most = largest(sums((both * self._state(node)).entries(), need))
-        self._no_less("drift per orbit", claimed, 6 * arb.pi() * most)
+        self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
 
-    def _correcting(self, nodes: int) -> arb:
+    def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant, m, total = self.document, self.loop.plant, len(self.document.u_max), arb(0)
-        error = plant.command_error(matrix(doc.laws[0].gain or []))
+        doc, plant, total = self.document, self.loop.plant, arb(0)
         for node in range(nodes):
-            first, last = self._thrust(node), self._thrust(node + 1)
-            u = doc.inputs[doc.steps + node // doc.q]
             tops = [
-                smallest((top, (largest(parts) + abs(x) + wrong).upper()))
-                for top, x, wrong, *parts in zip(
-                    plant.u_max, u, error, first[:m], first[m:], last[:m], last[m:], strict=True
+                smallest(pair)
+                for pair in zip(
+                    plant.u_max, self.tops(node, doc.inputs[doc.steps + node // doc.q]), strict=True
                 )
             ]
-            total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
-        return total * plant.h / doc.mass
+            total += plant.spent(tops)
+        return total / doc.mass
+
+    def tops(self, node: int, u: list[float]) -> list[arb]:
+        """What S commands at most in the period after a node, about inputs u of the reference."""
+        m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
+        error = self.loop.plant.command_error(matrix(self.document.laws[0].gain or []))
+        ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
+        return [
+            (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
+        ]
 
     @cached_property
     def _commands(self) -> Needs:

@@ -95,7 +95,8 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
             record.holds("summary", "claims no more than the certificate")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
-    return Stated(start, bounds, (claimed["goal"], scenario["goal"]))
+    least, tank = claimed.get("abort", {}).get("least_m"), scenario.get("tank", {}).get("delta_v_m_s")
+    return Stated(start, bounds, least, claimed["upkeep"], tank, (claimed["goal"], scenario["goal"]))
 
 
 def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:

@@ -12,6 +12,12 @@ SATELLITES = (
 )
 """Assumed where there are any."""
 
+ALLOCATED = (
+    "faults: of the thrusters at most one fails, in a way that is declared and known at once, and what is "
+    "commanded is allocated to the others"
+)
+"""Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
+
 
 def assumptions(
     w_max: float,
@@ -25,6 +31,7 @@ def assumptions(
     timing: Iterable[float] = (),
     thrusters: Iterable[float] = (),
     chaser: float = 0.0,
+    allocated: bool = False,
     sampled: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
@@ -51,6 +58,8 @@ def assumptions(
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    allocated : bool
+        Whether inputs are made by thrusters of which one may have failed.
     sampled : mapping, optional
         What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
@@ -96,6 +105,7 @@ def assumptions(
             if any(applied)
             else []
         ),
+        *([ALLOCATED] if allocated else []),
         *([late] if predicted or jitter > 0 else []),
         f"clocks: {started if clock > 0 else exact}",
         "experimental controllers: each obeys its declared model",

@@ -95,6 +95,26 @@ class Law:
         return found
 
 
+@dataclass(frozen=True)
+class Departure:
+    """A parallelotope around where thrust may stop in some periods of a step, as of the start of the step."""
+
+    periods: int
+    center: Vector
+    axes: Matrix  # one generator after another
+    facets: list[list[list[int]]]  # of every unsafe set: for how many parts of a step, and which
+
+
+@dataclass(frozen=True)
+class Abort:
+    """What is claimed of the drift after all thrust stops."""
+
+    horizon: float  # [s]
+    keep_in: bool  # whether keep-in sets count
+    parts: int  # of a step
+    steps: list[list[Departure] | None]  # None of those from which nothing is claimed
+
+
 class Document:
     """A certificate, its shapes checked and its numbers decoded.
 
@@ -158,6 +178,7 @@ class Document:
         if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
             raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
         self.mean_motion: float | None = system["mean_motion"]
+        self.allocation: dict[str, Any] | None = system.get("allocation")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -188,6 +209,8 @@ class Document:
             raise Undecided("sampling", f"more than {MOST_NODES_IN_ALL} periods")
         if self.cells < self.steps:
             raise ValueError("the reference must cover every step")
+        drift = read.get("drift")
+        self.drift = None if drift is None else _abort(drift, self.q)
         self.laws = [
             Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
             for law in read["controllers"]
@@ -199,6 +222,11 @@ class Document:
         sizes = {"n": n, "m": m, "d": d, "2d+2m": 2 * (d + m), "p": len(self.D[0]) if self.D else 0}
         sizes |= {"K": K, "K+1": K + 1, "q": self.q, "cells": self.cells, "cells+1": self.cells + 1}
         sizes |= {"two": 2, "sets": sets, "n+2": n + 2}
+        covered = next(iter(lengths.get("covered", {self.cells: ""})))
+        if covered != self.cells and (self.drift is None or covered < self.cells):
+            raise ValueError("unsafe sets must be known for as long as the reference")
+        sizes["covered"] = covered
+        sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():
                 if length != sizes[size]:
@@ -244,6 +272,7 @@ class Document:
             else (),
             thrusters=self.prompt_thrusters,
             chaser=self.chaser_radius,
+            allocated=self.allocation is not None,
             sampled=self.statement or None,
         )
         if read["assumptions"] != self.assumptions:
@@ -269,10 +298,10 @@ class Document:
         for mode, law in enumerate(self.laws):
             if sum(sizes[name] for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
-            exact = law.kind in ("neural", "black_box")
-            if exact and not self.sampled:
+            held = law.kind in ("neural", "black_box")
+            if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
-            if exact and (self.estimate or self.thrusters):
+            if law.kind == "black_box" and (self.estimate or self.thrusters):
                 raise Undecided("controllers", f"{law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
@@ -291,6 +320,14 @@ class Document:
             raise ValueError("radii must be numbers")
         if not all(0 <= x <= 1 for rows in self.slopes if rows is not None for row in rows for x in row):
             raise ValueError("slopes must be from 0 to 1")
+
+
+def _abort(drift: dict[str, Any], q: int) -> Abort:
+    found = [None if parts is None else [Departure(**part) for part in parts] for parts in drift["steps"]]
+    covered = {sum(part.periods for part in parts) for parts in found if parts is not None}
+    if not drift["horizon"] > 0 or not covered <= {q}:
+        raise ValueError("a drift must have a horizon, and departures in every period of a step")
+    return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
 
 
 def read(path: Path) -> Document:

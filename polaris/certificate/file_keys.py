@@ -52,8 +52,11 @@ CERTIFICATE = {
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
-        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
+        "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced")},
+        "allocation?": {
+            "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
+        },
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -61,7 +64,7 @@ CERTIFICATE = {
     },
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
     "unsafe_sets": Rows({
-        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("cells two *"),
+        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("covered two *"),
     }, size="sets"),
     "facets": grid("cells sets", Whole()),
     "reference": {"states": grid("cells+1 n"), "inputs": grid("cells m")},
@@ -84,6 +87,12 @@ CERTIFICATE = {
         **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
         "slopes": grid("K", Either((None, grid("q m")))),
     },
+    "drift?": {
+        "horizon": HEX, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
+            "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
+            "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
+        }, 1)))),
+    },
     "samples?": {
         **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
         "fits": grid("K", Either((None, grid("q m n+2")))),
@@ -98,6 +107,17 @@ CLAIMED = {
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+    },
+    "upkeep": Either((None, {
+        **every(NOT_NEGATIVE, "settled_s until_settled_m_s rate_m_s2"),
+        **every(BOUND, "per_orbit_m_s tank_m_s lasts_s"),
+    })),
+    "abort?": {
+        "drift_s": NOT_NEGATIVE, "keep_in": bool, "least_m": OPTIONAL,
+        "clear_s": Rows(Rows(NOT_NEGATIVE, 2, 2)),
+        "witness": Either((None, {
+            "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
+        })),
     },
     "statement?": {
         **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
@@ -135,7 +155,7 @@ GAINS = {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
         "timing?": {
-            **every(NOT_NEGATIVE, "delay jitter clock bit"), "missed": Whole(),
+            **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
             **every(VECTOR, "measured displaced"),
         },
         "safety_share?": NOT_NEGATIVE,

@@ -10,6 +10,7 @@ from flint import arb, arb_mat
 
 from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
 from .document import Law, Matrix
+from .drift import Departures
 from .motion import Arc, Motion, Path, Plant, Push
 from .networks import Policy
 from .recovery import Barrier
@@ -83,7 +84,7 @@ class Pilot:
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
             tops = self.clipped(_ranges(u, most))
-        return sum(sums(tops, self.plant.thruster_error(tops)), arb(0)) * self.plant.h
+        return self.plant.spent(tops)
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
@@ -103,7 +104,8 @@ class Pilot:
         if self.law.kind == "neural":
             command = self.policy.command(d, self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
-            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, most=command.most)
+            error = plant.push(plant.thruster_error(command.most))
+            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
         fit = self.fits[k] if self.law.kind == "black_box" else None
         if fit is not None:
             n, rows = d.c.nrows(), fit[i]
@@ -201,12 +203,19 @@ class Flown:
 
 
 def fly(
-    pilot: Pilot, start: Zonotope, k: int, path: Path, barrier: Barrier | None, merging: Merging
+    pilot: Pilot,
+    start: Zonotope,
+    k: int,
+    path: Path,
+    barrier: Barrier | None,
+    merging: Merging,
+    departures: Departures | None = None,
 ) -> Flown:
     """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
     `start` are the errors about the safe reference at its start. There is no barrier of separating facets
-    under the safety controller, whose separation follows from recoverability.
+    under the safety controller, whose separation follows from recoverability. Departures, if any, are
+    shown to hold where thrust may stop.
     """
     n, base = start.c.nrows(), pilot.base(k, path)
     rows, room = identity(n), []
@@ -221,6 +230,10 @@ def fly(
         period = pilot.period(d, base, k, i)
         spent += pilot.spent(period, d, base.u)
         end, extra = period.ends(d), period.extra(rows, d)
+        if departures is not None:
+            moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
+            bow = [largest((extra[0][x], extra[1][x])) + bows[x][i] for x in range(n)]
+            departures.check(i, base, d, moved, end, bow)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
             middle, spread = (rows * z.c).entries(), z.spread(rows)
             for axis in range(n):

@@ -8,6 +8,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
+from .allocation import check_allocation, per_axis
 from .balls import matrix, require, row_sums
 from .document import Document
 from .lqr import check_gain, positive_definite
@@ -39,6 +40,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_system(document, scenario["system"])
         _check_navigation(document, scenario.get("navigation", {}))
         _check_thrusters(document, scenario)
+        check_allocation(document, scenario)
         check_timing(document, scenario.get("timing", {}))
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
@@ -49,6 +51,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         moving = [spec["name"] for spec in scenario.get("obstacles", ()) if _moves(spec)]
         if document.horizon == "infinite" and moving:
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
+        _check_abort(document, scenario.get("abort"))
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
         told = "gains are the stabilising ones of their weights, references the scenario's"
@@ -61,6 +64,27 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
         told = f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
         raise Rejected("artefacts", told) from error
+
+
+def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
+    """What is claimed of the drift after all thrust stops is what the scenario asks."""
+    drift = document.drift
+    if spec is None or drift is None:
+        if (spec is None) != (drift is None):
+            raise Rejected("passive", "certificate and scenario do not both speak of the drift")
+        return
+    if ("drift_s" in spec) == ("drift_orbits" in spec):
+        raise Rejected("passive", "the scenario must give the drift either in orbits or as a time")
+    asked = (
+        arb(spec["drift_s"])
+        if "drift_s" in spec
+        else (spec["drift_orbits"] * 2 * arb.pi() / arb(document.mean_motion or 0.0))
+    )
+    require("passive", drift.horizon - asked * (1 - ROUNDED), f"{drift.horizon:.6g} s are too short")
+    if not drift.keep_in and spec.get("keep_in", True):
+        raise Rejected("passive", "the scenario asks for keep-in sets, too")
+    if None in drift.steps and spec.get("required", False):
+        raise Rejected("passive", f"step {drift.steps.index(None)} is not clear, as is required")
 
 
 def _moves(spec: dict[str, Any]) -> bool:
@@ -79,7 +103,7 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     axes = [f"{axis} thrust" for axis in ("radial", "along-track", "cross-track")]
     given = {
         "kind": (document.system_kind, spec["kind"]),
-        "input limit": (document.u_max, top if isinstance(top, list) else [top] * m),
+        **({} if document.allocation else {"input limit": (document.u_max, per_axis(top, m))}),
         "disturbance bound": (
             document.w_max,
             spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0),

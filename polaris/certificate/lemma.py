@@ -28,6 +28,9 @@ class Stated:
 
     start_margin: float | None = None  # share of the room left to the initial set
     norm_bounds: dict[str, Any] | None = None  # constants of Lemma 1, see `check_norm_bounds`
+    least: float | None = None  # least distance [m] of the drift after all thrust stops
+    upkeep: dict[str, Any] | None = None  # what S spends for as long as it flies on
+    tank: float | None = None  # velocity change that there is propellant for, by the scenario
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
 
 

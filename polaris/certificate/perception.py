@@ -109,7 +109,7 @@ def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -
         extent = support(document, item, spec, f)
         base, rate = extent + dot(n, anchor), dot(n, v)
         size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
-        for cell in range(document.cells):
+        for cell in range(len(item.start)):
             for place in (0, 1):
                 t, offset = arb(cell + place) * document.delta, (item.start, item.end)[place][cell][f]
                 where = f"{item.name}, facet {f}, at the {('start', 'end')[place]} of step {cell}"

@@ -112,6 +112,8 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "assumptions": [*document.assumptions, ARITHMETIC],
             **({"statement": document.statement} if document.statement else {}),
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
+            "upkeep": stored["guarantee"]["upkeep"],  # likewise
+            "abort": _abort(document, stored["guarantee"].get("abort")),
         },
     }
     same("schedule", "schedule.json", expected, stored)
@@ -121,6 +123,24 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
     rows = [[row[key] for key in STEP_COLUMNS] for row in steps]
     _same_table("schedule", folder / "schedule.csv", [STEP_COLUMNS, *rows])
     return dict(stored["guarantee"])
+
+
+def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What is told of the drift: the least distance is derived by `Drifts`, a witness is no claim."""
+    drift = document.drift
+    if drift is None or stored is None:
+        return None if drift is None else {}
+    spans: list[list[float]] = []
+    for k, parts in enumerate(drift.steps):
+        if parts is not None and spans and spans[-1][1] == k * document.delta:
+            spans[-1][1] = (k + 1) * document.delta
+        elif parts is not None:
+            spans.append([k * document.delta, (k + 1) * document.delta])
+    if (None in drift.steps) == (stored["witness"] is None):
+        raise Rejected("passive", "a witness belongs to a drift that is not clear from all steps")
+    if (stored["least_m"] is None) == bool(spans and document.unsafe):
+        raise Rejected("passive", "a least distance belongs to a drift that is clear from some step")
+    return stored | {"drift_s": drift.horizon, "keep_in": drift.keep_in, "clear_s": spans}
 
 
 KINDS = {"any_thrust": "AnyThrust", "neural": "NeuralController", "black_box": "BlackBox"}

@@ -44,7 +44,7 @@ class Satellite:
         step = exponential(self.A, arb(self.document.delta))[0]
         carried, at = self.rows, self.state
         gained, parts = [arb(0)] * self.rows.nrows(), 1
-        for cell in range(self.document.cells):
+        for cell in range(len(self.item.start)):
             while True:
                 final = parts >= MOST_PARTS
                 after = self._step(cell, parts, carried, at, gained, final)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import asdict
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from reach.networks.network import Affine
 from reach.numerics.linear import growth
 
 from ..certificate.document import FORMAT, VERSION, canonical, digest
+from ..model.allocation import Allocation
 from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
@@ -23,6 +25,7 @@ from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
+from ..synthesis.passive import Drift, clear
 from ..synthesis.schedule import Schedule
 from .tables import errors_of, finite, strict, write_text
 
@@ -46,7 +49,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "system": _system(safety),
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},
-        "unsafe_sets": [_unsafe(item, safety.reference.cells) for item in safety.clearance.unsafe],
+        "unsafe_sets": [_unsafe(item, _covered(safety)) for item in safety.clearance.unsafe],
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
@@ -59,6 +62,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
             "radius": [finite(safety.recoverable.radius(k * q)) for k in range(K + 1)],
         },
         "enclosures": _enclosures(schedule),
+        **_drift(schedule),
         "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
         **_samples(schedule),
         "guarantee": schedule.guarantee,
@@ -89,7 +93,39 @@ def _system(safety: Safety) -> dict[str, Any]:
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
         **errors_of(safety),
+        **(
+            {}
+            if safety.problem.allocation is None
+            else {"allocation": _allocation(safety.problem.allocation)}
+        ),
     }
+
+
+def _allocation(made: Allocation) -> dict[str, Any]:
+    return {"directions": made.directions, "limits": made.limits, "corners": made.corners}
+
+
+def _covered(safety: Safety) -> int:
+    """Cells over which the unsafe sets are known: those of the reference, and those that drifts need."""
+    flight = safety.free_flight
+    return max(safety.reference.cells, 0 if flight is None else safety.problem.K + flight.cells)
+
+
+def _drift(schedule: Schedule) -> dict[str, Any]:
+    """Where thrust may stop, and the facets that separate the drift; of a step that is not clear, None."""
+    passive = schedule.passive
+    if passive is None:
+        return {}
+    steps = [[_departure(part) for part in parts] if clear(parts) else None for parts in passive.drifts]
+    abort = passive.flight.abort
+    known = {"horizon": float(abort.horizon), "keep_in": abort.keep_in, "parts": passive.flight.parts}
+    return {"drift": {**known, "steps": steps}}
+
+
+def _departure(part: Drift) -> dict[str, Any]:
+    """One set of starts; the facets in runs of how many parts of a step, and which."""
+    runs = [[(len(list(run)), facet) for facet, run in groupby(row)] for row in part.facets.tolist()]
+    return {"periods": part.periods, "center": part.start.c, "axes": part.start.G.T, "facets": runs}
 
 
 def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:

@@ -19,8 +19,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..synthesis.black_box import Ask
 
-LONGEST = 100_000_000
-"""Most bytes of an answer."""
+LONGEST = 100_000_000  # most bytes of an answer
 
 
 @contextmanager

@@ -251,6 +251,8 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "drift_m_per_orbit": goal.drift,
             "delta_v_max_m_s": goal.delta_v,
         },
+        "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
+        **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
     }
 
 

@@ -13,17 +13,20 @@ from scipy.linalg import expm
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import counted
+from ..model.checks import MAX_STEPS, counted
+from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
+from .error_tables import allocation
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
 
 if TYPE_CHECKING:
+    from ..model.allocation import Allocation
     from ..model.obstacle import Obstacle
     from ..planning.goals import Goal
     from ..synthesis.black_box import Ask
@@ -54,6 +57,9 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
+        if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
+            given = model.abort.drift_orbits, model.abort.drift_s
+            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -89,7 +95,15 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
+        allocation = self.allocation()
+        if allocation is not None:
+            system = replace(system, u_max=allocation.u_max)
         return system if model.timing is None else model.timing.build(system, self._period)
+
+    @kept
+    def allocation(self) -> Allocation | None:
+        """What the thrusters make of the inputs in every fault, where anything is said of it."""
+        return allocation(self.model.thrusters, self.model.faults, self.model.system.build().u_max)
 
     @property
     def _period(self) -> float | None:
@@ -208,6 +222,9 @@ class ScheduleScenario(Scenario):
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
             gains=gains_of(self.model, system),
+            allocation=self.allocation(),
+            tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
+            abort=None if self.model.abort is None else self.model.abort.build(system),
         )
 
     def switching_rules(self) -> SwitchingRules:

@@ -20,7 +20,8 @@ from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import LinearSystem
 from . import fields as f
-from .error_tables import Chaser, Navigation, Thrusters, Timing
+from .error_tables import Abort, Chaser, Navigation, Tank, Thrusters, Timing
+from .fault_tables import Fault
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -210,7 +211,10 @@ class ScenarioModel(f.Head):
     )
     thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
     timing: Timing | None = unit("-", "How late commands take effect; at once without it.", default=None)
+    faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
+    tank: Tank | None = unit("-", "Propellant; not counted without it.", default=None)
+    abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")
     feedback: Feedback = unit("-", default_factory=lambda: ContinuousFeedback(kind="continuous"))

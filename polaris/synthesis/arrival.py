@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -55,6 +55,39 @@ class Arrival:
     tolerance: float
     drift: float | None
     delta_v: float
+
+
+@dataclass(frozen=True)
+class Upkeep:
+    """What S spends for as long as it flies on after T, once it has forgotten what it took over.
+
+    Attributes
+    ----------
+    settled : float
+        From when on [s].
+    spent : float
+        Velocity change until then [m/s], at most.
+    rate : float
+        Velocity change per second from then on [m/s^2], at most.
+    per_orbit : float or None
+        The same per orbit [m/s]; None outside Hill's frame.
+    tank : float or None
+        Velocity change that there is propellant for [m/s], if it is known.
+    lasts : float or None
+        Until when the tank certainly lasts [s]; None if it is not known, or for ever.
+    """
+
+    settled: float
+    spent: float
+    rate: float
+    per_orbit: float | None
+    tank: float | None
+    lasts: float | None
+
+    def told(self) -> dict[str, float | None]:
+        """What a run claims of it."""
+        names = "settled_s", "until_settled_m_s", "rate_m_s2", "per_orbit_m_s", "tank_m_s", "lasts_s"
+        return dict(zip(names, astuple(self), strict=True))
 
 
 Held = tuple[tuple[Zonotope, int], ...]
@@ -142,8 +175,34 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
-    at = (most + system.thrusters.error(most)).sum(axis=1)
+    at = system.spent(most).sum(axis=1)
     return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
+
+
+def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
+    """What is proven of S's velocity change for all time, from that until T (Proposition 30).
+
+    None if S need not track a coasting reference, or is not proven to keep within its thrust.
+    """
+    problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
+    nodes = tracking.memory + 2
+    if safety.reference.cells * safety.clearance.q < problem.K * safety.clearance.q + nodes:
+        return None
+    both = np.vstack([tracking.gain, -tracking.gain])
+    need = np.min([error_tube(tracking, z, both).need[-1] for z, _ in held], axis=0)
+    need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
+    most = need.reshape(2, -1).max(axis=0) + system.command_error(tracking.gain)
+    if not np.all(most <= tracking.u_max):
+        return None
+    T = problem.K * problem.delta
+    rate = float((most + system.thrusters.error(most)).sum()) / system.mass * (1 + ROUNDING)
+    settled = T + nodes * tracking.flow.h
+    until = (spent + _correcting(safety, held, nodes)) * (1 + ROUNDING)
+    orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion
+    tank, lasts = problem.tank, None
+    if tank is not None and rate > 0:
+        lasts = settled + (tank - until) / rate if tank >= until else T if tank >= spent else 0.0
+    return Upkeep(settled, until, rate, orbit, tank, lasts)
 
 
 def _distance(goal: GoalConditions, over: Array) -> Array:

@@ -46,7 +46,8 @@ class Attempts:
 
     The last only where nothing but the time after T stands in the way, and no plan is given. `plan`, `margin`
     (of `start`, Theta about the reference, in the first recoverable set) and `cut_by_clock` are those of the
-    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end.
+    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end,
+    and as far as drifts are followed.
     """
 
     plan: Plan
@@ -56,7 +57,8 @@ class Attempts:
     def __init__(self, problem: Problem, tracking: Tracking, clock: Clock, given: Plan | None = None) -> None:
         self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, given
         self.tail = tail_length(tracking)
-        self.unsafe = perceive_unsafe(problem, problem.K + self.tail)
+        ahead = 0 if problem.abort is None else problem.abort.cells(problem.delta)
+        self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, ahead))
         self.start = problem.initial_set - problem.initial_set.c
         self.cut_by_clock: tuple[str, ...] = ()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -19,6 +20,7 @@ from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition
 from .error_bounds import ErrorBounds, get_err_bounds
+from .passive import FreeFlight
 from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet
@@ -71,6 +73,14 @@ class Safety:
     end: EndCondition
     seconds: Mapping[str, float] = field(default_factory=dict)
     cut_by_clock: tuple[str, ...] = ()
+
+    @cached_property
+    def free_flight(self) -> FreeFlight | None:
+        """Where the chaser drifts if all thrust stops, if anything is asked of that."""
+        problem, sets = self.problem, self.clearance.unsafe
+        if problem.abort is None:
+            return None
+        return FreeFlight(problem.abort, problem.system, sets, problem.delta)
 
     @property
     def guarantee(self) -> str:

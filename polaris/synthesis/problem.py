@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
+from ..model.allocation import Allocation
 from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.goals import Goal
 from ..planning.problem import Objective, PlannerOptions
+from .passive import Abort
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
 
@@ -67,6 +69,12 @@ class Problem:
         Solver, time limit, gap.
     gains : tuple of ndarray
         Gains of the experimental controllers, so that the time grid is fine enough for them.
+    abort : Abort or None
+        What is asked of the drift should all thrust stop; None for nothing.
+    tank : float or None
+        Velocity change [m/s] that there is propellant for, if that is known.
+    allocation : Allocation or None
+        Thrusters that make the inputs in every fault, where that is what their limits come from.
     """
 
     system: LinearSystem
@@ -89,6 +97,9 @@ class Problem:
     thrust_share: float = 1.0
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
+    abort: Abort | None = None
+    tank: float | None = None
+    allocation: Allocation | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.initial_set, Zonotope):
@@ -117,7 +128,7 @@ class Problem:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
         if not self.system.ideal and self.recoverable != "polytope":
-            rule = "must be 'polytope' with [navigation] or [thrusters]"
+            rule = "must be 'polytope' with [navigation], [thrusters] or [timing]"
             raise ScenarioError("recoverable.kind", self.recoverable, rule)
         if not 0 < number("tracking.thrust_share", self.thrust_share) <= 1:
             raise ScenarioError("tracking.thrust_share", self.thrust_share, "must be above 0 and at most 1")

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
 from ..certificate.assumptions import assumptions
@@ -16,11 +17,12 @@ from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .arrival import Arrival, arrival
+from .arrival import Arrival, Held, Upkeep, arrival, upkeep
 from .black_box import FittedSegment
 from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
 from .neural import NeuralController
+from .passive import Drift, PassiveSafety
 from .recoverable import Margin, RecoverableSet
 
 
@@ -146,6 +148,7 @@ class Schedule:
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
             chaser=chaser_radius(problem.unsafe),
+            allocated=problem.allocation is not None,
             sampled=None if self.statement is None else asdict(self.statement),
         )
         return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
@@ -174,12 +177,29 @@ class Schedule:
         return float(middle), float(most) * (1 + ROUNDING)
 
     @cached_property
+    def _held(self) -> Held:
+        """Sets that hold all errors where S takes over for good, and at T."""
+        last = max((step.k + 1 for step in self.steps if step.mode), default=0)
+        handed = self.steps[last - 1].tube.end if last else self.safety.start
+        return (handed, (len(self.steps) - last) * self.safety.clearance.q), (self.final, 0)
+
+    @cached_property
     def arrival(self) -> Arrival:
         """Whether and by when the goal is proven reached."""
-        safety, last = self.safety, max((step.k + 1 for step in self.steps if step.mode), default=0)
-        handed = self.steps[last - 1].tube.end if last else safety.start
-        flown = (len(self.steps) - last) * safety.clearance.q
-        return arrival(safety, ((handed, flown), (self.final, 0)), self.delta_v[1])
+        return arrival(self.safety, self._held, self.delta_v[1])
+
+    @cached_property
+    def upkeep(self) -> Upkeep | None:
+        """What S spends at most after T, for ever, and how long the tank lasts, as far as that is proven."""
+        return upkeep(self.safety, self._held, self.delta_v[1]) if self.guarantee != "none" else None
+
+    @cached_property
+    def passive(self) -> PassiveSafety | None:
+        """From which steps the drift stays clear if all thrust stops, where the problem asks."""
+        flight = self.safety.free_flight
+        if flight is None:
+            return None
+        return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
 
     @property
     def spent(self) -> float:
@@ -210,6 +230,18 @@ class Schedule:
         return np.array([step.margin.value for step in self.steps])
 
 
+def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
+    """What becomes of the flights in a tube over step k if all thrust stops; none where nothing is asked."""
+    problem, q = safety.problem, safety.clearance.q
+    flight = safety.free_flight
+    if flight is None:
+        return ()
+    system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
+    rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
+    bow = tube.bow + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    return flight.after(k, tube.nodes + arc, bow)
+
+
 def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     """Integral of the 1-norm of the thrust over a step [N s]: along the middle of its tube, and at most.
 
@@ -217,7 +249,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     """
     if not isinstance(law, (AffineController, NeuralController)):
         limit = getattr(law, "system", None)
-        tops = None if limit is None else limit.u_max + limit.thrusters.error(limit.u_max)
+        tops = None if limit is None else limit.spent(limit.u_max)
         most = np.inf if tops is None else float(np.sum(tops)) * delta
         return most, most
     u_max, tube = law.system.u_max, step.tube
@@ -226,7 +258,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     if isinstance(law, AffineController):  # a network flies on exact states
         spread = spread + law.system.command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
-    highest = highest + law.system.thrusters.error(highest)
+    highest = law.system.spent(highest)
     h = delta / (len(centre) - 1)
     held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
     return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

@@ -15,9 +15,10 @@ from ..model.errors import ScenarioError
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .look_ahead import SAFETY, LookAhead
+from .passive import clear
 from .problem import Problem
 from .same_system import check_controller, check_safety, check_segment
-from .schedule import Schedule, Step
+from .schedule import Schedule, Step, drift_of
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,10 @@ class SwitchingRules:
     def affords(self, spent: float) -> bool:
         """Whether the budget allows a velocity change [m/s]."""
         return self.delta_v_max is None or spent <= self.delta_v_max
+
+    def allow(self, schedule: Schedule) -> bool:
+        """Whether a schedule keeps the budget, and what is required of the drift after all thrust stops."""
+        return self.affords(schedule.spent) and (schedule.passive is None or schedule.passive.kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +191,12 @@ class Search:
         tube = check_segment(controller, start, controller.fly(start, k), self.safety)  # GetReach
         if mode == SAFETY:
             return tube  # S stays safe from where it took over
-        return tube if not tube.refused and self.safety.recoverable.holds(k, tube.nodes, tube.bow) else None
+        if tube.refused or not self.safety.recoverable.holds(k, tube.nodes, tube.bow):
+            return None
+        abort = self.safety.problem.abort
+        if abort is not None and abort.required and not clear(drift_of(self.safety, tube, k)):
+            return None
+        return tube
 
     @cached_property
     def planned(self) -> tuple[int, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -71,7 +71,7 @@ def synthesize(
     search = Search.over(scenario, safety, experimental, rules, progress)
     printed = switching_logic(search)
     found = with_recourse(search, printed) if recourse and safety.problem.recourse != "none" else printed
-    return found if search.rules.affords(found.spent) else within_budget(search, [printed, found])
+    return found if search.rules.allow(found) else within_budget(search, [printed, found])
 
 
 def switching_logic(search: Search) -> Schedule:
@@ -116,7 +116,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         found += [each for view in searches for each in view.schedules(prove)]
         late |= any(view.late for view in searches)
         best = max(found, key=worth)
-        if search.rules.affords(best.spent):
+        if search.rules.allow(best):
             break
     claims = np.array([(*worth(one)[:3], one.safety.end.until) for one in (*found, best)], dtype=float)
     as_good = np.all(claims[:-1] >= claims[-1], axis=1)
@@ -133,14 +133,18 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
-    """The longest beginning of a schedule after which S alone keeps the budget, of several the most worthy.
+    """The longest beginning of a schedule after which S alone keeps what the rules allow.
+
+    Of several the most worthy: budget of velocity change, and what is required of the drift.
 
     Raises
     ------
+    SynthesisInfeasible
+        If S alone keeps the budget, but its drift is not clear, along any of their references.
     NotCertified
-        If not even S alone keeps it along any of their references.
+        If not even S alone keeps the budget along any of their references.
     """
-    kept, least = [], min(schedule.spent for schedule in over)
+    kept, least, witness = [], min(schedule.spent for schedule in over), None
     for schedule in over:
         along = replace(search, safety=schedule.safety, controllers=schedule.controllers)
         K, modes = len(schedule.steps), tuple(schedule.modes.tolist())
@@ -149,13 +153,17 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
             tried = (few + many) // 2 if best else 0  # S alone first
             found = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
             least = min(least, found.spent)
-            if search.rules.affords(found.spent):
+            if search.rules.affords(found.spent) and found.passive is not None:
+                witness = witness or found.passive.witness()
+            if search.rules.allow(found):
                 few, best = tried, found
             elif best is None:
                 break
             else:
                 many = tried
         kept += [best] if best else []
+    if not kept and witness is not None:
+        raise not_clear(witness)
     if not kept:
         told = directed(least, ".4g", up=True)
         raise NotCertified(
@@ -163,3 +171,17 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
             f" is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
         )
     return max(kept, key=Worth.beside(over[0], search.rules))
+
+
+def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
+    """What is told of a flight whose drift must stay clear and is not shown to."""
+    enters = witness["middle_m"] <= 0
+    does = "enters" if enters else "is not shown to stay clear of"
+    found = witness["middle_m"] if enters else witness["distance_m"]
+    return SynthesisInfeasible(
+        f"passive safety is required, but if all thrust stops in step {witness['step']} (from "
+        f"{witness['t_s']:g} s) of S alone, the drift {does} {witness['unsafe_set']} by "
+        f"{witness['after_s']:.6g} s later: {directed(found, '.4g')} m are left.",
+        -found,
+        "shorten abort.drift_orbits (drift_s), raise planner.extra_margin_m, or lower the disturbance bound.",
+    )

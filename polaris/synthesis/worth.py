@@ -61,11 +61,11 @@ class Worth:
         return self.plain(shares, delta_v, switches) - WORSE * (less + more)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
-        """Whether a schedule keeps the budget, is as long safe as the printed one, and arrives; its worth."""
+        """Whether the rules allow it, it is as long safe as the printed one, and arrives; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         value = self.of(shares, schedule.delta_v[0], schedule.switches)
         lasts = schedule.safety.end.until >= self.until
-        return self.rules.affords(schedule.spent), lasts, schedule.arrival.reached is True, value
+        return self.rules.allow(schedule), lasts, schedule.arrival.reached is True, value
 
     def allows(self, mask: Mask) -> bool:
         """Whether S may fly just these steps, by the dwell time and the cap on switches."""

@@ -157,10 +157,10 @@ def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
     found, _, _ = derived(forgers("reached"))
     document = found.document
     nodes = 2 * document.q
-    coasting = float(found._correcting(nodes).mid())
+    coasting = float(found.correcting(nodes).mid())
     assert document.cells >= document.steps + 2
     document.inputs[document.steps] = [0.05, 0.0]
-    more = float(found._correcting(nodes).mid()) - coasting
+    more = float(found.correcting(nodes).mid()) - coasting
     assert more == pytest.approx(0.05 * document.delta / document.mass, rel=1e-9)
 
 

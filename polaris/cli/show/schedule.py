@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
+from ...runs.claims import besides
 from ...synthesis.recoverable import directed
 from . import RED, Printout, alarming, table
 
@@ -54,6 +55,8 @@ def show_summary(summary: Mapping[str, Any], folder: str, console: Console | Non
     out.assume(claim["assumptions"] if proved else ())
     if proved:
         out.say(f"Goal: {_goal(claim['goal'])}")
+    for head, sentence in besides(claim) if proved else ():
+        out.say(f"{head}: {sentence}")
     out.say(f"Run folder: {folder}")
 
 
@@ -124,8 +127,6 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
     found.add_row("runs that enter an unsafe set", *(alarming(str(count), count > 0) for count in hits))
     return found
 
-
-# -- campaigns ---------------------------------------------------------------------------------------
 
 COLUMNS = (
     "mode",

@@ -9,6 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ...model.checks import counted
+from ...runs.claims import besides
 from ...runs.folder import RunFolder
 from ...runs.picture import Picture
 from ...synthesis.recoverable import directed
@@ -128,9 +129,6 @@ def synthesis(summary: Mapping[str, Any]) -> Markup:
     return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows.items()])
 
 
-# -- guarantees -------------------------------------------------------------------------------------
-
-
 def reach(claim: Mapping[str, Any]) -> str:
     """How far a schedule's claim goes, in words."""
     until = claim.get("until_s")
@@ -151,7 +149,7 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> Markup:
     if goal["reached"] is True:
         arrives = {"distance": _most(goal, "distance_m"), "delta_v": _most(goal, "delta_v_max_m_s")}
         arrives["by"] = _time(goal["by_s"])
-    told = claim, recoverable, badge(claim["kind"]), reach(claim), arrives
+    told = claim, recoverable, badge(claim["kind"]), reach(claim), arrives, besides(claim)
     return Markup(macros("run.html").guarantee(*told))
 
 

@@ -17,6 +17,7 @@ from ..integration import Integrator
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
+from .drifting import least_distances
 
 BATCH = 100_000
 """States of all runs flown at a time: few enough that they stay near the processor."""
@@ -31,7 +32,7 @@ SMALLEST = 50
 """Fewest runs in a batch, but for the last."""
 
 KINDS = ("unsafe set", "saturation", "margin")
-"""Kinds of violation, the gravest first."""
+"""Kinds of violation while it is flown, the gravest first; besides, that of the drift."""
 
 ROUND = ("worst", "again", "again", "mutate", "mutate", "random")
 """One round of the search, a batch each."""
@@ -43,8 +44,9 @@ class Failure:
 
     Attributes
     ----------
-    kind : {"unsafe set", "saturation", "margin"}
-        A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven.
+    kind : {"unsafe set", "saturation", "margin", "drift"}
+        A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven; so
+        did the drift of one in which all thrust stopped.
     limit : str
         Which unsafe set or input.
     time_s : float
@@ -69,6 +71,7 @@ class Failure:
             "unsafe set": f"{self.limit} is entered",
             "saturation": f"S asks for more {self.limit} than there is",
             "margin": f"the margin to {self.limit} is below the proven one",
+            "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
         }[self.kind]
         return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
 
@@ -188,7 +191,7 @@ class _Search:
             flown = attack.fly(attacker.flight)
             measured = attained(attacker.claims, flown)
             self.flown, batch = self.flown + count, batch + 1
-            found = self._record(attacker.claims, attack, measured)
+            found = self._record(attacker.claims, attack, measured) or self._stopped(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
                 self._keep(attack, measured)
@@ -224,6 +227,20 @@ class _Search:
                 failure, finer, substeps = confirmed
                 return failure, (finer, claims.tail, substeps)
         return None
+
+    def _stopped(self, attack: Attack, flown: Runs) -> tuple[Failure, tuple[Attack, bool, int]] | None:
+        """The worst violation of what is claimed of the drift after all thrust stops."""
+        passive = self.schedule.passive
+        if passive is None or passive.least is None:
+            return None
+        nodes = self.schedule.safety.clearance.q
+        margin, run, when = least_distances(passive, flown, nodes, self.main.rng)
+        stop, o = np.unravel_index(int(margin.argmin()), margin.shape)
+        least = float(margin[stop, o])
+        if not least < passive.least - EXACT_M:
+            return None
+        failure = Failure("drift", passive.flight.sets[o].name, float(when[stop]), least, passive.least)
+        return failure, (attack.pick(run[[stop]]), False, 1)
 
     def _keep(self, attack: Attack, measured: Attained) -> None:
         """Keep the best attacks on every limit."""

@@ -1,0 +1,46 @@
+"""What a run claims beside safety and the goal, in words: what S spends after T, and passive safety."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..synthesis.recoverable import directed
+
+
+def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A heading and a sentence for everything that a guarantee claims besides."""
+    found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
+    return found + ([("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else [])
+
+
+def _upkeep(claim: Mapping[str, Any]) -> str:
+    """What holding on after T costs, and how long the tank lasts."""
+    orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
+    rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
+    cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
+    told = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    if tank is None:
+        return f"{told}."
+    if lasts is None:
+        return f"{told}: the tank of {tank:g} m/s lasts for ever."
+    return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+
+
+def drift_told(claim: Mapping[str, Any]) -> str:
+    """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
+    spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
+    most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
+    told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
+    found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
+    witness = claim["witness"]
+    if witness is None:
+        return f"{found}, all of the flight."
+    enters = witness["middle_m"] <= 0
+    does, left = (
+        ("enters", witness["middle_m"]) if enters else ("is not shown to clear", witness["distance_m"])
+    )
+    return (
+        f"{found}. Witness: from step {witness['step']} ({witness['t_s']:g} s) it {does}"
+        f" {witness['unsafe_set']} by {witness['after_s']:.6g} s later ({directed(left, '.4g')} m left)."
+    )

@@ -1,0 +1,110 @@
+"""Thrusters that push only and may fail: the box of inputs that they make, and who vouches for it."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from polaris.model.allocation import Allocation, Fault, axis_pairs, cases
+from polaris.model.errors import ScenarioError, SynthesisInfeasible
+from polaris.runs.certificate import certificate
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.synthesize import synthesize
+
+from .forging import CERTIFICATE, Forger, make
+from .tiny import TINY
+
+ROUND = [[np.cos(a), np.sin(a)] for a in np.arange(5) * 2 * np.pi / 5]
+"""Five thrusters round a body in the plane."""
+
+
+FIVE = (f"thrusters.directions={[[float(x) for x in row] for row in ROUND]}", "thrusters.thrust_max_N=1.5")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
+    """By another program: for random inputs and corners, thrusts that make them exactly."""
+    rng = np.random.default_rng(seed)
+    m, count = int(rng.integers(1, 4)), int(rng.integers(9, 13))
+    directions, limits = rng.normal(size=(count, m)), rng.uniform(0.5, 2, count)
+    faults = [Fault("stuck_off", 0.0), Fault("loss", 0.4)][seed % 2 :]
+    made = Allocation.of(directions, limits, rng.uniform(0.5, 1, m) * 5, faults)
+    outside = 0
+    for _, capacity in cases(limits, faults):
+        box = list(zip(np.zeros(count), capacity, strict=True))
+        for _ in range(2):
+            u = made.u_max * rng.choice([-1, 1, rng.uniform(-1, 1)], m)
+            assert linprog(np.ones(count), A_eq=directions.T, b_eq=u * (1 - 1e-9), bounds=box).status == 0
+        corners = np.array(np.meshgrid(*[[-1, 1]] * m)).reshape(m, -1).T * made.u_max * 1.001
+        outside += sum(
+            linprog(np.ones(count), A_eq=directions.T, b_eq=u, bounds=box).status == 2 for u in corners
+        )
+    assert outside or np.all(made.u_max >= 2.4)  # no larger box of the shape, unless none was asked for
+
+
+def test_a_loss_of_axis_pairs_takes_its_share_and_one_that_is_off_takes_all():
+    limits = np.array([1.0, 2.0, 3.0])
+    made = Allocation.of(*axis_pairs(limits), limits, [Fault("loss", 0.75)])
+    assert made.u_max == pytest.approx(0.75 * limits)
+    with pytest.raises(SynthesisInfeasible, match="thruster 0 under the fault stuck_off"):
+        Allocation.of(*axis_pairs(limits), limits, [Fault("stuck_off", 0.0)])
+
+
+def test_without_faults_nothing_changes_and_pairs_stated_are_the_pairs_there_were():
+    plain = certificate(synthesize(load_scenario(TINY)), "tiny")
+    none = certificate(synthesize(load_scenario(TINY).with_assignments(["faults=[]"])), "tiny")
+    assert plain == none and "allocation" not in plain["system"]
+
+
+@pytest.mark.parametrize(
+    ("assignments", "field"),
+    [
+        ([FIVE[0]], "thrusters.directions"),
+        (["thrusters.directions=[[1.0],[-1.0]]", "thrusters.thrust_max_N=1.0"], "thrusters.directions"),
+        ([FIVE[0], "thrusters.thrust_max_N=[1.0]"], "thrusters.thrust_max_N"),
+        ([*FIVE, "thrusters.magnitude_error=0.1"], "thrusters.magnitude_error"),
+        (['faults=[{kind="loss",share=1.0}]'], "faults"),
+        (['faults=[{kind="stuck_on"}]'], "faults"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(assignments, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments(assignments)
+    assert error.value.field.startswith(field)
+
+
+def test_forged_faults_are_refused(tmp_path):
+    forger = Forger(make([*FIVE, 'faults=[{kind="stuck_off"}]'], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    told = "faults: of the thrusters at most one fails"
+    assert any(line.startswith(told) for line in forger.honest["assumptions"])
+
+    def forged(change):
+        data = copy.deepcopy(forger.honest)
+        change(data["system"])
+        return forger.judge({CERTIFICATE: json.dumps(data)})
+
+    def stronger(system):
+        system["input_max"] = [(float.fromhex(x) * 1.01).hex() for x in system["input_max"]]
+
+    def push(system):
+        system["allocation"]["limits"][0] = (9.0).hex()
+
+    def turned(system):
+        system["allocation"]["directions"][0] = [(0.0).hex(), (1.0).hex()]
+
+    def backwards(system):
+        system["allocation"]["corners"][0][0][1] = (-1.0).hex()
+
+    def working(system):
+        system["allocation"]["corners"][0][0][0] = (0.1).hex()
+
+    def fewer(system):
+        system["allocation"]["corners"].pop()
+
+    for change in (stronger, push, turned, backwards, working, fewer):
+        verdict = forged(change)
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", "system"), change.__name__
+    assert forged(lambda system: system.pop("allocation")).claim == "assumptions"

@@ -1,0 +1,255 @@
+"""Passive safety and upkeep: flown at their worst, forged claims, and what is required of a schedule."""
+
+import copy
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.runs.certificate import certificate
+from polaris.runs.claims import drift_told
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.drifting import least_distances
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.synthesize import synthesize
+
+from .closed_loops import held
+from .forging import CERTIFICATE, Forger, make
+from .test_error_sources import exact
+from .tiny import TINY
+
+FEW = (5016, 5024, 5034)
+
+
+def drifting(scenario, drift, *more):
+    """The schedule of a scene that asks for a drift of so many horizons."""
+    time = drift * scenario.model.horizon.duration_s
+    return synthesize(scenario.with_assignments([f"abort.drift_s={time}", *more]))
+
+
+def flown_drifts(schedule, runs, seed):
+    """Least distance of drifts from every unsafe set, thrust stopping anywhere within clear steps; how often.
+
+    By an integrator of its own: the flight to the node before, the law held or integrated from there, and a
+    disturbance in the drift that is held over parts of a step, against one facet or at random.
+    """
+    passive, safety = schedule.passive, schedule.safety
+    system, delta, q = safety.problem.system, safety.problem.delta, safety.clearance.q
+    rng = np.random.default_rng(seed)
+    flights = simulate(schedule, runs, seed, substeps=8)
+    least, count = np.inf, 0
+    part = delta / 8
+    for k in np.flatnonzero(passive.clear):
+        node = k * q + int(rng.integers(0, q))
+        law, share = schedule.controllers[schedule.modes[k]], rng.random()
+        x = flights.states[:, node]
+        for i in range(20):  # on towards the instant at which thrust stops, the law renewed twenty times
+            t = (node - k * q) / q * delta + share * delta / q * i / 20
+            places = [
+                held(system.A, system.B, t)[0] @ ref.chi[k] + held(system.A, system.B, t)[1] @ ref.nu[k]
+                for ref in (safety.reference, getattr(law, "own", safety.reference))
+            ]
+            if i == 0 or not safety.tracking.feedback.sampled:
+                u = np.clip(law.command(k, *places, x), -system.u_max, system.u_max)
+            Ad, Bd = held(system.A, system.B, share * delta / q / 20)
+            x = x @ Ad.T + u @ Bd.T
+        t = k * delta + (node - k * q + share) / q * delta
+        for item in passive.flight.sets:
+            row = -item.normals[rng.integers(0, len(item.normals))] @ system.position
+            steps = int(passive.flight.abort.horizon / part)
+            way = np.array([row @ expm(system.A * part * (steps - j)) @ system.D for j in range(steps)])
+            way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+            Ad, Dd = held(system.A, system.D, part)
+            y = x
+            for j in range(steps + 1):
+                cell = min(int((t + j * part) / delta), item.cells - 1)
+                s = (t + j * part) / delta - cell
+                b = item.offsets[cell, 0] * (1 - s) + item.offsets[cell, 1] * s
+                least = min(least, float((y @ system.position.T @ item.normals.T - b).max(axis=1).min()))
+                y = y @ Ad.T + (system.w_max * way[j] @ Dd.T if j < steps else 0.0)
+            count += len(x)
+    return least, count
+
+
+@pytest.mark.parametrize("seed", FEW)
+def test_drifts_from_clear_steps_stay_clear(seed):
+    schedule = drifting(exact(seed), 0.5)
+    passive = schedule.passive
+    assert len(passive.drifts) == len(schedule.steps)
+    if passive.least is not None:
+        least, count = flown_drifts(schedule, 12, seed)
+        assert count and least >= passive.least - 1e-3
+    assert falsify(schedule, 200, seed).failure is None
+
+
+@pytest.mark.slow
+def test_many_drifts_stay_clear():
+    told, tight = 0, []
+    for seed in range(5000, 5060):
+        try:
+            schedule = drifting(exact(seed), 0.7)
+        except PolarisError:
+            continue
+        if schedule.passive.least is not None:
+            least, _ = flown_drifts(schedule, 20, seed)
+            assert least >= schedule.passive.least - 1e-3, seed
+            told, tight = told + 1, [*tight, schedule.passive.least / least]
+    assert told >= 30 and np.median(tight) > 0.2
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    return drifting(load_scenario(TINY), 20 / 12)
+
+
+def test_a_claim_that_is_too_wide_is_refuted(tiny):
+    """Steps that are not clear, called clear: the attacks find what the proof does not hide."""
+    passive = tiny.passive
+    assert not passive.clear.all() and passive.witness()["unsafe_set"] == "pillar"
+    runs, q = simulate(tiny, 50, 0), tiny.safety.clearance.q
+    bold = replace(passive, drifts=passive.drifts[2:3] * len(passive.drifts))
+    margin = least_distances(bold, runs, q, np.random.default_rng(0), 2000)[0]
+    honest = least_distances(passive, runs, q, np.random.default_rng(0), 2000)[0]
+    assert margin.min() < 0 < passive.least <= honest.min()
+
+
+def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
+    plain = synthesize(load_scenario(TINY))
+    before, after = certificate(plain, "tiny"), certificate(tiny, "tiny")
+    assert "drift" not in before and plain.passive is None
+    assert {k for k in after if k not in before or after[k] != before[k]} <= {
+        "drift",
+        "digest",
+        "unsafe_sets",
+    }
+
+
+def test_what_is_required_is_kept_or_refused_with_the_witness():
+    kept = drifting(load_scenario(TINY), 4 / 12, "abort.required=true")
+    assert kept.passive.clear.all() and kept.passive.witness() is None
+    told = drift_told(kept.passive.told())
+    assert "from 0 to 12 s" in told and told.endswith("all of the flight.")
+    with pytest.raises(SynthesisInfeasible, match="step 1 .*pillar") as error:
+        drifting(load_scenario(TINY), 10 / 12, "abort.required=true")
+    assert error.value.exit_code == 3 and error.value.shortfall > 0
+
+
+@pytest.mark.parametrize(
+    ("assignments", "field"),
+    [
+        (["abort.required=true"], "abort"),
+        (["abort.drift_s=1.0", "abort.drift_orbits=1.0"], "abort"),
+        (["abort.drift_orbits=1.0"], "abort.drift_orbits"),
+        (["abort.drift_s=-1.0"], "abort.drift_s"),
+        (["abort.drift_s=1e9"], "abort"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(assignments, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments(assignments)
+    assert error.value.field.startswith(field)
+
+
+def test_orbits_are_those_of_the_mean_motion():
+    scenario = load_scenario("static").with_assignments(["abort.drift_orbits=0.5"])
+    assert scenario.problem().abort.horizon == pytest.approx(np.pi / 0.0012)
+
+
+def test_forged_drifts_are_refused(tmp_path):
+    forger = Forger(make(["abort.drift_s=10.0"], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    honest = forger.honest["drift"]
+    clear = [k for k, parts in enumerate(honest["steps"]) if parts]
+    missing = next(k for k, parts in enumerate(honest["steps"]) if not parts)
+
+    def forged(change, files=()):
+        data, drift = copy.deepcopy(forger.honest), copy.deepcopy(honest)
+        change(drift)
+        return forger.judge({CERTIFICATE: json.dumps(data | {"drift": drift}), **dict(files)})
+
+    def narrower(drift):
+        part = drift["steps"][clear[0]][0]
+        part["axes"] = [[(float.fromhex(x) * 0.8).hex() for x in row] for row in part["axes"]]
+
+    def facets(drift):
+        part = drift["steps"][clear[0]][0]
+        part["facets"] = [[[count, (f + 1) % 4] for count, f in runs] for runs in part["facets"]]
+
+    def shorter(drift):
+        drift["horizon"] = (9.0).hex()
+
+    def sooner(drift):
+        for parts in drift["steps"]:
+            for part in parts or ():
+                part["facets"] = [[[runs[0][0], runs[0][1]]] for runs in part["facets"]]
+
+    def bolder(drift):
+        drift["steps"][missing] = drift["steps"][clear[0]]
+
+    def periods(drift):
+        drift["steps"][clear[0]][0]["periods"] += 1
+
+    for change in (narrower, facets, shorter, sooner, bolder):
+        verdict = forged(change)
+        assert verdict.outcome == "REJECTED" and verdict.claim in ("passive", "guarantee"), change.__name__
+    assert forged(periods).claim == "format"
+    schedule = forger.tree("schedule.json")
+    schedule["guarantee"]["abort"]["least_m"] *= 1.01
+    summary = forger.tree("summary.json")
+    summary["guarantee"] = schedule["guarantee"]
+    verdict = forger.judge({"schedule.json": json.dumps(schedule), "summary.json": json.dumps(summary)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "passive")
+    data = {k: v for k, v in forger.honest.items() if k != "drift"}
+    assert forger.judge({CERTIFICATE: json.dumps(data)}).outcome == "REJECTED"
+
+
+# -- what S spends for as long as it flies on --------------------------------------------------------
+
+
+def test_s_spends_no_more_than_its_upkeep_for_ever():
+    schedule = synthesize(load_scenario(TINY))
+    upkeep, safety = schedule.upkeep, schedule.safety
+    assert upkeep.tank is upkeep.lasts is upkeep.per_orbit is None
+    loop, K = safety.tracking, safety.tracking.gain
+    rng, h = np.random.default_rng(0), 0.05
+    A, D = held(safety.problem.system.A - safety.problem.system.B @ K, safety.problem.system.D, h)
+    e, w, spent, most = np.zeros((200, 4)), np.zeros((200, 2)), 0.0, 0.0
+    for step in range(4000):
+        w = rng.normal(size=(200, 2)) if step % 40 == 0 else w
+        w[:50] = np.sign(e[:50, 2:]) + 1e-9  # pushes on where it goes
+        e = e @ A.T + loop.system.w_max * (w / np.linalg.norm(w, axis=1, keepdims=True)) @ D.T
+        spent = spent + np.abs(e @ K.T).sum(axis=1) * h
+        most = max(most, float(np.abs(e @ K.T).sum(axis=1).max()))
+    assert (spent / (4000 * h)).max() <= upkeep.rate and most <= upkeep.rate * (1 + 1e-9)
+    assert (spent / (4000 * h)).max() > 0.3 * upkeep.rate
+
+
+def test_the_tank_lasts_as_long_as_the_bounds_say():
+    def lasts(tank):
+        return synthesize(load_scenario(TINY).with_assignments([f"tank.delta_v_m_s={tank}"])).upkeep
+
+    plenty, scarce, none = lasts(8.0), lasts(5.5), lasts(0.1)
+    assert plenty.lasts == pytest.approx(plenty.settled + (8 - plenty.spent) / plenty.rate)
+    assert scarce.lasts == 12.0 and none.lasts == 0.0
+
+
+def test_forged_upkeep_is_refused(tmp_path):
+    forger = Forger(make(["tank.delta_v_m_s=20.0"], tmp_path), tmp_path)
+    honest = forger.tree("schedule.json")["guarantee"]["upkeep"]
+    assert honest["lasts_s"] > 12 and forger.judge({}).outcome == "VERIFIED"
+    for change in (
+        {"rate_m_s2": honest["rate_m_s2"] * 0.9},
+        {"lasts_s": honest["lasts_s"] * 2},
+        {"tank_m_s": 30.0},
+    ):
+        files = {}
+        for name in ("schedule.json", "summary.json"):
+            data = forger.tree(name)
+            data["guarantee"]["upkeep"] |= change
+            files[name] = json.dumps(data)
+        verdict = forger.judge(files)
+        assert verdict.outcome == "REJECTED" and verdict.claim in ("upkeep", "goal"), change
