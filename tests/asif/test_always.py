@@ -411,7 +411,7 @@ def test_latching_and_handing_back():
 
 def test_periods_and_thrust_that_do_not_do_are_refused():
     with pytest.raises(ScenarioError, match="thrust_max"):
-        Brake(Q, 1.0, Uncertainty(position=50.0))
+        Brake(Q, 1.0, Uncertainty(position=100.0))
     with pytest.raises(ScenarioError, match="period"):
         Brake(Q, -1.0)
     with pytest.raises(ScenarioError, match="velocity"):
