@@ -38,7 +38,10 @@ from polaris.cli.app import app
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-RUN = [ROOT / "README.md", *(DOCS / f"{n}.md" for n in ("tour", "tradeoff", "tutorial", "training", "reach-tutorial"))]
+RUN = [
+    ROOT / "README.md",
+    *(DOCS / f"{n}.md" for n in ("tour", "tradeoff", "tutorial", "training", "reach-tutorial")),
+]
 
 BLOCK = re.compile(
     r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S

@@ -46,6 +46,7 @@ class Departures:
     plant: Plant
     k: int
     groups: list[Departure]
+    displaced: list[float]  # by jitter, from where states are said to be
 
     @cached_property
     def _group(self) -> list[int]:
@@ -84,7 +85,9 @@ class Departures:
         size = column([largest(pair) for pair in zip(*(z.size().entries() for z in ends), strict=True)])
         apart = moved.moved(last - first).size()
         bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
-        beyond = (magnitude(inverse * self._back[i]) * (self._over * (column(bow) + bent))).entries()
+        beyond = (
+            magnitude(inverse * self._back[i]) * (self._over * (column(bow) + column(self.displaced) + bent))
+        ).entries()
         for z, back in zip(ends, self._back[i : i + 2], strict=True):
             M = inverse * back
             middle = (M * z.c - inverse * centre).entries()
