@@ -38,10 +38,8 @@ from polaris.cli.app import app
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-RUN = [
-    ROOT / "README.md",
-    *(DOCS / f"{n}.md" for n in ("tour", "tradeoff", "tutorial", "training", "reach-tutorial")),
-]
+FOLLOWED = ("tour", "tradeoff", "tutorial", "training", "reach-tutorial")
+RUN = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in FOLLOWED)]
 
 BLOCK = re.compile(
     r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S

@@ -98,7 +98,7 @@ class Plant:
         return [along * x + across * size + bit for x in most]
 
     def spent(self, most: Sequence[arb]) -> arb:
-        """Bound on the integral of the 1-norm of what is applied in a period, for commands up to a size."""
+        """Bound on the integral of the 1-norm of what is applied in a period, under commands up to `most`."""
         applied = sums(most, replace(self, thrusters=self.prompt).thruster_error(most))
         return sum(applied, arb(0)) * (self.h + 2 * arb(self.jitter))
 

@@ -87,8 +87,8 @@ class Member:
         if on_time and len(heard) == len(told) and all(np.isfinite(message.x).all() for message in heard):
             plans = [Proven(message.plan, message.tube, np.zeros(0)) for message in heard]
             count = max(len(each.plan) for each in plans)
-            plan, tube = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
-            self.rule.take_over(Proven(np.hstack(plan), np.hstack(tube), self._none), t)
+            longer, tubes = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
+            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none), t)
             x, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
             decision = self.rule.filter(t, x, wanted)
             if self.rule.plan is not None:  # it has been proven
