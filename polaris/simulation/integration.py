@@ -51,6 +51,7 @@ class Integrator:
         self.thrust: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
+        self.thrusters = self.system.thrusters
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
         self.dt = self.tracking.flow.h / substeps
         self.steps_per_cell = self.q * substeps
@@ -100,7 +101,7 @@ class Integrator:
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
         u = np.clip(raw, -self.system.u_max, self.system.u_max)
-        return u if self.thrust is None else u + self.thrust[step] * self.system.thrusters.error(u)
+        return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(u)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
