@@ -1,10 +1,11 @@
 """A policy trained under the shield and without it, by evolution strategies: NumPy alone, seeds fixed.
 
-    python -m benchmarks.training [--out FILE.onnx] [--generations 120] [--scenario robot]
+    python -m benchmarks.training --out trained.onnx
+    python -m benchmarks.training --speed
 
 The task is to follow the reference of the scenario's experimental controller, which leads through obstacles.
-Every episode of a vector environment flies another candidate. What is printed: return and collisions while it
-learns, then of the trained policy, with the monitor between it and the plant and without.
+Every episode of a vector environment flies another candidate. Printed are the collisions while it learns,
+then what the trained policies come to with the monitor between them and the plant, and without it.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ import numpy as np
 import polaris
 from benchmarks.policies import FOLDER, write_onnx
 from polaris.model.system import Array
-from polaris.runs.training import SwitchingVectorEnv, VectorShield
+from polaris.runs.training import InspectionEnv, Shield, SwitchingEnv, SwitchingVectorEnv, VectorShield
 
 WIDTH, CANDIDATES, SIGMA, RATE, DECAY = 16, 64, 0.1, 0.05, 0.005
 PENALTY = 0.005
 """Taken off per period in which S flies."""
+HOW = {True: "shield", False: "none"}
+NAMES = {"shield": "under the shield", "none": "alone"}
 
 
 def unpacked(flat: Array, dims: list[int]) -> list[Array]:
@@ -54,7 +57,7 @@ def episodes(env: Any, P: list[Array], seed: int | None = None) -> tuple[Array, 
     return total, collided, by_s / steps
 
 
-def train(env: Any, generations: int, seed: int = 0, told: Any = None) -> tuple[Array, int]:
+def train(env: Any, generations: int, seed: int = 0) -> tuple[Array, int]:
     """The mean of the last generation, (count,), and collisions while it learned."""
     rng = np.random.default_rng(seed)
     dims = [env.single_observation_space.shape[0], WIDTH, WIDTH, env.single_action_space.shape[0]]
@@ -75,9 +78,6 @@ def train(env: Any, generations: int, seed: int = 0, told: Any = None) -> tuple[
             first / (1 - 0.9 ** (generation + 1)) / (np.sqrt(second / (1 - 0.99 ** (generation + 1))) + 1e-8)
         )
         mean = mean + RATE * 0.5 * (1 + np.cos(np.pi * generation / generations)) * (moved - DECAY * mean)
-        if told and (generation % 20 == 0 or generation == generations - 1):
-            found = value.mean(), by_s.mean(), collided.mean()
-            told("  {:4d} return {:6.3f} S {:5.1%} collided {:5.1%}".format(generation, *found))
     return mean, collisions
 
 
@@ -85,39 +85,68 @@ def folded(env: Any, mean: Array) -> list[Array]:
     """Weights that read unscaled inputs."""
     dims = [env.single_observation_space.shape[0], WIDTH, WIDTH, env.single_action_space.shape[0]]
     P = [part[0] for part in unpacked(mean[None], dims)]
-    P[0] = P[0] * env.unwrapped.flights.input_scale
+    P[0] = P[0] * env.unwrapped.flights.scale
     return P
 
 
+def speed(env: Any, steps: int = 150) -> float:
+    """Periods per second under random full thrust, resets included, of one core."""
+    rng, count = np.random.default_rng(0), 0
+    env.reset(seed=0)
+    env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    begun = time.process_time()
+    for _ in range(steps):
+        *_, over, ended, _ = env.step(rng.choice([-1.0, 1.0], env.action_space.shape).astype(np.float32))
+        count += np.size(over)
+        if np.size(over) == 1 and (over or ended):
+            env.reset()
+    return count / (time.process_time() - begun)
+
+
+def report(schedule: Any, made: Any, found: dict[str, Array]) -> None:
+    """Fly what was trained, with the shield and without it, and S alone."""
+    dims = [made(True).single_observation_space.shape[0], WIDTH, WIDTH, schedule.safety.problem.system.m]
+    for name, mean in [*found.items(), ("S alone", np.full_like(found["shield"], np.nan))]:
+        P = [np.repeat(part, CANDIDATES, axis=0) for part in unpacked(mean[None], dims)]
+        for shielded in (True, False)[: 1 if name == "S alone" else 2]:
+            value, collided, by_s = episodes(made(shielded, 0.0), P, seed=1)
+            how = name if name == "S alone" else f"trained {NAMES[name]}, flown {NAMES[HOW[shielded]]}"
+            print(
+                f"{how:48} return {value.mean():6.2f}  collided {collided.mean():4.0%}  S {by_s.mean():4.0%}"
+            )
+
+
 def main() -> None:
-    """Train both ways, fly what came of it, and write the one trained under the shield."""
+    """Train both ways, fly what came of it, and write the policy trained under the shield."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--scenario", default="robot")
-    parser.add_argument("--generations", type=int, default=120)
+    parser.add_argument("--generations", type=int, default=100)
     parser.add_argument("--period", type=float, default=0.25, help="of decisions while it learns [s]")
     parser.add_argument("--out", type=Path, default=FOLDER / "trained.onnx")
+    parser.add_argument("--speed", action="store_true", help="periods per second, and nothing else")
     asked = parser.parse_args()
     schedule = polaris.synthesize(polaris.load_scenario(asked.scenario))
 
-    def made(shielded: bool) -> Any:
+    def made(shielded: bool, penalty: float = PENALTY) -> Any:
         env = SwitchingVectorEnv(schedule, CANDIDATES, period_s=asked.period)
-        return VectorShield(env, PENALTY) if shielded else env
+        return VectorShield(env, penalty) if shielded else env
 
+    if asked.speed:
+        for name, env in (
+            (f"{CANDIDATES} episodes", made(False)),
+            (f"{CANDIDATES} episodes, shielded", made(True)),
+            ("1 episode, shielded", Shield(SwitchingEnv(schedule, period_s=asked.period))),
+            ("inspection, 5 deputies", InspectionEnv("inspection")),
+            ("inspection, 5 deputies, shielded", Shield(InspectionEnv("inspection"))),
+        ):
+            print(f"{name:36} {speed(env):8.0f} periods/s")
+        return
     found = {}
     for name, shielded in (("shield", True), ("none", False)):
-        begun = time.perf_counter()
-        mean, collisions = train(made(shielded), asked.generations, told=print)
-        found[name] = mean
-        print(f"trained, {name}: {collisions} collisions, {time.perf_counter() - begun:.0f} s")
-    dims = [made(True).single_observation_space.shape[0], WIDTH, WIDTH, schedule.safety.problem.system.m]
-    for name, mean in found.items():
-        P = [np.repeat(part, CANDIDATES, axis=0) for part in unpacked(mean[None], dims)]
-        for shielded in (True, False):
-            value, collided, by_s = episodes(made(shielded), P, seed=1)
-            print(
-                f"flown, trained with {name}, {'shielded' if shielded else 'alone'}: return"
-                f" {value.mean():.3f}, collided {collided.mean():.1%}, S {by_s.mean():.1%}"
-            )
+        found[name], collisions = train(made(shielded), asked.generations)
+        flown = asked.generations * CANDIDATES
+        print(f"training {NAMES[name]}: {collisions} collisions in {flown} episodes")
+    report(schedule, made, found)
     write_onnx(asked.out, folded(made(True), found["shield"]))
 
 

@@ -5,7 +5,8 @@
 The matrices of the building and of the space station have no closed description: `--data` names a
 folder with `building.npz` and `iss.npz`, each with the arrays A, B, C, x0_center, x0_radius, u_low
 and u_high. The matrices are in the examples of the tool Hylaa (`build.mat`, `iss.mat`), the sets in
-the ARCH-COMP packages of JuliaReach. Everything else is generated here.
+the ARCH-COMP packages of JuliaReach. The same folder may hold the networks that `benchmarks.arch.networks`
+names. Everything else is generated here.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.arch import brake, gearbox, linear, platoon, powertrain, rendezvous
+from benchmarks.arch import brake, gearbox, linear, networks, platoon, powertrain, rendezvous
 from benchmarks.arch.row import Row
 
 PEERS = {
@@ -34,6 +35,7 @@ FAMILIES: dict[str, Callable[[Path | None], Iterator[Row]]] = {
     "gearbox": lambda data: gearbox.rows(),
     "brake": lambda data: brake.rows(),
     "powertrain": lambda data: powertrain.rows(),
+    "networks": networks.rows,
 }
 
 
@@ -73,7 +75,7 @@ def main() -> int:
     if wrong:
         print(f"WRONG: {', '.join(wrong)}")
     elif options.data is None and "linear" in options.only and not options.json:
-        print("building and space station left out: no --data")
+        print("building, space station and networks left out: no --data")
     return bool(wrong)
 
 

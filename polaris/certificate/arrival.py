@@ -300,8 +300,8 @@ class Arrival:
                     plant.u_max, self.tops(node, doc.inputs[doc.steps + node // doc.q]), strict=True
                 )
             ]
-            total += sum(sums(tops, plant.thruster_error(tops)), arb(0))
-        return total * plant.h / doc.mass
+            total += plant.spent(tops)
+        return total / doc.mass
 
     def tops(self, node: int, u: list[float]) -> list[arb]:
         """What S commands at most in the period after a node, about inputs u of the reference."""

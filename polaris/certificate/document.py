@@ -298,10 +298,10 @@ class Document:
         for mode, law in enumerate(self.laws):
             if sum(sizes[name] for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
-            exact = law.kind in ("neural", "black_box")
-            if exact and not self.sampled:
+            held = law.kind in ("neural", "black_box")
+            if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
-            if exact and (self.estimate or self.thrusters):
+            if law.kind == "black_box" and (self.estimate or self.thrusters):
                 raise Undecided("controllers", f"{law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")

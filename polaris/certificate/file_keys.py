@@ -52,11 +52,11 @@ CERTIFICATE = {
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
+                    **every(grid("n"), "measured displaced")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
-        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
-                    **every(grid("n"), "measured displaced")},
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -155,7 +155,7 @@ GAINS = {
         **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
         "timing?": {
-            **every(NOT_NEGATIVE, "delay jitter clock bit"), "missed": Whole(),
+            **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
             **every(VECTOR, "measured displaced"),
         },
         "safety_share?": NOT_NEGATIVE,

@@ -84,7 +84,7 @@ class Pilot:
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
             tops = self.clipped(_ranges(u, most))
-        return sum(sums(tops, self.plant.thruster_error(tops)), arb(0)) * self.plant.h
+        return self.plant.spent(tops)
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
@@ -104,7 +104,8 @@ class Pilot:
         if self.law.kind == "neural":
             command = self.policy.command(d, self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
-            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, most=command.most)
+            error = plant.push(plant.thruster_error(command.most))
+            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
         fit = self.fits[k] if self.law.kind == "black_box" else None
         if fit is not None:
             n, rows = d.c.nrows(), fit[i]

@@ -8,7 +8,7 @@ sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
@@ -70,6 +70,8 @@ class Plant:
     q: int = 1  # periods per step
     estimate: tuple[float, ...] = ()  # bounds on the error of the estimate of every state, if any is not zero
     thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
+    prompt: tuple[float, ...] = ()  # the same without jitter
+    jitter: float = 0.0  # by which a command may take effect too early or late [s]
 
     def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
         """Motion under ``u = -gain x``, every input off by an error at most."""
@@ -94,6 +96,11 @@ class Plant:
         along, across, bit = self.thrusters
         size = root(dot(most, most))
         return [along * x + across * size + bit for x in most]
+
+    def spent(self, most: Sequence[arb]) -> arb:
+        """Bound on the integral of the 1-norm of what is applied in a period, under commands up to `most`."""
+        applied = sums(most, replace(self, thrusters=self.prompt).thruster_error(most))
+        return sum(applied, arb(0)) * (self.h + 2 * arb(self.jitter))
 
     def push(self, error: list[arb]) -> Push | None:
         """Errors of the inputs as what pushes; None where there are none."""

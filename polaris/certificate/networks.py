@@ -66,6 +66,8 @@ class Policy:
     def command(self, d: Zonotope, known: arb_mat) -> Command:
         """What it commands over a set of states relative to its reference."""
         M, c, V = self.reads, known, arb_mat(known.nrows(), 0)
+        if self.plant.estimate:
+            V = M * diagonal(self.plant.estimate)
         for layer in self.layers:
             if isinstance(layer, tuple):
                 M, c, V = layer[0] * M, layer[0] * c + layer[1], layer[0] * V

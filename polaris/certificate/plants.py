@@ -29,8 +29,9 @@ def plant_of(document: Document) -> Plant:
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
     C, w_max = matrix(document.C), arb(document.w_max)
-    errors = tuple(document.estimate), tuple(document.thrusters)
-    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors)
+    errors = tuple(document.estimate), tuple(document.thrusters), tuple(document.prompt_thrusters)
+    jitter = document.timing.get("jitter", 0.0)
+    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, jitter)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

@@ -72,11 +72,11 @@ SCENARIO = {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
     },
-    "faults?": Rows(Kinds({"stuck_off": {}, "loss": {"share": Real(above=0, below=1)}}), 0, 8),
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
         **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
     },
+    "faults?": Rows(Kinds({"stuck_off": {}, "loss": {"share": Real(above=0, below=1)}}), 0, 8),
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {

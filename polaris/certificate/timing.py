@@ -32,7 +32,7 @@ def check_timing(document: Document, spec: dict[str, Any]) -> None:
     if (missed or jitter) and not (document.sampled and 2 * arb(jitter) <= plant.h):
         raise Rejected("system", "missed periods and jitter need a control period, at least twice the jitter")
     exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
-    bit, box = _jitter(plant, arb(jitter), exact) if jitter else (arb(0), [arb(0)] * len(stored))
+    bit, box = _jitter(plant) if jitter else (arb(0), [arb(0)] * len(stored))
     require("system", booked * arb(1 + ROUNDED) - exact[2] - bit, f"error of the thrusters: {booked}")
     for i, (bound, needed) in enumerate(zip(document.displaced, box, strict=True)):
         require("system", bound - needed, f"displacement of state {i} by jitter: {bound}")
@@ -56,13 +56,13 @@ def _predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     return sums(found, (absolute(rows) * column(known)).entries())
 
 
-def _jitter(plant: Plant, jitter: arb, exact: list[float]) -> tuple[arb, list[arb]]:
+def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
     """What instants add that are off: an error of every input, and bounds on what states are displaced by.
 
     The impulse of a command that is early or late is that of an input ``a + b s`` over a period about it.
     """
     A, B, h, n, m = plant.A, plant.B, plant.h, plant.A.nrows(), len(plant.u_max)
-    one, zero, reach = identity(n), arb_mat(n, n), h / 2 + jitter
+    one, zero, jitter, reach = identity(n), arb_mat(n, n), arb(plant.jitter), h / 2 + plant.jitter
     block = above(beside(-A, one, zero), beside(zero, zero, one), beside(zero, zero, zero)) * h
     rows = [row[n:] for row in block.exp().tolist()[:n]]
     once, twice = (matrix([row[i * n : (i + 1) * n] for row in rows]) for i in (0, 1))
@@ -74,7 +74,7 @@ def _jitter(plant: Plant, jitter: arb, exact: list[float]) -> tuple[arb, list[ar
     over = (absolute(A) * reach).exp() * absolute(B)
     shape = absolute(inverse * B) + absolute(inverse * A * B) * jitter
     shape += absolute(inverse) * absolute(A) * absolute(A) * over * (jitter**2 / 2)
-    worst = replace(plant, thrusters=tuple(exact)).thruster_error(plant.u_max)
+    worst = replace(plant, thrusters=plant.prompt).thruster_error(plant.u_max)
     impulse = [jitter * (2 * u + e) for u, e in zip(plant.u_max, worst, strict=True)]
     both = (shape * column(impulse)).entries()
     spread = [largest((a + b, i / h)) for a, b, i in zip(both[:m], both[m:], impulse, strict=True)]

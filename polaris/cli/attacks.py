@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 from typer import Argument, Option
 
-from .shell import REFUTED, Json, print_json, verb
+from .shell import REFUTED, Assignments, Json, print_json, verb
 
 if TYPE_CHECKING:
     from ..simulation.falsification.search import Falsification
@@ -44,6 +44,7 @@ def falsify_command(
     runs: int = Option(10_000, min=1, help="Trajectories to fly."),
     seed: int = Option(0, min=0, help="Same seed, same search."),
     out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
+    assignments: Assignments = None,
     as_json: Json = False,
 ) -> int | None:
     """Search for a run that breaks what a schedule claims; save it as a case."""
@@ -53,7 +54,7 @@ def falsify_command(
 
     if out is not None:
         check_file(out, endings=(".json",))
-    scenario, schedule = load_target(target)
+    scenario, schedule = load_target(target, assignments or ())
     check_file(out or f"{scenario.name}.case.json")
     found = falsify(schedule, runs, seed)
     if as_json:

@@ -1,4 +1,4 @@
-"""The verbs that fly one scene in many ways: compare (every method), tradeoff (several prices)."""
+"""The verbs that fly one scene in many ways: compare (every method), tradeoff (prices, or other values)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ class Options:
     )
     latency: float = Option(0.0, help="Time from measurement to effect of a decision [s].")
     estimate_error: str | None = Option(
-        None, metavar="E[,E...]", help="Largest error of the state estimate, one number or one per state."
+        None,
+        metavar="E[,E...]",
+        help="Largest error of the state estimate, one number or one per state; default [navigation]'s.",
     )
     tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Tune a method; repeatable.")
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-comparison.")
@@ -58,6 +60,8 @@ def compare_command(scenario: Name, options: Options) -> None:
 
     stages = ShownStages(options.quiet or options.as_json)
     with stages.stage("load"):
+        import numpy as np
+
         from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
@@ -67,14 +71,15 @@ def compare_command(scenario: Name, options: Options) -> None:
 
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
         target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
-        half, tuning = _numbers("--estimate-error", options.estimate_error or "0"), _tuning(options.tune)
+        given, tuning = options.estimate_error, _tuning(options.tune)
+        half = None if given is None else np.squeeze(_numbers("--estimate-error", given))
         named = None if options.methods is None else options.methods.replace(" ", "").split(",")
         selected(named, tuning)  # what does not exist is refused before the synthesis
     with stages.stage("schedule"):
         schedule = synthesize(loaded)
     with stages.stage("flights"):
         comparison = compare_methods(
-            DecisionGrid.of(schedule, options.period, options.latency, half if len(half) > 1 else half[0]),
+            DecisionGrid.of(schedule, options.period, options.latency, half),
             options.runs,
             options.seed,
             methods=named,
@@ -105,37 +110,53 @@ def _tuning(assignments: list[str]) -> dict[str, float]:
     return out
 
 
+@dataclass
+class TradeoffOptions:
+    """Of ``polaris tradeoff``."""
+
+    out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-tradeoff.")
+    prices: str | None = Option(
+        None,
+        metavar="P[,P...]",
+        help="Values of schedule.delta_v_price; default 0,0.02,0.06,0.1,0.2,0.5 without --sweep.",
+    )
+    sweep: list[str] = Option(
+        [],
+        metavar="KEY=V[,V...]",
+        help="Values of a number, which is changed alone; or LOW:HIGH:COUNT, by equal ratios. Repeatable.",
+    )
+    share: float = Option(0.9, help="Share of U for which it is said how far a value of --sweep may go.")
+    workers: int | None = Option(None, min=1, help="Processes; default one per processor.")
+    assignments: Assignments = None
+    figures: Figures = True
+    as_json: Json = False
+    quiet: Quiet = False
+
+
 @verb("tradeoff")
-def tradeoff_command(
-    scenario: Name,
-    out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-tradeoff."),
-    prices: str = Option(
-        "0,0.02,0.06,0.1,0.2,0.5", metavar="P[,P...]", help="Values of schedule.delta_v_price."
-    ),
-    workers: int | None = Option(None, min=1, help="Processes; default one per processor."),
-    assignments: Assignments = None,
-    figures: Figures = True,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+def tradeoff_command(scenario: Name, options: TradeoffOptions) -> None:
     """Find the front of share of U against velocity change against switches: a run folder for each price.
 
-    A trade-off that was stopped goes on where it was.
+    Or how both change with any number of the scenario. What was stopped goes on where it was.
     """
     from ..runs.campaign.workers import local
-    from ..runs.tradeoff import tradeoff
+    from ..runs.tradeoff import PRICES, tradeoff
     from .console import ShownStages
 
+    if options.sweep and options.prices is not None:
+        raise ScenarioError("--prices", options.prices, "must be left out with --sweep")
+    prices = PRICES if options.prices is None else _numbers("--prices", options.prices)
     folder = tradeoff(
         scenario,
-        out,
-        _numbers("--prices", prices),
-        overrides=assignments or (),
-        draw=drawing(figures),
-        stages=ShownStages(quiet or as_json),
-        executor=local(workers),
+        options.out,
+        dict(map(_sweep, options.sweep)) or prices,
+        share=options.share,
+        overrides=options.assignments or (),
+        draw=drawing(options.figures),
+        stages=ShownStages(options.quiet or options.as_json),
+        executor=local(options.workers),
     )
-    unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] != "proved"]
+    unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] == "none"]
     if unproven:  # even if asked to be quiet
         typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
@@ -144,4 +165,20 @@ def tradeoff_command(
             f"the planner's wall clock ended its search early ({', '.join(cut)}): another machine, or another"
         )
         warnings.warn(f"{told} run, may find another plan; allow more time", ClockWarning, stacklevel=2)
-    finish(folder, figures, as_json, quiet)
+    finish(folder, options.figures, options.as_json, options.quiet)
+
+
+def _sweep(text: str) -> tuple[str, list[float]]:
+    """Key and values of a text ``key=0.1,0.2`` or ``key=0.1:10:5``, rounded to six digits."""
+    import numpy as np
+
+    key, equals, given = text.partition("=")
+    ends = given.split(":")
+    if not equals or len(ends) not in (1, 3):
+        raise ScenarioError("--sweep", text, "must be KEY=V,V,... or KEY=LOW:HIGH:COUNT")
+    if len(ends) == 1:
+        return key.strip(), _numbers("--sweep", given)
+    low, high, count = (_numbers("--sweep", end)[0] for end in ends)
+    if not (0 < low < high < np.inf and 2 <= count <= 1000 and count == int(count)):
+        raise ScenarioError("--sweep", text, "must be 0 < LOW < HIGH and a COUNT of 2 to 1000")
+    return key.strip(), [float(f"{value:.6g}") for value in np.geomspace(low, high, int(count))]

@@ -43,7 +43,7 @@ def run(
     stages = ShownStages(quiet or as_json)
     with stages.stage("load"):
         from ..runs.campaign.workers import local
-        from ..runs.program import Program
+        from ..runs.program import program
         from ..runs.run import run as run_scenario
         from ..scenario.scenario import load_scenario
 
@@ -56,7 +56,7 @@ def run(
             name, equals, command = text.partition("=")
             if not equals or name in boxes:
                 raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
-            boxes[name] = programs.enter_context(Program(shlex.split(command), answer_s))
+            boxes[name] = programs.enter_context(program(shlex.split(command), answer_s))
         flying: dict[str, Any] = {"draw": drawing(figures), "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule":

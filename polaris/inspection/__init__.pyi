@@ -1,10 +1,10 @@
 from .backup.all_time import AllTime as AllTime
 from .backup.brake import Brake as Brake
-from .backup.brake import Tube as Tube
-from .backup.brake import Uncertainty as Uncertainty
-from .backup.law import Outlook as Outlook
 from .backup.planner import Planner as Planner
+from .backup.tracker import Outlook as Outlook
 from .backup.tracker import Tracker as Tracker
+from .backup.tube import Tube as Tube
+from .backup.tube import Uncertainty as Uncertainty
 from .constraints.allowable_set import allowable as allowable
 from .constraints.families import Families as Families
 from .constraints.families import Rows as Rows
@@ -19,6 +19,8 @@ from .filters.explicit import Centralized as Centralized
 from .filters.explicit import Decentralized as Decentralized
 from .filters.explicit import Filtered as Filtered
 from .filters.fuel import FuelLimit as FuelLimit
+from .filters.member import Member as Member
+from .filters.member import Message as Message
 from .flights.blocks import Outcome as Outcome
 from .flights.blocks import fly_block as fly_block
 from .flights.fuel_run import FuelRun as FuelRun

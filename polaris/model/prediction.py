@@ -77,7 +77,8 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
     measured, displaced = tuple(system.navigation.tolist()), tuple(moved.tolist())
-    timing = replace(timing, bit=exact.bit, measured=measured, displaced=displaced)
+    longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
+    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced)
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known = system.navigation + moved

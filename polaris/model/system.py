@@ -179,6 +179,10 @@ class LinearSystem:
         """
         return np.asarray(self.command_error(gain) + self.thrusters.error(most))
 
+    def spent(self, most: Array) -> Array:
+        """Bounds on what is applied, on average over time, under commands up to `most`, shape (..., m)."""
+        return np.asarray((1 + self.timing.longer) * (most + self.prompt.thrusters.error(most)))
+
     def error_map(self, error: Array) -> Array | None:
         """Errors of inputs as generators of the rate of the states, shape (n, m); None without any."""
         return self.B * error if np.any(error) else None

@@ -41,6 +41,10 @@ class Thrusters:
         bounds = along, across, rounding * (1 + along + across * m**0.5)
         return cls(*(x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds))
 
+    def rounding(self, m: int) -> float:
+        """Multiple of which every input is commanded [N]: twice what `of` was given."""
+        return 2 * self.bit / (1 + self.along + self.across * float(np.sqrt(m)))
+
     @property
     def exact(self) -> bool:
         """Whether what is commanded is what is applied."""

@@ -19,8 +19,9 @@ class Timing:
         Periods in a row in which there may be no new measurement.
     clock : float
         How far the schedule's clock may be from that of the unsafe sets [s].
-    bit : float
-        Error of an input, whatever its command, without jitter [N].
+    bit, longer : float
+        Error of an input, whatever its command, without jitter [N]; the share of a period by which a command
+        may be in force for longer.
     measured, displaced : tuple of float
         Bounds on the errors of the measured states, and on how far jitter displaces states, (n,).
     """
@@ -30,6 +31,7 @@ class Timing:
     missed: int = 0
     clock: float = 0.0
     bit: float = 0.0
+    longer: float = 0.0
     measured: tuple[float, ...] = ()
     displaced: tuple[float, ...] = ()
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ..model.errors import ScenarioError
 from ..runs.atomic import check_file, write_whole
-from ..runs.comparison import TRADEOFF
 from ..runs.folder import RunFolder, readable
+from ..runs.points import TRADEOFF
 from ..runs.run import read_run
 from .html.page import Page, page_html
 

@@ -43,7 +43,7 @@ class DecisionGrid:
     latency : float
         Time from a measurement to the moment the decision on it takes effect [s], at most the period.
     half_widths : ndarray, shape (n,)
-        Largest error of the state estimate, per entry.
+        Largest error of the state estimate that decisions are made on, per entry.
     tracking : Tracking
         S on the fine grid.
     clearance : Clearance
@@ -63,7 +63,7 @@ class DecisionGrid:
 
     @classmethod
     def of(
-        cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = 0.0
+        cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = None
     ) -> DecisionGrid:
         """Lay the fine grid.
 
@@ -75,8 +75,9 @@ class DecisionGrid:
             step that is at most `PERIOD`.
         latency : float
             [s]
-        half_widths : array_like
-            Largest error of the state estimate, one number or one per state; 0 where it is exact.
+        half_widths : array_like, optional
+            Largest error of the state estimate that decisions are made on, one number or one per state; 0
+            where it is exact. By default that of the estimate that S and U act on (``[navigation]``).
 
         Raises
         ------
@@ -86,31 +87,26 @@ class DecisionGrid:
         """
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
-        if not safety.problem.system.ideal or safety.tracking.share < 1:
-            given = safety.problem.system.navigation.tolist()
-            rule = (
-                "is not covered by the run-time methods, nor are errors of thrusters, nor a limit of S's own"
-            )
-            raise ScenarioError("navigation", given, rule)
-        delta, feedback, n = safety.tracking.delta, safety.tracking.feedback, safety.problem.system.n
+        known, delta, feedback = safety.tracking, safety.tracking.delta, safety.tracking.feedback
+        n = known.system.n
         if period is None:
-            period = safety.tracking.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)
+            period = known.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)
         positive("period", period, "s")
         per_step = _parts("period", delta, period, f"must divide the planning step of {delta:g} s")
         if not 0 <= non_negative("latency", latency, "s") <= period:
             raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
-        half = np.asarray(half_widths, dtype=float)
+        half = np.asarray(known.system.navigation if half_widths is None else half_widths, dtype=float)
         if half.shape not in ((), (n,)) or not (np.all(np.isfinite(half)) and np.all(half >= 0)):
             raise ScenarioError("half_widths", half.tolist(), f"must be one or {n} finite numbers >= 0")
         if feedback.sampled:
-            h = safety.tracking.flow.h
+            h = known.flow.h
             nodes = _parts("period", period, h, f"must be a multiple of the control period of {h:g} s")
             delay = _parts("latency", latency, h, f"must be a multiple of the control period of {h:g} s")
             q = feedback.nodes_per_cell
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
             q = per_step * nodes
-        tracking = Tracking(safety.problem.system, safety.tracking.gain, Feedback(q, feedback.sampled), delta)
+        tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta, known.share)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
         half = np.array(np.broadcast_to(half, (n,)))

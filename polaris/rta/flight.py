@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.integration import Integrator
+from ..simulation.integration import Integrator, columns
 from ..simulation.simulate import initial_states
 from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
@@ -23,8 +23,9 @@ from .method import FILTERED, Method, Seen
 class Conditions:
     """What happens to every method alike, in R runs.
 
-    Initial states x0 (R, n), disturbances w (N, R, p) held from node to node, errors (D, R, n) of the state
-    estimate at every decision, and the seed of it all, true states of other satellites included.
+    Initial states x0 (R, n); what disturbs, held from node to node, w (N, R, p), errors of thrusters and of
+    the estimates that laws act on in `columns` of their own; errors (D, R, n) of the estimate that decisions
+    are made on; and the seed of it all, true states of other satellites included.
     """
 
     x0: Array
@@ -66,7 +67,7 @@ class Conditions:
         """One run from the middle of the initial set, exactly known."""
         x0, last = grid.schedule.safety.problem.initial_set.c[None], grid.decisions * grid.nodes
         none = np.zeros((grid.decisions, 1, grid.system.n))
-        return cls(x0, np.zeros((last, 1, grid.system.D.shape[1])), none, 0)
+        return cls(x0, np.zeros((last, 1, columns(grid.system)[-1].stop)), none, 0)
 
     def only(self, run: int) -> Conditions:
         """Those of one run."""
@@ -136,7 +137,8 @@ def fly(
     for k in range(D):
         if progress and k % 50 == 0:
             progress(k, D)
-        seen = Seen(k, x + conditions.errors[k], grid.clipped(preferred, k * c, x), flying)
+        told = engine.desired(preferred, k * c, x, conditions.w[k * c])
+        seen = Seen(k, x + conditions.errors[k], told, flying)
         begun = time.perf_counter()
         choice = method.decide(seen)
         seconds[k] = time.perf_counter() - begun
@@ -147,7 +149,7 @@ def fly(
             if i == c:
                 break
             node = k * c + i
-            desired = grid.clipped(preferred, node, x) if i else seen.desired
+            desired = engine.desired(preferred, node, x, conditions.w[node]) if i else told
             x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
             states[node + 1], modes[node] = x, flying
             delta_v += spent * engine.dt / system.mass
@@ -173,6 +175,12 @@ class Engine(Integrator):
         self.grid, sampled = grid, grid.tracking.feedback.sampled
         parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
+        self.parts = columns(self.system)
+
+    def desired(self, mode: int, node: int, x: Array, w: Array) -> Array:
+        """Clipped command of a law that sees states with the errors that are among what disturbs."""
+        eta = w[:, self.parts[1]]
+        return self.grid.clipped(mode, node, x + eta if eta.size else x)
 
     def step(
         self, node: int, flying: NDArray[np.int_], u: Array, x: Array, w: Array
@@ -191,15 +199,14 @@ class Engine(Integrator):
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
+        w, eta, thrust = (w[:, part] for part in self.parts)
+        # The same at every step of the period.
+        self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
+        self.thrust = np.broadcast_to(thrust, (self.steps, *thrust.shape)) if thrust.size else None
         if mode != FILTERED:
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w] * self.substeps)
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
-        applied = np.clip(u, -limit, limit)
-        demand = (np.abs(u) / limit).max(axis=1)
-        return (
-            x @ Ad.T + applied @ Bd.T + w @ Dd.T,
-            applied,
-            demand,
-            np.abs(applied).sum(axis=1) * self.substeps,
-        )
+        applied = self.applied(u, 0)
+        demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1) * self.substeps
+        return x @ Ad.T + applied @ Bd.T + w @ Dd.T, np.clip(u, -limit, limit), demand, spent

@@ -47,11 +47,12 @@ class Leg:
 
     @classmethod
     def declared(cls, recovery: Recovery, mode: int) -> Leg:
-        """A controller at its declared law, unclipped."""
+        """A controller at its declared law, unclipped on the exact state: the clip then adds to no error."""
         grid, law = recovery.grid, recovery.grid.controllers[mode]
         assert isinstance(law, AffineController)
         system, nodes = grid.system, grid.last
-        flow = grid.tracking.feedback.flow(system, law.gain, grid.tracking.delta)
+        error = law.error if mode else grid.tracking.error
+        flow = grid.tracking.feedback.flow(system, law.gain, grid.tracking.delta, error)
         zeta = np.zeros((nodes, 2, system.n))
         if mode in grid.own:
             clearance = grid.clearance
@@ -232,7 +233,7 @@ def _commands(
 ) -> tuple[Array, Array, Array, Array]:
     """Commands of a declared law at the nodes: ``matrix e + known``, at most ``room - per_size norm(W e)``.
 
-    Then they stay within the thrust limits from node to node too.
+    Then, on the exact state, they stay within the thrust limits from node to node too.
     """
     system, count = grid.system, len(stages[0].offset)
     W_size = np.linalg.norm(grid.tracking.W_inverse, axis=1)

@@ -113,9 +113,10 @@ class Recovery:
 
     @cached_property
     def open_flow(self) -> LinearFlow:
-        """Motion under a known input, from node to node."""
+        """Motion under a known command within the limits, from node to node; errors of thrusters included."""
         system = self.grid.system
-        return LinearFlow.continuous(system.A, system.D, system.w_max, self.grid.h)
+        E = system.error_map(system.thrusters.error(system.u_max))
+        return LinearFlow.continuous(system.A, system.D, system.w_max, self.grid.h, E)
 
     @cached_property
     def bow(self) -> Array:
@@ -126,11 +127,12 @@ class Recovery:
         """
         system, flow = self.grid.system, self.open_flow
         rows = self.grid.clearance.obstacle_rows[0]
-        spread = 2 * system.u_max  # |u - mu|
+        spread = 2 * system.u_max  # |u - mu|, of commands
         pushed = LinearFlow.continuous(system.A, system.B * spread, 1.0, self.grid.h).period_box
         within = pushed + flow.period_box
         rate = rows @ system.A
-        bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ spread
+        applied = spread + system.thrusters.error(system.u_max)
+        bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
         direct = np.any(rows @ system.B != 0, axis=1) | np.any(rows @ system.D != 0, axis=1)
         return np.asarray(np.where(direct, 2 * np.abs(rows) @ within, bend))

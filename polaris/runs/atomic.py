@@ -32,9 +32,6 @@ class CannotWrite(ScenarioError):
         super().__init__(field, str(target), rule)
 
 
-# -- before the work --------------------------------------------------------------------------------
-
-
 def check_target(out: str | Path, campaign: bool = False) -> Path:
     """Whether a folder (or a `campaign`) may be replaced or made there, by trying: its absolute path.
 
@@ -113,9 +110,6 @@ def _try_writing(folder: Path, name: str, out: str | Path, field: str = "--out")
     except OSError as error:
         rule = f"cannot be made: {folder} is not a writable folder ({error.strerror or error})"
         raise ScenarioError(field, str(out), rule) from error
-
-
-# -- writing ----------------------------------------------------------------------------------------
 
 
 @contextmanager

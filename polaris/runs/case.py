@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,13 @@ FORMAT = "polaris case"
 VERSION = 2
 
 
-def load_target(target: str) -> tuple[ScheduleScenario, Schedule]:
+def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleScenario, Schedule]:
     """Synthesise a scenario, or that of a run folder, which must hold the schedule that comes of it."""
     if not Path(target).is_dir():
-        scenario = load_scenario(target, only=ScheduleScenario)
+        scenario = load_scenario(target, overrides, only=ScheduleScenario)
         return scenario, synthesize(scenario)
+    if overrides:
+        raise ScenarioError("--set", list(overrides), "must be left out for a run folder: it is as it is")
     folder = read_run(target)
     if folder.kind is not SCHEDULE:
         raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")

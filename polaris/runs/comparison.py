@@ -1,4 +1,4 @@
-"""Folders of comparisons of run-time methods, and of trade-offs: one schedule per price of velocity change.
+"""Folders of comparisons of run-time methods.
 
 ================== ==================================================================================
 run/               the run folder of the schedule (`polaris.runs.schedule`)
@@ -6,18 +6,13 @@ comparison.json    protocol, metrics of every method with intervals, claims, dif
 comparison.npz     some flights of every method, and the envelope of all of them
 decisions.jsonl    decisions of every method in the run that came closest, one JSON object per line
 figures/           PDF and PNG
------------------- ----------------------------------------------------------------------------------
-price-0.06/ ...    the run folder of each price of velocity change (`polaris.runs.schedule`)
-printed/           that of the printed algorithms, without recourse
-scenario.toml      the scenario that they share
-tradeoff.json/csv  what each of them reaches, costs and proves, and which none of the others outdoes
 ================== ==================================================================================
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,11 +23,11 @@ from ..rta.arena import Comparison, Shown
 from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
-from .arrays import held_by, read_arrays, read_flights, read_held
-from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, readable, write_folder
+from .arrays import held_by, read_arrays, read_held
+from .folder import Draw, RunFolder, RunKind, read_json, write_folder
 from .schedule import SCHEDULE, write_run
 from .stages import Stages
-from .tables import strict, write_csv, write_text
+from .tables import strict, write_text
 
 ARRAYS = {
     "t_s": "times",
@@ -123,7 +118,8 @@ PROTOCOL = (
     "Every method flies the same runs: the same initial states, disturbances, errors of the state estimate"
     " and true states of other satellites. Half of the runs are under worst-case disturbances, in equal"
     " shares against the flights of S alone, of U alone and of the schedule; the others under random ones."
-    " Methods decide on the estimate; S and U themselves act on the true state. The experimental controller"
+    " Methods decide on the estimate; S and U act on the true state, or on an estimate of their own that is"
+    " as wrong as [navigation] allows, and thrusters err as [thrusters] does. The experimental controller"
     " is the preferred one; the schedule and the online monitor may use the others too."
 )
 
@@ -163,73 +159,3 @@ COMPARISON = RunKind(
     summary="comparison.json",
 )
 """What a comparison leaves."""
-
-
-Row = dict[str, Any]  # what one point says, by column
-
-
-COLUMNS = {
-    "folder": "run folder of the point; printed: recoverable.recourse = none, where no price is paid",
-    "price": "schedule.delta_v_price",
-    "share": "share of the time under experimental controllers",
-    "weighted_share": "the same, each controller's time times its weight",
-    "delta_v_undisturbed_m_s": "velocity change of the undisturbed flight from the middle of the initial set",
-    "delta_v_most_m_s": "velocity change proven never to be exceeded until the goal is reached, or nearest",
-    "delta_v_m_s": "velocity change, mean over simulated runs",
-    "delta_v_max_m_s": "velocity change, largest over simulated runs",
-    "non_dominated": "no other point is as good in weighted_share, delta_v_m_s, switches, the goal, the"
-    " guarantee and until when it holds, and better in one of them",
-}
-
-
-def row_of(folder: RunFolder, name: str, price: float | None) -> Row:
-    """What the run folder of a point says; `ScenarioError` if a file is missing or damaged."""
-    summary, scenario = folder.summary, folder.scenario
-    with readable(folder.path):
-        found, claim, flown = summary["synthesis"], summary["guarantee"], summary["polaris"]
-        goal, modes = claim["goal"], np.array(folder.json("schedule.json")["modes"], dtype=int)
-        flights = read_flights(folder.path / "trajectories.npz")["polaris"]
-        thrust = np.abs(flights.inputs[flights.labels.index("nominal")]).sum(axis=1)
-        weights = np.array([0.0, *scenario.switching_rules().weights])
-        return {
-            "folder": name,
-            "price": price,
-            "share": found["experimental_share"],
-            "weighted_share": float(weights[modes].mean()),
-            "switches": found["switches"],
-            "delta_v_undisturbed_m_s": float(thrust @ np.diff(flights.times)) / scenario.system().mass,
-            "delta_v_most_m_s": goal["delta_v_max_m_s"],
-            "delta_v_m_s": flown["delta_v_m_s"],
-            "delta_v_max_m_s": flown["delta_v_max_m_s"],
-            "goal_reached": goal["reached"],
-            "goal_by_s": goal["by_s"],
-            "goal_distance_m": goal["distance_m"],
-            "guarantee": claim["kind"],
-            "horizon": claim["horizon"],
-            "until_s": claim["until_s"],
-            "cut_by_clock": bool(found["planner"]["cut_by_clock"]),
-        }
-
-
-def non_dominated(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """Which points no other one outdoes: is as good in every respect and better in one; see `COLUMNS`."""
-    merits = np.array([_merits(row) for row in rows], dtype=float)
-    as_good = np.all(merits[:, None] >= merits, axis=2)
-    return [bool(alone) for alone in ~np.any(as_good & ~as_good.T, axis=0)]
-
-
-def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
-    until = np.inf if row["until_s"] is None else row["until_s"]
-    proved, reached = row["guarantee"] == "proved", row["goal_reached"] is True
-    return row["weighted_share"], -row["delta_v_m_s"], -row["switches"], reached, proved, until
-
-
-TRADEOFF = RunKind(
-    "tradeoff",
-    (SCENARIO, "tradeoff.csv"),
-    lambda folder, scenario, rows: write_csv(folder / "tradeoff.csv", rows),
-    lambda scenario, rows, seconds: {"points": list(rows), "definitions": COLUMNS},
-    lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
-    summary="tradeoff.json",
-)
-"""What a trade-off leaves."""

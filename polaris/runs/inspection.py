@@ -130,12 +130,14 @@ def assumptions(scenario: FlightScenario) -> list[str]:
     """What a claim about a flight rests on."""
     known, flight = scenario.uncertainty(), scenario.model.flight
     state, push, thrust = "exactly and without delay", "without disturbance", "exactly"
-    if known.position or known.velocity:
-        state = f"without delay, to {known.position:g} m and {known.velocity:g} m/s per axis"
+    if known.estimate.any():
+        most = known.estimate.reshape(2, 3).max(axis=1)
+        state = f"without delay, to {most[0]:g} m and {most[1]:g} m/s per axis"
     if known.disturbance:
         push = f"with a disturbance of at most {known.disturbance:g} m/s^2"
-    if known.thrust:
-        thrust = f"to {100 * known.thrust:g} % of its limit"
+    if not (errors := known.thrusters).exact:
+        parts = f"{100 * errors.along:.3g} % of each thrust, {100 * errors.across:.3g} % of their length"
+        thrust = f"to {parts} and {errors.bit:.3g} N"
     return [
         f"the motion is that of the Clohessy-Wiltshire equations, {push}",
         f"every deputy's state is known {state}",

@@ -40,9 +40,6 @@ FORMAT = "polaris folder"
 LONG = 86400.0  # age [s] at which what lies half done belongs to nobody, whatever machine wrote it
 
 
-# -- what is ours -----------------------------------------------------------------------------------
-
-
 def write_manifest(folder: Path) -> None:
     """List what is in a folder, folders with a slash."""
     paths = folder.rglob("*")
@@ -79,9 +76,6 @@ class Ours:
 
     def __iter__(self) -> Iterator[str]:
         return iter({name.rstrip("/") for name in self.names} - {""})
-
-
-# -- replacing one folder by another ------------------------------------------------------------------
 
 
 def keep(old: Path, new: Path, ours: Callable[[str], bool], inside: str = "") -> None:
@@ -129,9 +123,6 @@ def discard(aside: Path, target: Path, ours: Callable[[str], bool]) -> None:
                     path.rename(target / inside)
     with suppress(OSError):
         aside.rmdir()
-
-
-# -- what killed processes leave --------------------------------------------------------------------
 
 
 def host() -> str:

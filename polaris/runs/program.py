@@ -10,86 +10,68 @@ import json
 import subprocess
 import tempfile
 import threading
-from collections.abc import Sequence
-from types import TracebackType
-from typing import Any, Self
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 from ..model.checks import positive
 from ..model.errors import ScenarioError
 from ..model.system import Array
+from ..synthesis.black_box import Ask
 
-LONGEST = 100_000_000
-"""Most bytes of an answer."""
+LONGEST = 100_000_000  # most bytes of an answer
 
 
-class Program:
-    """A black box to ask, for as long as the ``with`` statement lasts.
+@contextmanager
+def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
+    """A black box to ask for as long as the ``with`` statement lasts; no shell reads the command.
 
-    Parameters
-    ----------
-    command : sequence of str
-        The program and its arguments; no shell reads them.
-    seconds : float
-        Time it has for each answer.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be started, ends, is silent for too long, or answers something else than JSON with "u".
+    `ScenarioError` where it cannot be started, ends, needs more than so many seconds for an answer, or
+    answers something else than JSON with "u".
     """
+    shown, pipe = " ".join(command)[:100], subprocess.PIPE
+    positive("seconds", seconds, "s")
 
-    def __init__(self, command: Sequence[str], seconds: float = 10.0) -> None:
-        self.command, self.seconds = list(command), positive("seconds", seconds, "s")
-        self._heard: Any = tempfile.TemporaryFile()  # noqa: SIM115  closed with the program
-        pipe, shown = subprocess.PIPE, " ".join(self.command)[:100]
+    def refused(rule: str) -> ScenarioError:
+        process.kill()
+        process.wait()
+        heard.seek(0)
+        words = heard.read().decode(errors="replace").strip().splitlines()[-1:]
+        return ScenarioError(
+            "black box", shown, rule + "".join(f" (its last words: {w[:100]!r})" for w in words)
+        )
+
+    def exchange(question: bytes, found: list[bytes]) -> None:
+        assert process.stdin is not None and process.stdout is not None
         try:
-            self._process = subprocess.Popen(self.command, stdin=pipe, stdout=pipe, stderr=self._heard)
-        except (OSError, ValueError, IndexError) as error:
-            self._heard.close()
-            raise ScenarioError("black box", shown, f"cannot be started: {error}") from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._process.kill()
-        self._process.communicate()
-        self._heard.close()
-
-    def __call__(self, t: float, x: Array, xi: Array) -> Any:
-        """Commands for states (R, n) at a time, beside the state of the safe reference."""
-        question = json.dumps({"t": t, "x": x.tolist(), "reference": xi.tolist()}) + "\n"
-        found: list[bytes] = []
-        asking = threading.Thread(target=self._ask, args=(question.encode(), found), daemon=True)
-        asking.start()
-        asking.join(self.seconds)
-        if asking.is_alive():
-            self._process.kill()
-            raise self._refused(f"must answer within {self.seconds:g} s")
-        if not found or not found[0].endswith(b"\n"):
-            self._process.kill()
-            raise self._refused(f"must answer each line; it ended, or wrote too much{self._last_words()}")
-        try:
-            return json.loads(found[0])["u"]
-        except (ValueError, TypeError, KeyError, RecursionError):
-            raise self._refused(f'must answer {{"u": [[...], ...]}}; answered {found[0][:60]!r}') from None
-
-    def _ask(self, question: bytes, found: list[bytes]) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        try:
-            self._process.stdin.write(question)
-            self._process.stdin.flush()
-            found.append(self._process.stdout.readline(LONGEST))
+            process.stdin.write(question)
+            process.stdin.flush()
+            found.append(process.stdout.readline(LONGEST))
         except (OSError, ValueError):  # it has ended; whoever asked says so
             return
 
-    def _last_words(self) -> str:
-        self._process.wait()
-        self._heard.seek(0)
-        lines = self._heard.read().decode(errors="replace").strip().splitlines()
-        return f" (its last words: {lines[-1][:100]!r})" if lines else ""
+    def ask(t: float, x: Array, xi: Array) -> Any:
+        question = json.dumps({"t": t, "x": x.tolist(), "reference": xi.tolist()}) + "\n"
+        found: list[bytes] = []
+        asking = threading.Thread(target=exchange, args=(question.encode(), found), daemon=True)
+        asking.start()
+        asking.join(seconds)
+        if asking.is_alive():
+            raise refused(f"must answer within {seconds:g} s")
+        if not found or not found[0].endswith(b"\n"):
+            raise refused("must answer each line; it ended, or wrote too much")
+        try:
+            return json.loads(found[0])["u"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            raise refused(f'must answer {{"u": [[...], ...]}}; answered {found[0][:60]!r}') from None
 
-    def _refused(self, rule: str) -> ScenarioError:
-        return ScenarioError("black box", " ".join(self.command)[:100], rule)
+    with tempfile.TemporaryFile() as heard:
+        try:
+            process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=heard)
+        except (OSError, ValueError, IndexError) as error:
+            raise ScenarioError("black box", shown, f"cannot be started: {error}") from error
+        try:
+            yield ask
+        finally:
+            process.kill()
+            process.communicate()

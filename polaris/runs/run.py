@@ -15,11 +15,12 @@ from ..scenario.scenario import MonteCarloScenario, Scenario, ScheduleScenario, 
 from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
-from .comparison import COMPARISON, TRADEOFF
+from .comparison import COMPARISON
 from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
+from .points import TRADEOFF
 from .schedule import SCHEDULE
 from .stages import Stages
 

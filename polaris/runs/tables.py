@@ -54,9 +54,6 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[st
         writer.writerows(map(strict, rows))
 
 
-# -- schedule ---------------------------------------------------------------------------------------
-
-
 def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
     """One row per step of the schedule."""
     return [
@@ -104,9 +101,6 @@ def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], g
         "steps": rows,
     }
     write_text(folder / "schedule.json", json_text(data))
-
-
-# -- reference and gains ------------------------------------------------------------------------------
 
 
 def columns(system: LinearSystem) -> tuple[tuple[str, ...], tuple[str, ...]]:

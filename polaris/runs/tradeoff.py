@@ -1,29 +1,40 @@
-"""Trade-offs: one scenario at several prices of velocity change, a run folder each."""
+"""Trade-offs: a scenario at several prices of velocity change, or values of any fields, a run folder each."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
-from ..model.checks import non_negative
-from ..model.errors import ClockWarning, PolarisError, ScenarioError, failed
+from ..model.checks import non_negative, number
+from ..model.errors import (
+    ClockWarning,
+    NotCertified,
+    PolarisError,
+    ScenarioError,
+    SynthesisInfeasible,
+    failed,
+)
 from ..model.version import versions
 from ..scenario.base import parse_assignment
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
-from .comparison import TRADEOFF, Row, non_dominated, row_of
-from .folder import SCENARIO, Draw, RunFolder, write_folder
-from .ownership import listed, tidy_all, write_manifest
+from .folder import SCENARIO, Draw, RunFolder, read_json, write_folder
+from .ownership import MANIFEST, listed, tidy_all, write_manifest
+from .points import INFEASIBLE, TRADEOFF, Row, infeasible_row, non_dominated, row_of
 from .run import read_run, run
 from .schedule import SCHEDULE
 from .stages import Stages
 
 PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)  # prices of velocity change, if none are given
-Point = tuple[Path, ScheduleScenario]  # folder of a point and its scenario
+
+# Folder of a point, its scenario, and whether that it has no schedule is a result.
+Point = tuple[Path, ScheduleScenario, bool]
+Values = Mapping[str, tuple[str, float | None]]  # field and value of every point, by the name of its folder
 
 PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
 
@@ -31,18 +42,19 @@ PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
 def tradeoff(
     scenario: str | Path | ScheduleScenario,
     out: str | Path | None = None,
-    prices: Iterable[float] = PRICES,
+    prices: Iterable[float] | Mapping[str, Iterable[float]] = PRICES,
     *,
+    share: float = 0.9,
     overrides: Sequence[str] = (),
     draw: Draw | None = None,
     stages: Stages | None = None,
     executor: Executor | Workers | None = None,
 ) -> RunFolder:
-    """Find what the time of U costs: the schedules of one scenario at several prices of velocity change.
+    """Find what the time of U costs, or what it hangs on: a scenario's schedules at several values of a key.
 
-    Each point is a run folder of its own, as `polaris.run` writes it, and one more is that of the printed
-    algorithms. Points that are there already, whole and from the same scenario and versions, are kept: what
-    was stopped goes on where it was.
+    Each point is a run folder of its own, as `polaris.run` writes it. Beside prices of velocity change one
+    more is that of the printed algorithms. Points that are there already, whole and from the same scenario
+    and versions, are kept: what was stopped goes on where it was.
 
     Parameters
     ----------
@@ -50,8 +62,11 @@ def tradeoff(
         A bundled name, a file, or what `load_scenario` returned.
     out : path, optional
         Folder of the trade-off; default ``runs/<name of the scenario>-tradeoff``.
-    prices : iterable of float
-        Values of ``schedule.delta_v_price`` [-], at least 0, each once.
+    prices : iterable of float, or mapping of str to iterable of float
+        Values of ``schedule.delta_v_price`` [-], at least 0, each once; or values of any numbers of the
+        scenario by their keys, as in ``navigation.position_error_m``: each is changed alone.
+    share : float
+        Share of the time under U for which the summary says how far such a field may go.
     overrides : sequence of str
         Texts ``key=value`` that hold at all points.
     draw : callable, optional
@@ -64,43 +79,65 @@ def tradeoff(
     Returns
     -------
     RunFolder
-        Its summary, ``tradeoff.json``, has a row for each point, by price, the printed algorithms' last.
+        Its summary, ``tradeoff.json``, has a row for each point, by value, the printed algorithms' last.
+        What is infeasible with a value of a field is a row, too.
 
     Raises
     ------
     ScenarioError
         If the scenario or a price is not valid, or `out` is something else or cannot be written.
     SynthesisInfeasible, NotCertified
-        As a `PolarisError` with their exit code, if a point has no schedule.
+        As a `PolarisError` with their exit code, if a price has no schedule.
     """
     stages = stages or Stages()
     if isinstance(scenario, ScheduleScenario):
         scenario = scenario.with_assignments(overrides)
     else:
         scenario = load_scenario(scenario, overrides, only=ScheduleScenario)
-    if PRICE in (parse_assignment(text)[0] for text in overrides):
-        raise ScenarioError("--set", PRICE, "must be left out: the prices are those of the trade-off")
-    if scenario.model.recoverable.recourse == "none":
+    if not 0 < number("share", share) <= 1:
+        raise ScenarioError("share", share, "must be above 0 and at most 1")
+    swept = isinstance(prices, Mapping)
+    values = _named(prices if isinstance(prices, Mapping) else {PRICE: prices})
+    fields = {field for field, _ in values.values()}
+    for field in fields & {parse_assignment(text)[0] for text in overrides}:
+        raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
+    if PRICE in fields and scenario.model.recoverable.recourse == "none":
         raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
-    named = _named(prices)
-    points = {name: scenario.with_assignments([f"{PRICE}={price!r}"]) for name, price in named.items()}
-    points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])
+    points = {name: scenario.with_assignments([f"{key}={value!r}"]) for name, (key, value) in values.items()}
+    if not swept:
+        values["printed"] = PRICE, None
+        points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
-        _compute(points, target, workers_of(executor), stages.counting("{} of {} points"))
-        rows = [row_of(read_run(target / name), name, named.get(name)) for name in points]
+        _compute(points, target, swept, workers_of(executor), stages.counting("{} of {} points"))
+        rows = [_row(target, name, *values[name]) for name in points]
     with stages.stage("folder"):
-        chosen = non_dominated(rows)
+        chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
         told: list[Row] = [row | {"non_dominated": one} for row, one in zip(rows, chosen, strict=True)]
-        return write_folder(target, TRADEOFF, scenario, told, draw=draw, stages=stages)
+        return write_folder(target, TRADEOFF, scenario, (told, share), draw=draw, stages=stages)
 
 
-def _named(prices: Iterable[float]) -> dict[str, float]:
-    """Prices in order, by the names of their folders."""
-    found = [non_negative("prices", price, "-") + 0.0 for price in prices]  # -0 is 0
-    if not found or len(set(found)) < len(found):
-        raise ScenarioError("prices", found, "must be at least one, each once")
-    return {f"price-{repr(price).removesuffix('.0')}": price for price in sorted(found)}
+def _named(values: Mapping[str, Iterable[float]]) -> dict[str, tuple[str, float | None]]:
+    """Fields and values in order, by the names of their folders."""
+    out: dict[str, tuple[str, float | None]] = {}
+    for field, given in values.items():
+        said = "prices" if field == PRICE else field
+        found = [number(said, value) + 0.0 for value in given]  # -0 is 0
+        if field == PRICE:
+            found = [non_negative(said, value, "-") for value in found]
+        if not found or len(set(found)) < len(found):
+            raise ScenarioError(said, found, "must be at least one, each once")
+        folder = "price" if field == PRICE else re.sub(r"\W+", ".", field).strip(".")
+        out |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(found)}
+    if not out:
+        raise ScenarioError("fields", [], "must be at least one")
+    return out
+
+
+def _row(target: Path, name: str, field: str, value: float | None) -> Row:
+    if (target / name / INFEASIBLE.summary).is_file():
+        return infeasible_row(target / name, field, value)
+    return row_of(read_run(target / name), name, field, value)
 
 
 def _take_up(out: str | Path) -> Path:
@@ -119,9 +156,11 @@ def _take_up(out: str | Path) -> Path:
 def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
     """Whether a point is there, undamaged, of this scenario and these versions."""
     try:
-        found = read_run(folder)
-        row_of(found, folder.name, None)
         same = (folder / SCENARIO).read_bytes() == scenario.copy_text().encode()
+        if (folder / INFEASIBLE.summary).is_file():
+            return same and read_json(folder / INFEASIBLE.summary)["versions"] == versions()
+        found = read_run(folder)
+        row_of(found, folder.name, PRICE, None)
         known = set(found.json("certificate.json")["artefacts"]) >= set(SCHEDULE.files)
         return same and known and found.kind is SCHEDULE and found.summary["versions"] == versions()
     except (PolarisError, OSError, KeyError, TypeError):
@@ -131,17 +170,21 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
 def _compute(
     points: Mapping[str, ScheduleScenario],
     target: Path,
+    swept: bool,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> None:
     """Write the run folders of all points that are not there yet."""
-    missing = [(target / name, one) for name, one in points.items() if not _whole(target / name, one)]
+    missing = [(target / name, one, swept) for name, one in points.items() if not _whole(target / name, one)]
     done = len(points) - len(missing)
     progress(done, len(points))
 
     def keep(point: Point, failure: tuple[str, int] | None) -> None:
         nonlocal done
         if failure:
+            if [path.name for path in target.iterdir()] == [MANIFEST]:  # nothing to go on from
+                (target / MANIFEST).unlink()
+                target.rmdir()
             raise failed(f"{point[0].name}: {failure[0]}", failure[1])
         done += 1
         progress(done, len(points))
@@ -153,12 +196,16 @@ def _compute(
 
 
 def _write_point(point: Point) -> tuple[str, int] | None:
-    """Write the run folder of a point, in whatever process; else why there is none, and the exit code."""
-    folder, scenario = point
+    """Write the run folder of a point, in whatever process; else why there is none, and its exit code."""
+    folder, scenario, swept = point
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # the table tells
             run(scenario, folder)
+    except (SynthesisInfeasible, NotCertified) as error:
+        if not swept:
+            return str(error), error.exit_code
+        write_folder(folder, INFEASIBLE, scenario, str(error))
     except PolarisError as error:
         return str(error), error.exit_code
     return None

@@ -40,21 +40,19 @@ from ..synthesis.synthesize import synthesize
 Numbers = NDArray[np.float32]
 Info = dict[str, Any]
 
-FAR = 1e6
-"""Beyond it observations, scaled to about 1, are cut off."""
+FAR = 1e6  # beyond it observations, scaled to about 1, are cut off
 
 RESET = "an episode begins with reset: at first, after a shield was put on, and when the last one is over"
 
 
 def _flights(scenario: Any, runs: int, given: dict[str, Any]) -> TrainingFlights:
     """Flights of a scenario, or of its name, its file, its schedule or its grid."""
-    grid = {"period": given.pop("period_s", None), "half_widths": given.pop("half_widths", 0.0)}
     scene = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
     if isinstance(scene, Scenario):
         of_kind("scenario", scene, ScheduleScenario, "polaris.load_scenario of a switching scene")
         scene = synthesize(scene)
     if not isinstance(scene, DecisionGrid):
-        scene = DecisionGrid.of(scene, **grid)
+        scene = DecisionGrid.of(scene, given.pop("period_s", None), 0.0, given.pop("half_widths", 0.0))
     return TrainingFlights(scene, runs, **given)
 
 
@@ -66,57 +64,23 @@ def _shown(numbers: Array) -> Numbers:
     return np.clip(numbers, -FAR, FAR).astype(np.float32)
 
 
-class SwitchingEnv(gym.Env[Numbers, Numbers]):
-    """A scene of a switching scenario, flown by a policy.
+class SwitchingVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
+    """A scene of a switching scenario, flown by a policy in many episodes at once.
 
     An action is a share of the thrust limits, each in [-1, 1], held for a decision period. Observations,
     rewards and what `info` holds are those of `polaris.rta.training.TrainingFlights`. An episode terminates
-    in a collision and is truncated at the end of the plan.
+    in a collision and is truncated at the end of the plan; it begins anew with the next step, whose action
+    counts for nothing. One seed fixes all episodes.
 
     Parameters
     ----------
     scenario : str, Path, ScheduleScenario, Schedule or DecisionGrid
         What is given as a scenario is synthesised first.
+    num_envs : int
     **given
-        `period_s` (between decisions) and `half_widths` (largest errors of the state estimate that policy and
-        monitor are given) as `DecisionGrid.of` has them; `inputs`, `input_scale`, `length` and `effort` of
-        `TrainingFlights`.
-    """
-
-    def __init__(self, scenario: Any, **given: Any) -> None:
-        self.flights, self._flying = _flights(scenario, 1, given), False
-        spaces = _spaces(self.flights.scale.size, self.flights.grid.system.m)
-        self.observation_space, self.action_space = spaces
-
-    def put_shield(self, reentry: float = REENTRY) -> None:
-        """Let the online monitor decide, from the next episode on."""
-        self.flights.shield(reentry)
-        self._flying = False
-
-    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Numbers, Info]:
-        """Draw the start, the disturbance and the errors of the estimates of an episode."""
-        super().reset(seed=seed)
-        self.flights.restart(np.ones(1, dtype=bool), self.np_random, fresh=seed is not None)
-        self._flying = True
-        return _shown(self.flights.observe()[0]), {}
-
-    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, Info]:
-        """Fly one decision period."""
-        if not self._flying:
-            raise ResetNeeded(RESET)
-        limit = self.flights.grid.system.u_max
-        u = np.clip(np.asarray(action, dtype=float)[None] * limit, -limit, limit)
-        info = {name: values[0].item() for name, values in self.flights.advance(u).items()}
-        reward, collided, ended = info.pop("reward"), info["collided"], info.pop("ended")
-        self._flying = not (collided or ended)
-        return _shown(self.flights.observe()[0]), reward, collided, ended and not collided, info
-
-
-class SwitchingVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
-    """The same, of many episodes at once, all of them stepped and judged together.
-
-    One seed fixes all episodes. An episode that is over begins anew with the next step, whose action counts
-    for nothing. Parameters are those of `SwitchingEnv`.
+        Unless a grid is given, `period_s` (between decisions) and `half_widths` (largest errors of the state
+        estimate that policy and monitor are given) as `DecisionGrid.of` has them; `inputs`, `input_scale`,
+        `length` and `effort` of `TrainingFlights`.
     """
 
     def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:
@@ -125,12 +89,12 @@ class SwitchingVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         spaces = _spaces(self.flights.scale.size, self.flights.grid.system.m)
         self.single_observation_space, self.single_action_space = spaces
         self.observation_space, self.action_space = (batch_space(space, num_envs) for space in spaces)
-        self._over = np.ones(num_envs, dtype=bool)
+        self.over = np.ones(num_envs, dtype=bool)
 
     def put_shield(self, reentry: float = REENTRY) -> None:
         """Let the online monitor decide; all episodes begin anew."""
         self.flights.shield(reentry)
-        self._over[:] = True
+        self.over[:] = True
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: Info | None = None
@@ -139,18 +103,44 @@ class SwitchingVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         seed = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=seed, options=options)
         self.flights.restart(np.ones(self.num_envs, dtype=bool), self.np_random, fresh=seed is not None)
-        self._over[:] = False
+        self.over[:] = False
         return _shown(self.flights.observe()), {}
 
     def step(self, actions: Numbers) -> tuple[Numbers, Array, Any, Any, Info]:
         """Fly one decision period of those episodes that are not over."""
-        moving, limit = ~self._over, self.flights.grid.system.u_max
-        self.flights.restart(self._over, self.np_random)
+        moving, limit = ~self.over, self.flights.grid.system.u_max
+        self.flights.restart(self.over, self.np_random)
         told = self.flights.advance(np.clip(np.asarray(actions, dtype=float) * limit, -limit, limit), moving)
         reward, collided, ended = told.pop("reward"), told["collided"], told.pop("ended")
-        self._over = collided | ended
+        self.over = collided | ended
         info = told | {f"_{name}": moving for name in told}
         return _shown(self.flights.observe()), reward, collided, ended & ~collided, info
+
+
+class SwitchingEnv(gym.Env[Numbers, Numbers]):
+    """The same with one episode at a time; parameters are those of `SwitchingVectorEnv`."""
+
+    def __init__(self, scenario: Any, **given: Any) -> None:
+        self.many = SwitchingVectorEnv(scenario, 1, **given)
+        self.observation_space = self.many.single_observation_space
+        self.action_space = self.many.single_action_space
+
+    def put_shield(self, reentry: float = REENTRY) -> None:
+        """Let the online monitor decide, from the next episode on."""
+        self.many.put_shield(reentry)
+
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Numbers, Info]:
+        """Draw the start, the disturbance and the errors of the estimates of an episode."""
+        super().reset(seed=seed)
+        return self.many.reset(seed=seed)[0][0], {}
+
+    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, Info]:
+        """Fly one decision period."""
+        if self.many.over[0]:
+            raise ResetNeeded(RESET)
+        seen, reward, collided, ended, info = self.many.step(np.asarray(action)[None])
+        told = {name: values[0].item() for name, values in info.items() if not name.startswith("_")}
+        return seen[0], float(reward[0]), bool(collided[0]), bool(ended[0]), told
 
 
 class InspectionEnv(gym.Env[Numbers, Numbers]):

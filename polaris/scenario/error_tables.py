@@ -81,6 +81,39 @@ class Thrusters(ScenarioPart):
         return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
 
 
+class Timing(ScenarioPart):
+    """What lies between a measurement and the thrust that answers it.
+
+    Every controller acts on the state as it is predicted, by the model, for the instant at which its command
+    takes effect. The commands in force until then are known, those before the start too.
+    """
+
+    delay_s: f.Real = unit("s", default=0.0, ge=0, le=1e4)
+    """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
+    effect; more than a period, too."""
+    jitter_s: f.NonNegative = unit("s", default=0.0)
+    """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback."""
+    missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
+    """Periods in a row for which there may be no new measurement or command: commands for so many periods
+    ahead are sent each time. Needs sampled feedback."""
+    clock_error_s: f.NonNegative = unit("s", default=0.0)
+    """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
+    obstacles of kind `satellite`."""
+
+    def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
+        """The system, its controllers acting on predictions."""
+        for name in ("jitter_s", "missed_periods"):
+            if (value := getattr(self, name)) and period is None:
+                raise ScenarioError(
+                    f"timing.{name}", value, "needs sampled feedback (feedback.kind = 'sampled')"
+                )
+        if period is not None and self.jitter_s > period / 2:
+            rule = f"must be at most half of the period of {period:g} s"
+            raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
+        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
+        return system if given == Delays() else predicting(system, given, period)
+
+
 def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """What the thrusters make of inputs in every fault; None where nothing is said of them."""
     directions = None if table is None else table.directions
@@ -127,39 +160,6 @@ class Tank(ScenarioPart):
 
     delta_v_m_s: f.Positive = unit("m/s")
     """Velocity change that there is propellant for from the start on, the sum over the axes counted."""
-
-
-class Timing(ScenarioPart):
-    """What lies between a measurement and the thrust that answers it.
-
-    Every controller acts on the state as it is predicted, by the model, for the instant at which its command
-    takes effect. The commands in force until then are known, those before the start too.
-    """
-
-    delay_s: f.Real = unit("s", default=0.0, ge=0, le=1e4)
-    """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
-    effect; more than a period, too."""
-    jitter_s: f.NonNegative = unit("s", default=0.0)
-    """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback."""
-    missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
-    """Periods in a row for which there may be no new measurement or command: commands for so many periods
-    ahead are sent each time. Needs sampled feedback."""
-    clock_error_s: f.NonNegative = unit("s", default=0.0)
-    """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
-    obstacles of kind `satellite`."""
-
-    def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
-        """The system, its controllers acting on predictions."""
-        for name in ("jitter_s", "missed_periods"):
-            if (value := getattr(self, name)) and period is None:
-                raise ScenarioError(
-                    f"timing.{name}", value, "needs sampled feedback (feedback.kind = 'sampled')"
-                )
-        if period is not None and self.jitter_s > period / 2:
-            rule = f"must be at most half of the period of {period:g} s"
-            raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
-        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
-        return system if given == Delays() else predicting(system, given, period)
 
 
 class Chaser(ScenarioPart):

@@ -21,7 +21,7 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy, check_exact
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, Neural, hill_rate
@@ -61,7 +61,6 @@ def read_policies(
             continue
         if not isinstance(model.feedback, SampledFeedback):
             raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
-        check_exact(system)
         file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
             raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")

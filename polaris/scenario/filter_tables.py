@@ -12,8 +12,9 @@ from . import fields as f
 from .fields import ScenarioPart, unit
 
 if TYPE_CHECKING:
-    from ..inspection.backup.brake import Brake, Uncertainty
+    from ..inspection.backup.brake import Brake
     from ..inspection.backup.planner import Planner
+    from ..inspection.backup.tube import Uncertainty
     from ..inspection.constraints.strengthening import Strengthening
     from ..inspection.flights.simulation import BatchFilter
     from ..inspection.inspection import Inspection

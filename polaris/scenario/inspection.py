@@ -19,8 +19,8 @@ from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
 
 if TYPE_CHECKING:
-    from ..inspection.backup.brake import Uncertainty
-    from ..inspection.backup.law import Law
+    from ..inspection.backup.tracker import Tracker
+    from ..inspection.backup.tube import Uncertainty
     from ..inspection.constraints.families import Families
     from ..inspection.flights.primary import Primary
     from ..inspection.flights.simulation import BatchFilter, Errors
@@ -87,7 +87,7 @@ class FilteredScenario(InspectionScenario):
 
     def uncertainty(self) -> Uncertainty:
         """What is not known exactly; nothing, where the scenario has no tables of it."""
-        from ..inspection.backup.brake import Uncertainty
+        from ..inspection.backup.tube import Uncertainty
 
         return Uncertainty()
 
@@ -168,16 +168,12 @@ class FlightScenario(FilteredScenario):
 
     def uncertainty(self) -> Uncertainty:
         """What is not known exactly."""
-        from ..inspection.backup.brake import Uncertainty
+        from ..inspection.backup.tube import Uncertainty
 
-        navigation, thrusters = self.model.navigation, self.model.thrusters
-        with in_file_terms("navigation", navigation):
-            return Uncertainty(
-                navigation.position_error_m,
-                navigation.velocity_error_m_s,
-                self.model.flight.disturbance_max_m_s2,
-                thrusters.magnitude_error,
-            )
+        model, system = self.model, self.inspection().system
+        eta = model.navigation.build(system).tolist()
+        errors = model.thrusters.build(system, model.flight.period_s)
+        return Uncertainty(tuple(eta[:3]), tuple(eta[3:]), model.flight.disturbance_max_m_s2, errors)
 
     def errors(self) -> Errors | None:
         """What errors are flown, if any."""
@@ -227,7 +223,7 @@ class FuelLimitScenario(InspectionScenario):
         return f"{flown}, fuel limit {limit:g} m/s"
 
     @kept
-    def backup(self) -> Law:
+    def backup(self) -> Tracker:
         """The backup controller."""
         from ..inspection.backup.tracker import Tracker
         from ..inspection.enmt import Ellipses

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from . import fields as f
+from .error_tables import Navigation, Thrusters
 from .fields import ScenarioPart, unit
 from .filter_tables import Filter, FlightFilter, StrengtheningTable
 
@@ -125,21 +126,6 @@ class _Filtered(_Scene):
 
     strengthening: StrengtheningTable = unit("-", default_factory=StrengtheningTable)
     """The functions alpha of eq. 7."""
-
-
-class Navigation(ScenarioPart):
-    """How far an estimated state may be from the true one, per axis, however the difference changes."""
-
-    position_error_m: f.NonNegative = unit("m", "Largest error of each position.", default=0.0)
-    velocity_error_m_s: f.NonNegative = unit("m/s", "Largest error of each velocity.", default=0.0)
-
-
-class Thrusters(ScenarioPart):
-    """How far what the thrusters give may be from what they are asked for."""
-
-    magnitude_error: f.Real = unit(
-        "-", "Largest error, as a share of the thrust limit.", default=0.0, ge=0, lt=1
-    )
 
 
 class InspectionModel(_Filtered):

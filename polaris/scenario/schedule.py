@@ -104,8 +104,9 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
-        if (made := self.allocation()) is not None:
-            system = replace(system, u_max=made.u_max)
+        allocation = self.allocation()
+        if allocation is not None:
+            system = replace(system, u_max=allocation.u_max)
         return system if model.timing is None else model.timing.build(system, self._period)
 
     @kept

@@ -210,8 +210,8 @@ class ScenarioModel(f.Head):
         "-", "How well it knows its state; exactly without it.", default=None
     )
     thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
-    faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
     timing: Timing | None = unit("-", "How late commands take effect; at once without it.", default=None)
+    faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     tank: Tank | None = unit("-", "Propellant; not counted without it.", default=None)
     abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)

@@ -6,22 +6,15 @@ import numpy as np
 
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..synthesis.schedule import Schedule
-from .disturbances import disturbances
 from .integration import Integrator
-from .run_metrics import Runs
-from .simulate import flown_modes, initial_states
-
-SUBSTEPS = 4
-"""Steps of integration in a period; a delay is flown as a whole number of them, the nearest. Jitter makes
-commands late, by up to one."""
 
 
 class Predicting(Integrator):
     """A flight whose controllers predict the state from measurements that are late; sampled feedback.
 
     `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
-    Where a measurement would lie before the start, the prediction is off by them as they are.
+    Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
+    flown as the nearest whole number of steps of the integration; jitter makes commands late by up to one.
     """
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
@@ -78,33 +71,3 @@ class Predicting(Integrator):
 
     def _unclipped(self, *cell: object) -> None:
         """What is commanded depends on more than the state."""
-
-
-def fly_delayed(
-    schedule: Schedule, n: int = 100, seed: int = 0, substeps: int = SUBSTEPS
-) -> tuple[Runs, Array]:
-    """Fly a schedule under its delay, missed periods and noise, predicting on board as it would be flown.
-
-    `simulate` flies any errors within the bounds of predictions instead, which is more than can happen.
-
-    Parameters
-    ----------
-    schedule : Schedule
-        With sampled feedback and `[timing]`.
-    n, seed : int
-        Number of runs; same seed, same runs.
-    substeps : int
-        Steps of integration in a period.
-
-    Returns
-    -------
-    runs : Runs
-    off : ndarray, shape (n,)
-        Largest error of a prediction of every state, as a share of its bound.
-    """
-    rng = np.random.default_rng(seed)
-    flight = Predicting(schedule, flown_modes(schedule, False), substeps)
-    flight.prepare(n, rng)
-    x0 = initial_states(schedule, n, rng, "mixed")
-    runs = flight.run(x0, disturbances(flight, n, rng, "mixed")[0])
-    return runs, flight.off

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
+from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
@@ -125,7 +126,7 @@ def adjoint_worst_case(
         if free is not None:
             free[step] = np.sign(kick) * system.u_max
         number = int(numbers[step])
-        if isinstance(flight.schedule.controllers[number], NeuralController):
+        if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
             about = _undisturbed(flight) if about is None else about
             carried = carried + _answered(flight, number, step, about[:, step // flight.substeps], kick)
         adjoint = carried
@@ -133,8 +134,14 @@ def adjoint_worst_case(
 
 
 def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> Array:
-    """What a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n)."""
+    """What a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n).
+
+    A black box is taken for the affine function that it was fitted with, where it was.
+    """
     law, (k, place) = flight.schedule.controllers[number], divmod(step, flight.steps_per_cell)
+    if isinstance(law, BlackBox):
+        fit = getattr(flight.schedule.steps[k].tube, "fit", None)
+        return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2])
     assert isinstance(law, NeuralController)
     own = flight.own.get(number, flight.safe)[k, 2 * (place - place % flight.substeps)]
     free = np.abs(law.command(k, own, own, x)) < flight.system.u_max

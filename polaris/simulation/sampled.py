@@ -6,6 +6,7 @@ many of them leave any band is held against the asked probability by the exact b
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta, binom
 
 from ..synthesis.black_box import BlackBox, FittedSegment
-from ..synthesis.controllers import AnyThrust, Controller
+from ..synthesis.controllers import Controller
 from ..synthesis.get_safety import Safety
 from ..synthesis.schedule import Schedule, Statement
 from ..synthesis.synthesize import synthesize
@@ -29,6 +30,8 @@ WIDEN = 1.6
 """By how much they are wider each time."""
 SPARE = 8
 """Flights that may leave a band without a further attempt: what they cost is more flights."""
+MOST = 10_000_000
+"""No more flights than this are ever drawn for a statement."""
 BATCH = 1000
 """Flights at a time."""
 
@@ -57,19 +60,8 @@ class Sampled:
 
 
 def flights_needed(probability: float, doubt: float) -> int:
-    """Least number of flights of which `SPARE` may leave a band, by the exact binomial distribution.
-
-    Were the probability of leaving one higher than asked, no more than so many would leave one with a
-    probability of at most `doubt`.
-    """
-    high = SPARE + 1
-    while binom.cdf(SPARE, high, probability) > doubt:
-        high *= 2
-    low = high // 2
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if binom.cdf(SPARE, middle, probability) > doubt else (low, middle)
-    return high
+    """Least number of flights of which more than `SPARE` would leave a band, but for a chance of `doubt`."""
+    return bisect_left(range(MOST), True, SPARE + 1, key=lambda n: binom.cdf(SPARE, n, probability) <= doubt)
 
 
 def at_most(outside: int, flights: int, doubt: float) -> float:
@@ -121,7 +113,7 @@ def synthesize_sampled(
     The doubt ``1 - confidence`` is shared out among the attempts: a half to the first, a quarter to the
     second, and so on, so that the statement holds though later attempts depend on earlier samples.
     """
-    known = [_anything(law) if isinstance(law, BlackBox) else law for law in experimental]
+    known = [law.anything if isinstance(law, BlackBox) else law for law in experimental]
     proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
     doubt, laws = 1 - confidence, list(experimental)
     for attempt in range(ATTEMPTS):
@@ -143,7 +135,3 @@ def synthesize_sampled(
             return Sampled(found, proven, falsify(found, attacks, seed), adverse)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return Sampled(proven, proven, None)
-
-
-def _anything(law: BlackBox) -> AnyThrust:
-    return AnyThrust(law.name, law.system, law.reference, law.tracking)

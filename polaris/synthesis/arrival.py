@@ -175,7 +175,7 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
-    at = (most + system.thrusters.error(most)).sum(axis=1)
+    at = system.spent(most).sum(axis=1)
     return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
 
 

@@ -8,7 +8,7 @@ with a band about it. Whether commands keep to their bands is what sampled fligh
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +23,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import TubeSegment
+from .controllers import AnyThrust, TubeSegment
 from .neural import check_exact, reduced
 from .tracking import Tracking
 
@@ -100,9 +100,10 @@ class BlackBox:
             raise ScenarioError("feedback.kind", "continuous", rule)
         check_exact(self.system)
 
-    def along(self, reference: Reference, tracking: Tracking) -> BlackBox:
-        """The same beside another safe reference."""
-        return replace(self, reference=reference, tracking=tracking)
+    @property
+    def anything(self) -> AnyThrust:
+        """What is left of it where nobody asks: its thrust limits."""
+        return AnyThrust(self.name, self.system, self.reference, self.tracking)
 
     def command(self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0) -> Array:
         """Thrust command before clipping, shape (..., m), some seconds after the start of step k."""

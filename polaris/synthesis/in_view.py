@@ -28,6 +28,7 @@ from ..planning.search import Candidate, Seen
 from .attempts import plan_problem
 from .clearance import error_tube
 from .controllers import AffineController
+from .neural import NeuralController
 from .schedule import Schedule
 from .tracking import Tracking
 from .worth import Mask, Worth
@@ -253,8 +254,12 @@ class Windows:
 
 
 def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
-    """Modes and laws with a path of their own that a reference can follow."""
-    for mode, law in enumerate(printed.controllers[1:], start=1):
+    """Modes and laws with a path of their own that a reference can follow; a network's is that of its slope.
+
+    What is planned with a stand-in is proven with the law itself, or flown by S.
+    """
+    for mode, given in enumerate(printed.controllers[1:], start=1):
+        law = given.slope if isinstance(given, NeuralController) else given
         if isinstance(law, AffineController) and law.own is not printed.safety.reference:
             with suppress(PolarisError, ValueError, ArithmeticError):
                 law.flow.lyapunov  # noqa: B018  a law that is not stable has no path of its own

@@ -22,7 +22,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import TubeSegment
+from .controllers import AffineController, TubeSegment
 from .tracking import Feedback, Tracking
 
 WIDER = 0.02
@@ -100,7 +100,7 @@ class NeuralController:
     Raises
     ------
     ScenarioError
-        If feedback is not sampled, estimates or thrusters have errors, or the policy does not fit the system.
+        If feedback is not sampled, or the policy does not fit the system.
     """
 
     name: str
@@ -113,7 +113,6 @@ class NeuralController:
     def __post_init__(self) -> None:
         if not self.feedback.sampled:
             raise ScenarioError("feedback.kind", "continuous", NEEDS_SAMPLES)
-        check_exact(self.system)
         self.policy.check(self.system, self.name)
 
     @property
@@ -146,7 +145,8 @@ class NeuralController:
         )
         network = Network((*policy.network.layers, *limited))
         A, B, D = system.A, system.B, system.D
-        return NetworkLoop(A, B, D, system.w_max, self.tracking.flow.h, network, policy.stack(parts).T)
+        eta = system.navigation if np.any(system.navigation) else None
+        return NetworkLoop(A, B, D, system.w_max, self.tracking.flow.h, network, policy.stack(parts).T, eta)
 
     @cached_property
     def known(self) -> tuple[Array, Array]:
@@ -165,6 +165,14 @@ class NeuralController:
             "reference_input": np.zeros((cells, 1, m)),
         }
         return read, np.abs(self.policy.stack(off)) + gamma(4) * np.abs(read)
+
+    @property
+    def slope(self) -> AffineController:
+        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        own, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m))
+        known = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *known, clips=True)
 
     @cached_property
     def booked(self) -> Array:
@@ -194,14 +202,24 @@ class NeuralController:
                 after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i])
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
-                nodes.append(reduced(after.inflate(wider + self.booked)))
-                bows.append(bow + wider)
+                push, within = self._misapplied(command)
+                nodes.append(reduced(after.inflate(wider + self.booked) + push))
+                bows.append(bow + wider + within)
         except Unresolved as error:
             q, n = self.feedback.nodes_per_cell, self.system.n
             return TubeSegment(Zonotope.stack([start] * (q + 1)), np.zeros((q, n)), start, str(error))
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         end = reduced(nodes[-1].inflate(rounding))
         return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
+
+    def _misapplied(self, command: Zonotope) -> tuple[Zonotope, Array]:
+        """What errors of thrusters under a held command add by the next node, and until then, (n,)."""
+        flow, B = self.loop.flow, self.system.B
+        if self.system.thrusters.exact:
+            return Zonotope(np.zeros(self.system.n), np.zeros((self.system.n, 0))), np.zeros(self.system.n)
+        error = self.system.thrusters.error(np.abs(command.c) + command.half_widths * (1 + WIDER))
+        moved = flow.input_zonotope(B, np.diag(error), np.abs(B) @ error)
+        return moved, flow.h * flow.growth @ (np.abs(B) @ error)
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
         """Command in step k, its middle and spread at every node [N], shapes (q+1, m).
@@ -219,11 +237,12 @@ NEEDS_SAMPLES = "must be sampled where a network flies: it is evaluated once a c
 
 
 def check_exact(system: LinearSystem) -> None:
-    """Refuse errors of estimates and of thrusters: no tube of a network knows of them."""
+    """Refuse errors of estimates and of thrusters: no tube of a black box knows of them."""
     if not system.ideal:
         field = "navigation" if np.any(system.navigation) else "thrusters"
+        field = field if system.timing.instant else "timing"
         raise ScenarioError(
-            field, None, "must be left out where a network flies: its tube knows of no such error"
+            field, None, "must be left out where a black box flies: its tube knows of no such error"
         )
 
 

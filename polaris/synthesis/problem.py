@@ -128,7 +128,7 @@ class Problem:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
         if not self.system.ideal and self.recoverable != "polytope":
-            rule = "must be 'polytope' with [navigation] or [thrusters]"
+            rule = "must be 'polytope' with [navigation], [thrusters] or [timing]"
             raise ScenarioError("recoverable.kind", self.recoverable, rule)
         if not 0 < number("tracking.thrust_share", self.thrust_share) <= 1:
             raise ScenarioError("tracking.thrust_share", self.thrust_share, "must be above 0 and at most 1")

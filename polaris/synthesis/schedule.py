@@ -249,7 +249,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     """
     if not isinstance(law, (AffineController, NeuralController)):
         limit = getattr(law, "system", None)
-        tops = None if limit is None else limit.u_max + limit.thrusters.error(limit.u_max)
+        tops = None if limit is None else limit.spent(limit.u_max)
         most = np.inf if tops is None else float(np.sum(tops)) * delta
         return most, most
     u_max, tube = law.system.u_max, step.tube
@@ -258,7 +258,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     if isinstance(law, AffineController):  # a network flies on exact states
         spread = spread + law.system.command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
-    highest = highest + law.system.thrusters.error(highest)
+    highest = law.system.spent(highest)
     h = delta / (len(centre) - 1)
     held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
     return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

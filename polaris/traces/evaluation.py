@@ -137,9 +137,6 @@ class _Measurement:
         return Separation(name, "agent", distance, ttc)
 
 
-# -- free drift ------------------------------------------------------------------------------------
-
-
 MOST_SAMPLES = 200  # samples of one agent from which free drift is followed
 TOLERANCE = 0.05  # passes less deep [m] than this may be missed
 

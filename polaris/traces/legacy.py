@@ -93,7 +93,7 @@ class _Agent:
     def usage(self) -> tuple[float, float, int]:
         """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).
 
-        The mode before the run is UNTRUSTED; any other is remembered as SAFETY, so UNKNOWN always switches.
+        The mode before the run is UNTRUSTED; any other counts as SAFETY, so that a third one always switches.
         """
         modes, switches, last = self.agent.modes.tolist(), 0, UNTRUSTED
         if len(modes) < 2:

@@ -50,8 +50,6 @@ def numbers(where: str, flat: list[list[Any]], rows: Sequence[Any]) -> Array:
     return array
 
 
-# -- unsafe sets ------------------------------------------------------------------------------------
-
 FORMS = {
     "point": "must be a row [t, center]",
     "ball": "must be a row [t, [center, r]]",

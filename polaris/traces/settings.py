@@ -137,9 +137,6 @@ def _entries(option: str, text: str) -> list[int]:
         raise ScenarioError(option, text, rule) from error
 
 
-# -- stamps -------------------------------------------------------------------------------------------
-
-
 def stamped_by_simulator(times: Array) -> bool:
     """Whether the first two rows carry the same time, and no others do."""
     gaps = np.diff(times)
@@ -176,9 +173,6 @@ def restamp(trace: Trace) -> Trace:
 
 def _own(times: Array) -> Array:
     return np.append(times[1:], 2 * times[-1] - times[-2])
-
-
-# -- between stamps --------------------------------------------------------------------------------
 
 
 def between(stamps: Array, t: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:

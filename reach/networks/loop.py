@@ -98,6 +98,8 @@ class NetworkLoop:
         With m outputs; any limits of the input are its last activation.
     C : ndarray, shape (r, n)
         What the network reads.
+    error : ndarray, shape (n,), optional
+        By how much each state that it reads may be off, in every period anew; not at all by default.
 
     Raises
     ------
@@ -112,6 +114,7 @@ class NetworkLoop:
     h: float
     network: Network
     C: Array
+    error: Array | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -121,6 +124,8 @@ class NetworkLoop:
         if np.shape(self.C) != (self.network.inputs, len(self.A)):
             shape = (self.network.inputs, len(self.A))
             raise ReachError(f"C must have shape {shape}, got {np.shape(self.C)}")
+        if self.error is not None and (self.error.shape != (len(self.A),) or np.any(self.error < 0)):
+            raise ReachError(f"error must be {len(self.A)} numbers >= 0")
         self.flow  # noqa: B018  what it refuses is refused here
 
     @cached_property
@@ -131,8 +136,11 @@ class NetworkLoop:
     def command(self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0) -> Zonotope:
         """The network over a set of states: the first generators are theirs, the others few."""
         s = per_row("offset of what is read", s, self.network.inputs)
-        seen = self.C @ states + s
-        rounding = gamma(states.dim) * (np.abs(self.C) @ states.extent + np.abs(s)) + off
+        seen, extent = self.C @ states + s, states.extent
+        if self.error is not None:
+            seen = Zonotope(seen.c, np.hstack([seen.G, self.C * self.error]))
+            extent = extent + self.error
+        rounding = gamma(states.dim) * (np.abs(self.C) @ extent + np.abs(s)) + off
         out = self.network.enclose(seen, rounding)
         g = states.order_count
         own = Zonotope(np.zeros(out.dim), out.G[:, g:]).reduce(OWN_ORDER)

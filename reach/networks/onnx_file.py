@@ -180,9 +180,10 @@ class _Reader:
             given[at] = given[at] if value is None else value
         if given[0] is None or given[1] is None:
             raise ReachError("Clip must have both limits")
-        if any(np.size(limit) != 1 for limit in given):
+        low, high = (np.reshape(np.asarray(limit, dtype=float), -1) for limit in given)
+        if low.size != 1 or high.size != 1:
             raise ReachError("Clip must have one number for each limit")
-        self.layers.append(Activation("clip", *(float(np.reshape(limit, ())) for limit in given)))
+        self.layers.append(Activation("clip", float(low[0]), float(high[0])))
 
 
 def _spread(value: Any, width: int) -> Array:

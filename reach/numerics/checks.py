@@ -152,14 +152,19 @@ def as_numbers(name: str, value: Any) -> Array:
         raise ReachError(f"{name} must be numbers, got {type(value).__name__}: {exc}") from None
 
 
+def as_shaped(name: str, value: Any, wanted: str, fits: Callable[[tuple[int, ...]], bool]) -> Array:
+    """An array of finite floats whose shape fits what is wanted."""
+    found = as_numbers(name, value)
+    shaped = fits(found.shape)
+    if not shaped or not np.all(np.isfinite(found)):
+        raise ReachError(f"{name} must be {wanted}, got {'nan or inf' if shaped else f'shape {found.shape}'}")
+    return found
+
+
 def as_array(name: str, value: Any, *shape: int) -> Array:
     """An array of finite floats of one shape."""
-    found = as_numbers(name, value)
-    if found.shape != shape or not np.all(np.isfinite(found)):
-        wanted = " x ".join(map(str, shape))
-        given = "nan or inf" if found.shape == shape else f"shape {found.shape}"
-        raise ReachError(f"{name} must be {wanted} finite numbers, got {given}")
-    return found
+    wanted = f"{' x '.join(map(str, shape))} finite numbers"
+    return as_shaped(name, value, wanted, lambda given: given == shape)
 
 
 def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
@@ -174,22 +179,14 @@ def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
 
 def as_vector(value: ArrayLike, n: int, single: bool = False) -> Array:
     """A finite vector of n entries, or a stack of them if there need not be a single one."""
-    vector = as_numbers("a vector", value)
-    if vector.ndim == 0 or vector.shape[-1] != n or (single and vector.ndim > 1):
-        raise ReachError(f"expected vectors of {n} entries, got shape {vector.shape}")
-    if not np.all(np.isfinite(vector)):
-        raise ReachError("a vector must have finite entries, got nan or inf")
-    return vector
+    most = 1 if single else np.inf
+    return as_shaped("vectors", value, f"of {n} finite entries", lambda s: s[-1:] == (n,) and len(s) <= most)
 
 
 def as_map(value: ArrayLike, n: int, single: bool = False) -> Array:
     """A finite matrix that acts on dimension n, or a stack of them if there need not be a single one."""
-    M = as_numbers("a map", value)
-    if M.ndim < 2 or M.shape[-1] != n or (single and M.ndim > 2):
-        raise ReachError(f"cannot apply a map of shape {M.shape} to a set of dimension {n}")
-    if not np.all(np.isfinite(M)):
-        raise ReachError("a map must have finite entries, got nan or inf")
-    return M
+    wanted, most = f"finite and act on dimension {n}", 2 if single else np.inf
+    return as_shaped("a map", value, wanted, lambda s: s[-1:] == (n,) and 2 <= len(s) <= most)
 
 
 def as_frame(value: ArrayLike | None, n: int) -> Array:
@@ -203,9 +200,7 @@ def as_frame(value: ArrayLike | None, n: int) -> Array:
 def as_directions(value: ArrayLike, n: int) -> Array:
     """Finite rows (r, n), at least one; a single vector is one row."""
     D = np.atleast_2d(as_numbers("directions", value))
-    if D.ndim != 2 or D.shape[1] != n or len(D) == 0 or not np.all(np.isfinite(D)):
-        raise ReachError(f"directions must be finite rows of length {n}, got shape {D.shape}")
-    return D
+    return as_shaped("directions", D, f"finite rows of length {n}", lambda s: s[1:] == (n,) and s[0] > 0)
 
 
 def per_row(name: str, value: ArrayLike, r: int) -> Array:

@@ -128,7 +128,7 @@ def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
     claim = told["guarantee"]
     assert claim["kind"] == "all_time" and told["safe"]
     said = "; ".join(claim["assumptions"])
-    assert all(word in said for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of its limit"))
+    assert all(word in said for word in ("0.05 m and 0.002 m/s", "1e-05 m/s^2", "1 % of each thrust"))
     run, q = folder.picture(), folder.scenario.inspection()
     Phi, Gamma = q.held(1.0)
     np.testing.assert_allclose(run.x[1:], run.x[:-1] @ Phi.T + run.u @ Gamma.T, atol=1e-9)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from polaris.inspection.backup.law import fly_backup
-from polaris.inspection.backup.tracker import Tracker
+from polaris.inspection.backup.tracker import Tracker, fly_backup
 from polaris.inspection.enmt import velocity_error
 from polaris.inspection.filters.fuel import FuelLimit, clearance
 from polaris.inspection.flights.fuel_run import fly_fuel_limit

@@ -14,7 +14,7 @@ import polaris
 from polaris.certificate.checker import verify
 from polaris.certificate.document import digest
 from polaris.model.errors import ScenarioError
-from polaris.runs.program import Program
+from polaris.runs.program import program
 from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import ScheduleScenario, load_scenario
@@ -268,13 +268,13 @@ for line in sys.stdin:
 """
 
 
-def program(text, seconds=20.0):
-    return Program([sys.executable, "-c", text], seconds)
+def python(text, seconds=20.0):
+    return program([sys.executable, "-c", text], seconds)
 
 
 def test_a_program_answers_like_a_callable():
     x, xi = np.arange(12.0).reshape(3, 4), np.ones(4)
-    with program(GOOD) as asked:
+    with python(GOOD) as asked:
         for t in (0.0, 1.5):
             assert_allclose(asked(t, x, xi), 0.3 * (xi - x)[:, :2])
 
@@ -292,7 +292,7 @@ BAD = {
 def test_a_program_that_does_not_answer_is_one_error(name):
     text, told = BAD[name]
     seconds = 0.5 if name == "silent" else 20.0
-    with program(text, seconds) as asked, pytest.raises(ScenarioError, match=told) as error:
+    with python(text, seconds) as asked, pytest.raises(ScenarioError, match=told) as error:
         asked(0.0, np.zeros((2, 4)), np.zeros(4))
     assert "\n" not in str(error.value)
 
@@ -306,8 +306,8 @@ def test_an_answer_that_is_no_command_is_one_error(answer):
 
 
 def test_a_program_that_is_none_is_one_error():
-    with pytest.raises(ScenarioError, match="cannot be started"):
-        Program(["/nowhere/at-all"])
+    with pytest.raises(ScenarioError, match="cannot be started"), program(["/nowhere/at-all"]):
+        pass
 
 
 def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, capsys):

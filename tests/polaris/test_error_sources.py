@@ -14,7 +14,9 @@ from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasibl
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.thrusters import Thrusters
+from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.online.estimate import BoxFilter, BoxMotion
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -22,12 +24,13 @@ from polaris.scenario.tables import ScenarioModel
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.synthesize import synthesize
+from reach.numerics.linear import discretize
 
 from ..kept import ROOT, kept
-from .closed_loops import attack
+from .closed_loops import attack, attack_monitor
 from .forging import CERTIFICATE, Forger, make
 from .random_scenarios import random_scenario
-from .test_closed_loops import judge
+from .test_closed_loops import PRINTED, judge, monitored
 from .tiny import TINY
 
 FEW = (5016, 5024, 5034)
@@ -206,10 +209,74 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     assert np.all(sizes[0] <= sizes[1] + 1e-12) and np.all(sizes[1] <= sizes[2] + 1e-12)
 
 
-def test_run_time_methods_refuse_what_they_do_not_cover():
-    schedule = synthesize(load_scenario(TINY).with_assignments([ERRORS[0]]))
-    with pytest.raises(ScenarioError, match="not covered"):
-        DecisionGrid.of(schedule)
+@cache
+def printed(seed, errors=True):
+    """Schedule of a random scene, with errors or without, that leaves a monitor something to do."""
+    scenario = exact(seed)
+    given = [PRINTED, *(tables(scenario, seed) if errors else [])]
+    return kept(f"errors-printed-{seed}-{errors}", lambda: synthesize(scenario.with_assignments(given)))
+
+
+@pytest.mark.parametrize("seed", [5001, 5024])
+def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
+    found, under = attack_monitor(monitored(seed, printed(seed)), 40, seed)
+    judge(seed, found)
+    assert under > 0.1
+
+
+def test_errors_that_a_monitor_does_not_know_of_break_it():
+    monitor, known = monitored(5001, printed(5001, False)), printed(5001).safety.problem.system
+    system = monitor.grid.system
+    ours = system.estimate_error, system.thrusters
+    object.__setattr__(system, "estimate_error", known.navigation)
+    object.__setattr__(system, "thrusters", known.thrusters)
+    found, _ = attack_monitor(monitor, 40, 5001)
+    object.__setattr__(system, "estimate_error", ours[0])
+    object.__setattr__(system, "thrusters", ours[1])
+    assert found.thrust < -1e-3
+
+
+@pytest.mark.slow
+def test_many_monitors_hold_with_errors_at_their_worst():
+    monitors = 0
+    for seed in range(5000, 5060):
+        try:
+            schedule = printed(seed)
+        except PolarisError:
+            continue
+        for number in range(3 if len(schedule.controllers) > 1 else 0):
+            if (monitor := monitored(seed + 1000 * number, schedule)) is not None:
+                judge(seed, attack_monitor(monitor, 120, seed)[0])
+                monitors += 1
+    assert monitors >= 70
+
+
+def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():
+    mild = ["navigation.state_error=[0.004, 0.004, 0.001, 0.001]", "thrusters.magnitude_error=0.01"]
+    schedule = synthesize(load_scenario(TINY).with_assignments([*mild, "system.input_max=2.0"]))
+    found = compare_methods(DecisionGrid.of(schedule, latency=0.5, period=0.5), 8)
+    assert not found.refused and found.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
+    for one in found.results.values():
+        assert one.claim.kind == "none" or not one.metrics.collided.any(), one.name
+    assert found.results["experimental"].metrics.collided.all()
+    assert found.results["monitor_declared"].metrics.experimental_share.min() > 0.1
+
+
+def test_a_box_of_states_holds_whatever_thrusters_make_of_a_command():
+    system = printed(5001).safety.problem.system
+    motion, rng, duration = BoxMotion(system, 1.0, 10.0), np.random.default_rng(0), 10.0
+    start = BoxFilter(motion, np.zeros(6), np.zeros(6))
+    command = 0.5 * system.u_max
+    start.flown(np.array([-command, command]), True)
+    ahead = start.moved(start.t + duration)
+    Ad, Bd = discretize(system.A, system.B, duration)
+    most = np.zeros(6)
+    for _ in range(200):
+        u = rng.choice([-1, 1], 3) * command
+        x = Bd @ (u + rng.choice([-1, 1], 3) * system.thrusters.error(u))
+        assert np.all(np.abs(x) <= ahead[:6]) and np.all(np.abs(x) <= ahead[6:])
+        most = np.maximum(most, np.abs(x))
+    assert np.any(most > np.abs(Bd) @ command), "without their errors it does not"
 
 
 def test_a_grown_set_holds_every_place_within_the_radius():

@@ -328,3 +328,12 @@ def test_command_reports_margins_and_saves_a_case(tmp_path, monkeypatch):
     done = CliRunner().invoke(app, ["falsify", "stiff.toml", "--runs", "3000", "--out", "found.json"])
     assert done.exit_code == 5 and "VIOLATED" in done.stdout
     assert (tmp_path / "found.json").is_file()
+
+
+def test_command_attacks_a_scenario_with_other_values_but_never_a_run_folder(tmp_path):
+    given = ["--set", "navigation.state_error=[0.01, 0, 0, 0]", "--runs", "100", "--json"]
+    done = CliRunner().invoke(app, ["falsify", str(TINY), *given])
+    plain = CliRunner().invoke(app, ["falsify", str(TINY), *given[2:]])
+    assert done.exit_code == 0 and json.loads(done.stdout)["limits"] != json.loads(plain.stdout)["limits"]
+    refused = CliRunner().invoke(app, ["falsify", str(tmp_path), *given])
+    assert refused.exit_code == 2 and "--set" in refused.stderr

@@ -32,10 +32,10 @@ def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
     faults = [Fault("stuck_off", 0.0), Fault("loss", 0.4)][seed % 2 :]
     made = Allocation.of(directions, limits, rng.uniform(0.5, 1, m) * 5, faults)
     outside = 0
-    for _, capacity in cases(limits, faults)[::4]:
-        for _ in range(3):
+    for _, capacity in cases(limits, faults):
+        box = list(zip(np.zeros(count), capacity, strict=True))
+        for _ in range(2):
             u = made.u_max * rng.choice([-1, 1, rng.uniform(-1, 1)], m)
-            box = list(zip(np.zeros(count), capacity, strict=True))
             assert linprog(np.ones(count), A_eq=directions.T, b_eq=u * (1 - 1e-9), bounds=box).status == 0
         corners = np.array(np.meshgrid(*[[-1, 1]] * m)).reshape(m, -1).T * made.u_max * 1.001
         outside += sum(

@@ -20,6 +20,7 @@ from polaris.simulation.orbit.region import Region, visited
 from polaris.simulation.orbit.residual import residual_bound
 from polaris.simulation.orbit.truth import declared, fly_true
 from polaris.simulation.simulate import simulate
+from polaris.synthesis.synthesize import synthesize
 
 from .conftest import synthesised
 
@@ -203,6 +204,44 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
         nodes = step.tube.nodes
         e = flown.runs.states[:, k * q : (k + 1) * q + 1] - schedule.safety.clearance.nodes[k]
         assert np.all(np.abs(e - nodes.c) <= nodes.half_widths * (1 + 1e-9) + 1e-3)
+
+
+ERRORS = (
+    *(
+        "feedback.kind=sampled",
+        "feedback.period_s=2.0",
+        "tracking.thrust_share=0.5",
+        "recoverable.recourse=none",
+    ),
+    *("navigation.position_error_m=0.05", "navigation.velocity_error_m_s=0.002"),
+    *("thrusters.magnitude_error=0.02", "thrusters.misalignment_deg=1.0", "thrusters.mass_error=0.01"),
+    "thrusters.impulse_bit_N_s=0.005",
+)
+
+
+def farthest(schedule, flown):
+    """Largest error of any run at a node, as a share of what the tube of that step allows."""
+    q, found = schedule.safety.clearance.q, []
+    for k, step in enumerate(schedule.steps):
+        nodes, e = step.tube.nodes, flown.runs.states[:, k * q : (k + 1) * q + 1]
+        e = e - schedule.safety.clearance.nodes[k]
+        found.append(np.max(np.abs(e - nodes.c) / nodes.half_widths))
+    return max(found)
+
+
+def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes():
+    scenario = load_scenario("static", ERRORS)
+    env, schedule = Environment.of(scenario), synthesize(scenario)
+    system, share = schedule.safety.problem.system, schedule.safety.tracking.share
+    flown = fly_true(schedule, env, 24, substeps=1)
+    metrics = flown.runs.metrics()
+    assert flown.within.all() and flown.residual.max() < system.w_max and not metrics.collided.any()
+    assert np.nanmax(metrics.max_thrust_ratio_safety) <= share and farthest(schedule, flown) <= 1 + 1e-6
+    # Where the proof does not know of them, they are more than it allows.
+    plain = synthesize(load_scenario("static", ERRORS[:4]))
+    for name in ("estimate_error", "thrusters"):
+        object.__setattr__(plain.safety.problem.system, name, getattr(system, name))
+    assert farthest(plain, fly_true(plain, env, 24, substeps=1)) > 1.1
 
 
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():

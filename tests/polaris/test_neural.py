@@ -23,6 +23,7 @@ from polaris.certificate.networks import band, value
 from polaris.certificate.onnx_file import read_layers
 from polaris.certificate.zonotopes import Zonotope as CheckedZonotope
 from polaris.model.errors import ScenarioError
+from polaris.model.thrusters import Thrusters
 from polaris.model.tolerances import ROUNDING
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
@@ -30,6 +31,7 @@ from polaris.rta.methods.monitor import Monitor
 from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario, scenario_folder
+from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.neural import NeuralController, Policy
@@ -72,9 +74,14 @@ def tiny_safety():
     return get_safety(load_scenario(TINY, SAMPLED))
 
 
-def random_controller(seed):
+WRONG_BY = {"estimate_error": [0.02, 0.01, 0.005, 0.01], "thrusters": Thrusters(0.05, 0.03, 0.01)}
+"""Errors of estimates and thrusters."""
+
+
+def random_controller(seed, errors=False):
     rng, safety = np.random.default_rng(seed), tiny_safety()
     system, reads = safety.problem.system, READS[seed % len(READS)]
+    system = replace(system, **WRONG_BY) if errors else system
     count = sum({"error": 4, "state": 4, "time": 1, "reference_input": 2}[name] for name in reads)
     scale = rng.uniform(0.2, 1.5, count) * rng.choice([-1, 1], count)
     network = random_network(rng, count, system.m, int(rng.integers(1, 4)))
@@ -89,9 +96,11 @@ def random_controller(seed):
 # -- the tube ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed):
-    controller, rng = random_controller(seed)
+@pytest.mark.parametrize(
+    ("seed", "errors"), [*((seed, False) for seed in range(12)), *((seed, True) for seed in range(8))]
+)
+def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed, errors):
+    controller, rng = random_controller(seed, errors)
     system, k, parts = controller.system, seed % 11, 5
     q, h = controller.feedback.nodes_per_cell, controller.tracking.flow.h
     start = Zonotope(0.1 * rng.normal(size=4), 0.15 * rng.normal(size=(4, 6)))
@@ -108,7 +117,9 @@ def test_tube_holds_what_flies_from_corners_at_and_between_nodes(seed):
     for i in range(q * parts):
         x = safe[i] + e
         if i % parts == 0:
-            u = np.clip(controller.command(k, safe[i], own[i], x), -system.u_max, system.u_max)
+            seen = x + rng.choice([-1.0, 1.0], x.shape) * system.navigation
+            u = np.clip(controller.command(k, safe[i], own[i], seen), -system.u_max, system.u_max)
+            u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
             way = rng.normal(size=way.shape) if seed % 3 == 0 else way
         w = system.w_max * way / np.linalg.norm(way, axis=1, keepdims=True)
         x = x @ Ad.T + np.hstack([u, w]) @ Bd.T
@@ -164,7 +175,8 @@ def test_bands_of_the_checker_hold_the_activation(kind):
                 assert abs(value(layer, arb(y)) - slope * arb(y) - middle) <= radius + 1e-12
 
 
-def test_the_checker_encloses_what_a_network_commands():
+@pytest.mark.parametrize("error", [0.0, 0.03])
+def test_the_checker_encloses_what_a_network_commands(error):
     for seed in range(6):
         controller, rng = random_controller(seed)
         policy, limit = controller.policy, controller.system.u_max
@@ -174,7 +186,8 @@ def test_the_checker_encloses_what_a_network_commands():
         )
         G = 0.1 * rng.normal(size=(4, 5))
         d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
-        plant = type("Plant", (), {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))})
+        plant = {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))}
+        plant = type("Plant", (), plant | {"estimate": (error,) * 4 if error else ()})
         checked = CheckedPolicy(law, plant)
         known = policy.stack(
             {
@@ -187,8 +200,9 @@ def test_the_checker_encloses_what_a_network_commands():
         found = checked.command(d, matrix([[x] for x in known]))
         for signs in rng.choice([-1.0, 1.0], (60, 5)):
             e = G @ signs
+            told = e + rng.choice([-error, error], 4)
             reads = known + policy.stack(
-                {"error": -e, "state": e, "time": np.zeros(1), "reference_input": np.zeros(2)}
+                {"error": -told, "state": told, "time": np.zeros(1), "reference_input": np.zeros(2)}
             )
             u = np.clip(policy.network(reads) * policy.output_scale, -limit, limit)
             left = found.K * matrix([[x] for x in e]) + found.c
@@ -210,7 +224,7 @@ def layers_of(network):
 # -- runs -------------------------------------------------------------------------------------------
 
 
-def scene(folder, file=HASTY, feedback=None, thrusters=None, **more):
+def scene(folder, file=HASTY, feedback=None, errors=None, **more):
     """A scenario file in a folder that flies a network beside it."""
     table = {"kind": "neural", "name": "net", "path": file.name, "output_scale_N": 1.0}
     table |= {"reference": {"kind": "unaware"}, **more}
@@ -218,7 +232,7 @@ def scene(folder, file=HASTY, feedback=None, thrusters=None, **more):
         shutil.copyfile(file, folder / file.name)
     found = load_scenario(TINY, SAMPLED).to_dict() | {"experimental": [table]}
     found["feedback"] = feedback or found["feedback"]
-    found |= {"thrusters": thrusters} if thrusters else {}
+    found |= errors or {}
     (folder / "scene.toml").write_text(write_toml(found), encoding="utf-8")
     return folder / "scene.toml"
 
@@ -256,6 +270,32 @@ def test_runs_of_other_networks_verify(seed, tmp_path):
     verdict = verify(found.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert 1 in found.json("schedule.json")["modes"]
+
+
+ERRORS = {
+    "navigation": {"state_error": [0.004, 0.004, 0.001, 0.001]},
+    "thrusters": {"magnitude_error": 0.02, "impulse_bit_N_s": 0.002},
+}
+
+
+def test_a_run_with_errors_verifies_and_holds_under_attack(tmp_path):
+    pytest.importorskip("onnx")
+    folder = run(scene(tmp_path, errors=ERRORS), tmp_path / "run")
+    verdict = verify(folder.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert folder.summary["synthesis"]["experimental_share"] > 0.3
+    assert falsify(synthesize(folder.scenario), 400).failure is None
+
+
+@pytest.mark.parametrize("forgotten", [pytest.param("navigation", marks=pytest.mark.slow), "thrusters"])
+def test_tubes_of_a_network_that_forget_an_error_are_rejected(forgotten, tmp_path, monkeypatch):
+    pytest.importorskip("onnx")
+    path = scene(tmp_path, errors={forgotten: ERRORS[forgotten]})
+    fly = NeuralController.fly
+    ideal = lambda law, start, k: fly(replace(law, system=law.system.as_ideal()), start, k)  # noqa: E731
+    monkeypatch.setattr(NeuralController, "fly", ideal)
+    verdict = verify(run(path, tmp_path / "run").path)
+    assert verdict.outcome == "REJECTED" and verdict.claim == "enclosures", verdict.text()
 
 
 def test_a_network_in_another_folder_is_copied_and_found_from_anywhere(tmp_path, monkeypatch):
@@ -413,7 +453,6 @@ WRONG = {
     "an input that is none": ({"inputs": ["weather"]}, "experimental[0].inputs[0]"),
     "scales": ({"input_scale": [1.0, 2.0]}, "experimental[0].input_scale"),
     "a scale of outputs": ({"output_scale_N": [1.0, 1.0, 1.0]}, "experimental[0].output_scale_N"),
-    "errors of thrusters": ({"thrusters": {"magnitude_error": 0.05}}, "thrusters"),
     "no file": ({"path": "nowhere.onnx"}, "experimental[0].path"),
     "no ONNX file": ({"path": "text.onnx"}, "experimental[0].path"),
     "another ending": ({"path": "hasty.pickle"}, "experimental[0].path"),
@@ -443,3 +482,11 @@ def test_numbers_beyond_floating_point_refuse_a_step():
     controller, _ = random_controller(0)
     start = Zonotope.box(np.zeros(4), np.full(4, 1e308))
     assert controller.fly(start, 0).refused
+
+
+def test_the_slope_of_an_affine_network_is_the_network():
+    controller, rng = random_controller(0)
+    W = rng.normal(size=(2, 4))
+    policy = Policy(Network((Affine(W, np.zeros(2)),)), ("error",), np.full(4, 0.5), np.array([0.1, 0.3]))
+    slope = replace(controller, policy=policy).slope
+    assert slope.clips and slope.gain == pytest.approx(np.array([[0.1], [0.3]]) * W * 0.5)

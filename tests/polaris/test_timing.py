@@ -17,8 +17,10 @@ from polaris.model.timing import Timing
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.delayed import fly_delayed
+from polaris.simulation.delayed import Predicting
+from polaris.simulation.disturbances import disturbances
 from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import flown_modes, initial_states
 from polaris.synthesis.synthesize import synthesize
 
 from ..kept import kept
@@ -43,6 +45,15 @@ def late():
     """The tiny scene with all of it."""
     scenario = load_scenario(TINY).with_assignments([*SAMPLED, *ERRORS])
     return scenario, kept("late", lambda: synthesize(scenario))
+
+
+def fly_delayed(schedule, n, seed, substeps=4):
+    """Runs with predictions worked out on board, and by which shares of their bounds these are off."""
+    rng = np.random.default_rng(seed)
+    flight = Predicting(schedule, flown_modes(schedule, False), substeps)
+    flight.prepare(n, rng)
+    x0 = initial_states(schedule, n, rng, "mixed")
+    return flight.run(x0, disturbances(flight, n, rng, "mixed")[0]), flight.off
 
 
 def systems():

@@ -15,14 +15,15 @@ from typer.testing import CliRunner
 
 import polaris
 from polaris.cli.app import app
-from polaris.cli.show.comparison import _row
+from polaris.cli.compare import _sweep
+from polaris.cli.show.comparison import _row, answered
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.report.figures.comparison import _front
+from polaris.report.figures.comparison import _front, _points
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
-from polaris.runs.comparison import non_dominated
 from polaris.runs.folder import RunFolder
+from polaris.runs.points import needed, non_dominated
 from polaris.runs.schedule import DATA_FILES
 from tests.leftovers import left_by_a_dead_process
 
@@ -70,7 +71,7 @@ def contents(path, names=(*TABLES, *(f"{name}/{file}" for name in NAMES for file
 
 def test_points_are_run_folders_of_their_price(folder, tmp_path):
     rows = folder.summary["points"]
-    assert [(row["folder"], row["price"]) for row in rows] == list(zip(NAMES, [0, 3, None], strict=True))
+    assert [(row["folder"], row["value"]) for row in rows] == list(zip(NAMES, [0, 3, None], strict=True))
     alone = polaris.run(TINY, tmp_path / "alone", overrides=[*SET, "schedule.delta_v_price=3.0"])
     assert contents(alone.path, DATA_FILES) == contents(folder.path / "price-3", DATA_FILES)
     opened = {row["folder"]: polaris.read_run(folder.path / row["folder"]) for row in rows}
@@ -129,7 +130,7 @@ def test_weights_count(folder, tmp_path):
     scenario = polaris.load_scenario(TINY, [*SET, "experimental[0].weight=0.5"])
     assert "weight = 1.0" in text
     run = polaris.RunFolder(path, scenario, polaris.read_run(folder.path / "price-0").kind)
-    row = module.row_of(run, "half", 0.0)
+    row = module.row_of(run, "half", module.PRICE, 0.0)
     assert row["weighted_share"] == row["share"] / 2 > 0
 
 
@@ -233,6 +234,71 @@ def test_a_pool_gives_the_same_and_tells_why_there_is_no_schedule(folder, tmp_pa
     assert told.value.exit_code == 3
 
 
+# -- other fields than the price ------------------------------------------------------------------------
+
+KEY, FEW = "system.input_max", ["simulation.runs=2"]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    place = tmp_path_factory.mktemp("sweep") / "one"
+    return polaris.tradeoff(TINY, place, {KEY: [2, 0.05, 1]}, share=0.2, overrides=FEW, draw=polaris.draw_run)
+
+
+def test_a_value_without_a_schedule_is_a_result_and_the_rest_is_as_run_alone(swept, tmp_path):
+    rows = swept.summary["points"]
+    assert [(row["field"], row["value"]) for row in rows] == [(KEY, 0.05), (KEY, 1), (KEY, 2)]
+    assert rows[0]["guarantee"] == "infeasible" and "tracker" in rows[0]["reason"] and not rows[0]["share"]
+    alone = polaris.run(TINY, tmp_path / "alone", overrides=[*FEW, f"{KEY}=2.0"])
+    assert contents(alone.path, DATA_FILES) == contents(swept.path / f"{KEY}-2", DATA_FILES)
+    assert rows[1]["share"] < 0.2 < rows[2]["share"] and rows[2]["reason"] is None
+    (asked,) = swept.summary["needed"]
+    assert (asked["bound"], asked["last_proven"], asked["next"]) == ("at least", 2, 1)
+    assert 1 < asked["interpolated"] < 2
+    assert (swept.path / "figures" / "tradeoff.png").is_file()
+
+
+def test_what_is_infeasible_is_not_asked_again(swept, tmp_path, monkeypatch):
+    copied = Path(shutil.copytree(swept.path, tmp_path / "one"))
+    monkeypatch.setattr(module, "run", lambda scenario, place: 1 / 0)
+    again = polaris.tradeoff(TINY, copied, {KEY: [0.05, 1, 2]}, share=0.2, overrides=FEW)
+    assert again.summary["points"] == swept.summary["points"]
+    with pytest.raises(ZeroDivisionError):  # another scenario
+        polaris.tradeoff(TINY, copied, {KEY: [0.05]}, overrides=["system.disturbance_max=0.01"])
+
+
+@pytest.mark.filterwarnings("error")
+def test_figures_of_fields_are_laid_out_with_infeasible_values_and_without(swept):
+    rows = swept.summary["points"]
+    other = [row | {"field": "other", "value": 0.1 * row["value"]} for row in rows[1:]]
+    for points, fields in (([*rows, *other], 2), (other, 1)):
+        with printing():
+            figure = _points(points)
+            figure.draw_without_rendering()
+        assert [ax.get_xlabel() for ax in figure.axes[:fields]] == [KEY, "other"][-fields:]
+        assert all(ax.get_position().height > 0.2 for ax in figure.axes)
+
+
+def test_how_far_a_value_may_go():
+    def row(value, share):
+        return {
+            "field": "f",
+            "value": value,
+            "share": share,
+            "guarantee": "proved" if share else "infeasible",
+        }
+
+    falling = [row(4, None), row(1, 0.95), row(2, 0.93), row(3, 0.85)]
+    told = needed(falling, "f", 0.9)
+    assert (told["bound"], told["last_proven"], told["next"]) == ("at most", 2, 3)
+    assert told["interpolated"] == pytest.approx(2 + 0.03 / 0.08) and "about 2.375" in answered(told)
+    beyond = needed(falling, "f", 0.8)
+    assert (beyond["last_proven"], beyond["interpolated"]) == (3, None)
+    assert "infeasible at 4" in answered(beyond)
+    assert needed(falling, "f", 0.99)["last_proven"] is None
+    assert "nothing further" in answered(needed(falling[1:], "f", 0.8))
+
+
 # -- what is refused ------------------------------------------------------------------------------------
 
 
@@ -302,6 +368,30 @@ def test_where_nothing_is_proven_that_is_said_and_no_bound_is_shown(folder, monk
 def test_exit_codes(given, code, tmp_path):
     done = invoke("--out", tmp_path / "one", "-q", *given)
     assert (done.exit_code, done.stderr[:6], done.stderr.count("\n")) == (code, "error:", 1), done.output
+    assert not (tmp_path / "one").exists(), "nothing is left of what came to nothing"
+
+
+def test_sweeps_on_the_command_line(swept, tmp_path):
+    copied = Path(shutil.copytree(swept.path, tmp_path / "one"))
+    given = [
+        str(TINY),
+        "--out",
+        str(copied),
+        "--no-figures",
+        "--workers",
+        "1",
+        "--share",
+        "0.2",
+        "--set",
+        *FEW,
+    ]
+    done = CliRunner().invoke(app, ["tradeoff", *given, "--sweep", f"{KEY}=0.05,1,2"])
+    assert done.exit_code == 0, done.output
+    assert f"{KEY}-0.05  infeasible" in done.stdout and f"{KEY}: at least 2 for 20 %" in done.stdout
+    for wrong in (f"{KEY}", f"{KEY}=a", f"{KEY}=1:2", f"{KEY}=2:1:3", f"{KEY}=1,1", "system.nothing=1"):
+        done = CliRunner().invoke(app, ["tradeoff", *given, "--sweep", wrong])
+        assert (done.exit_code, done.stderr[:6]) == (2, "error:"), wrong
+    assert _sweep(f"{KEY}=0.01:1:3") == (KEY, [0.01, 0.1, 1.0])
 
 
 # -- figure ---------------------------------------------------------------------------------------------
@@ -318,8 +408,8 @@ def test_labels_lie_beside_one_another_and_say_price_and_switches(folder):
     row, rows = folder.summary["points"][0], []
     for i in range(9):
         place = {"weighted_share": 0.9 + 1e-3 * (i % 3), "delta_v_m_s": 1 + 1e-3 * i, "switches": i}
-        rows.append(row | {"price": i / 10} | place)
-    rows += [row | {"price": price, "weighted_share": 0.5} for price in (1, 2, 3, None)]
+        rows.append(row | {"value": i / 10} | place)
+    rows += [row | {"value": price, "weighted_share": 0.5} for price in (1, 2, 3, None)]
     with printing():
         figure = _front(rows)
         figure.draw_without_rendering()

@@ -69,7 +69,7 @@ def test_hull_of_a_set_and_its_shuffled_translate_is_tight():
 @pytest.mark.parametrize(
     ("ask", "says"),
     [
-        (lambda z: z.meet_halfspace([1, 0, 0], 0), "vectors of 2 entries"),
+        (lambda z: z.meet_halfspace([1, 0, 0], 0), "of 2 finite entries"),
         (lambda z: z.meet_halfspace([1, 0], np.nan), "offset must be finite"),
         (lambda z: enclosing_hull(z, Zonotope.point([0.0])), "dimensions 2 and 1"),
     ],

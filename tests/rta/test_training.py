@@ -131,7 +131,7 @@ def test_observations_are_what_a_network_reads_in_flight():
     env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 12.0))
     seen, _ = env.reset(seed=5)
     W = np.vstack([np.eye(11)[[0, 2]], np.eye(11)[[5, 8]], np.eye(11)[[9, 10]]])
-    law, flights = schedule.controllers[1], env.flights
+    law, flights = schedule.controllers[1], env.many.flights
     for row in range(0, 6, 2):
         network = Network((Affine(W[row : row + 2], np.zeros(2)),))
         policy = Policy(network, reads, np.arange(1.0, 12.0), np.ones(2))
@@ -269,7 +269,7 @@ def test_a_hundred_thousand_shielded_periods_without_a_violation(name):
     collided, intervened, periods, worst = attacked(scene, 22_000, 2, policies)
     assert periods >= 20_000 and collided == 0 and worst <= 1 + 1e-9
     assert intervened > 0
-    assert unshielded(scene, 3000) > 0
+    assert unshielded(scene, 16 * DecisionGrid.of(scene).decisions) > 0
 
 
 @pytest.mark.slow
@@ -292,7 +292,7 @@ def test_other_wrappers_do_not_loosen_it_and_a_penalty_is_taken_off():
     assert env.reset(seed=0)[0] in env.observation_space
     held = 0
     for _ in range(40):
-        _, reward, over, _, info = env.step(towards(base.flights)[0].astype(np.float32))
+        _, reward, over, _, info = env.step(towards(base.many.flights)[0].astype(np.float32))
         assert not over and (reward < -1.9) == info["intervened"]
         held += info["intervened"]
         assert (info["margin"] >= 0) or info["intervened"]

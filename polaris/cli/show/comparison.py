@@ -86,13 +86,20 @@ def show_tradeoff(summary: Mapping[str, Any], folder: str, console: Console | No
     """Print the points, those that no other outdoes marked, and where their folders lie."""
     out, points = Printout(console), summary["points"]
     out.say(f"{summary['title']}: {counted(len(points), 'schedule')}", "bold")
-    out.table(table(*HEADS, wrap=0, rows=map(_row, points)), 90)
-    out.say("* no other is as good in all of share, mean velocity change, switches, goal and guarantee.")
+    longest = max(len(point["folder"]) for point in points)
+    out.table(table(*HEADS, wrap=0, rows=map(_row, points)), 80 + longest)
+    if summary["needed"]:
+        for one in summary["needed"]:
+            out.say(answered(one))
+    else:
+        out.say("* no other is as good in all of share, mean velocity change, switches, goal and guarantee.")
     out.say(f"Trade-off: {folder}")
     out.say(f"One of them in detail: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
 
 
 def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
+    if point["guarantee"] == "infeasible":
+        return f"  {point['folder']}", "infeasible", *[""] * (len(HEADS) - 2)
     proved = point["guarantee"] == "proved"
     until = "for all time" if point["until_s"] is None else f"{point['until_s']:.6g}"
     return (
@@ -104,3 +111,18 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
         f"{point['goal_by_s']:.6g}" if point["goal_reached"] is True else "not proven",
         until if proved else "not proven",
     )
+
+
+def answered(needed: Mapping[str, Any]) -> str:
+    """How far a field may go for the share asked: the last value that is proven, and what lies beyond."""
+    asked, field = f"{100 * needed['share']:.4g} % of the time under U", needed["field"]
+    if needed["last_proven"] is None:
+        return f"{field}: no value tried has {asked}."
+    last, there = f"{needed['last_proven']:g}", f"{needed['share_there']:.1%}"
+    told = f"{field}: {needed['bound']} {last} for {asked} ({there} is proven there"
+    if needed["next"] is None:
+        return f"{told}; nothing further was tried)."
+    if needed["interpolated"] is None:
+        return f"{told}; infeasible at {needed['next']:g})."
+    between, beyond = f"{needed['interpolated']:.4g}", f"{needed['share_next']:.1%} at {needed['next']:g}"
+    return f"{told}; about {between} by interpolation to {beyond})."

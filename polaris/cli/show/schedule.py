@@ -128,8 +128,6 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
     return found
 
 
-# -- campaigns ---------------------------------------------------------------------------------------
-
 COLUMNS = (
     "mode",
     "runs",

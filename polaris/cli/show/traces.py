@@ -62,8 +62,6 @@ def _separations(items: Iterable[Separation]) -> Table:
     return found
 
 
-# -- the numbers of RTAEval -------------------------------------------------------------------------
-
 LEGACY_FORMS = {
     "controllerUsage": "untrusted, safety, switches",
     "compute_dists": "min, max, mean per set",

@@ -12,12 +12,16 @@ import numpy as np
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
 from ..constraints.catalogue import KINDS
-from ..constraints.table import Index
 from ..vectors import dot, length
-from .brake import TOLERANCE, Brake, turned
+from .brake import Brake, turned
+from .tube import TOLERANCE
 
 SUPPORTS = 16
 """Most steps towards the nearest point of a patch of free flights; each gives a valid bound."""
+
+
+NEAR = 5.0
+"""Bounds of free flights [m] up to which they are looked at closely."""
 
 
 class AllTime:
@@ -41,7 +45,6 @@ class AllTime:
         self._circle = circle_map(q.mean_motion)
         every = np.arange(q.deputies)
         alone = np.stack([every, np.full_like(every, -1)], axis=1)
-        places = np.concatenate([alone, q.pairs])
         both = ["phi1", "phi7", "phi4"], ["phi2", "phi8", "phi5+", "phi5-"]
         single = [*both[0], "phi6", "phi3", "phi9", "phi10", "phi11", "thrust"]
         rows = [(name, *place) for name in single for place in alone]
@@ -53,29 +56,31 @@ class AllTime:
         self.labels = tuple(f"{name}[{i}]" if j < 0 else f"{name}[{i},{j}]" for name, i, j in rows)
         self.about_speed = np.array([row[0] in ("phi3", "phi9", "phi10", "phi11") for row in rows])
         self.about_thrust = np.array([row[0] == "thrust" for row in rows])
-        self._paired = places[:, 1] >= 0
-        self._twice = np.where(self._paired, 2.0, 1.0)
-        self._radius = np.where(self._paired, q.deputy_separation, q.separation)
         self._gains = _gains(self.approach)
+        self._places = [self.approach.positions[:, axis::3].copy() for axis in range(3)]
 
-    def __call__(self, t: float, x: Array, age: Index) -> Array:
+    def __call__(self, t: float, x: Array, around: Array, old: tuple[Array, Array] | None = None) -> Array:
         """Lower bounds (M,) over all time from t [s] on, of plans x (L+1, N, 6) that end at rest.
 
-        They were made `age` (N,) periods ago.
+        The tube `around` (L+1, N, 2) them is as `Tube.around` has it. Any deputies may fly their `old` plans
+        instead, which are known to be safe together: pairs are bounded for all that may come of it.
         """
         q, brake, N = self.inspection, self.brake, self.inspection.deputies
-        D, n, tube, pairs = brake.period, q.mean_motion, brake.tube, q.pairs
-        z = np.concatenate([x, x[:, pairs[:, 0]] - x[:, pairs[:, 1]]], axis=1)
+        D, n, (i, j), every = brake.period, q.mean_motion, q.pairs.T, (x, around)
+        if old is not None:
+            i, j = np.concatenate([i, i, i + N]), np.concatenate([j, j + N, j])
+            every = np.concatenate([x, old[0]], axis=1), np.concatenate([around, old[1]], axis=1)
+        z = np.concatenate([x, every[0][:, i] - every[0][:, j]], axis=1)
         # Axes that keep their direction in space: those of Hill's frame at the time t.
-        turn = np.stack([turned(n * D * k) for k in range(len(x))])
-        at = np.einsum("kij,kmj->kmi", turn, z[..., :3])
+        at = z[..., :3] @ turned(-n * D * np.arange(len(x)))
         bow, bow_hill, jolt = self._bows(z)
-        astray, slip = tube.during(age, len(x))
-        wide = np.concatenate([astray, astray[:, pairs[:, 0]] + astray[:, pairs[:, 1]]], axis=1)
+        wide = np.concatenate([around, every[1][:, i] + every[1][:, j]], axis=1)
+        radius = np.repeat([q.separation, q.deputy_separation], [N, len(i)])
+        astray, slip = around[..., 0], around[..., 1]
         r, closest = _convex(at, length(at), _units(at), bow)
-        clear = (closest - wide).min(axis=0) - self._radius
+        clear = (closest - wide[..., 0]).min(axis=0) - radius
         sun = q.sun_angle(t, self.sun_start)
-        cones = [(self._cone(at, float(sun), side, bow) - wide).min(axis=0) for side in (1.0, -1.0)]
+        cones = [(self._cone(at, float(sun), side, bow) - wide[..., 0]).min(axis=0) for side in (1.0, -1.0)]
         inside = q.distance_max - (_over_periods(r[:, :N]) + astray).max(axis=0) - bow[:N]
         fastest = _over_periods(length(x[..., 3:])) + jolt[:N] + slip
         allowed = q.docking_speed + q.nu_1 * (closest[:, :N] - astray)
@@ -90,9 +95,10 @@ class AllTime:
         thrust = np.minimum(thrust, brake.available - held) + TOLERANCE
         # The tube counts what holding misses up to r_max; farther out, where phi6 is left out, it is none.
         thrust[length(x[-1, :, :3]) > q.distance_max] = -np.inf
-        passive = self._passive(z, bow_hill, jolt)
+        passive = self._passive(z, wide, bow_hill, jolt, radius)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
-        of_pairs = [clear[N:], passive[N:], cones[0][N:], cones[1][N:]]
+        ways = 1 if old is None else 3
+        of_pairs = [v[N:].reshape(ways, -1).min(axis=0) for v in (clear, passive, *cones)]
         return np.asarray(np.concatenate([*alone, *of_pairs])[self._counted])
 
     def _bows(self, z: Array) -> tuple[Array, Array, Array]:
@@ -101,7 +107,9 @@ class AllTime:
         Positions in axes that keep their direction and in Hill's frame [m], velocities in Hill's frame [m/s].
         """
         q, D, n = self.inspection, self.brake.period, self.inspection.mean_motion
-        push = self._twice * np.sqrt(3) * q.thrust_max / q.mass
+        push = (
+            np.repeat([1.0, 2.0], [q.deputies, z.shape[1] - q.deputies]) * np.sqrt(3) * q.thrust_max / q.mass
+        )
         speed, far = length(z[..., 3:]).max(axis=0), length(z[..., :3]).max(axis=0)
         grow = np.exp((2 + np.sqrt(3)) * n * D)
         speed = (speed + np.sqrt(3) * n * far + push * D) * grow  # also between the samples
@@ -136,26 +144,27 @@ class AllTime:
 
     # -- free flights -----------------------------------------------------------------------------
 
-    def _passive(self, z: Array, bow: Array, jolt: Array) -> Array:
+    def _passive(self, z: Array, wide: Array, bow: Array, jolt: Array, radius: Array) -> Array:
         """Lower bounds of phi7 and phi8, (N + P,), at every instant of the plans and ever after."""
         gain_p, gain_v = self._gains
-        brake, tube = self.brake, self.brake.tube
-        spread = self._twice * (gain_p * tube.position[-1] + gain_v * tube.velocity[-1])
-        lost = spread + gain_p * bow + gain_v * jolt + self._radius
-        plane, across = brake.drifting
-        held = np.hypot(plane * length(z[-1, :, :2]), across * np.abs(z[-1, :, 2])) - spread - self._radius
+        spread = (wide @ self._gains).max(axis=0)
+        lost = spread + gain_p * bow + gain_v * jolt + radius
+        plane, across = self.brake.drifting
+        held = np.hypot(plane * length(z[-1, :, :2]), across * np.abs(z[-1, :, 2])) - spread - radius
         n, step = self.inspection.mean_motion, self.approach.times[1]
         amplitude = length(z @ self._circle.T).max(axis=0)
         lost = lost + (n * step) ** 2 / 8 * amplitude
-        places = (z @ self.approach.positions).reshape(*z.shape[:2], -1, 3)
         # No point of a patch is farther from its nearest corner than half of two of its sides.
-        moved = np.abs(np.diff(z, axis=0)).max(axis=0, initial=0.0)
+        moved = np.abs(z[1:] - z[:-1]).max(axis=0, initial=0.0)
         sides = gain_p * length(moved[:, :3]) + gain_v * length(moved[:, 3:])
-        sides = sides + length(np.diff(places, axis=2)).max(axis=(0, 2))
-        least = length(places).min(axis=(0, 2)) - sides / 2
-        near = np.flatnonzero(least < lost)
+        far, fast = (length(part).max(axis=0) for part in (z[..., :3], z[..., 3:]))
+        sides = sides + step * (np.array([far, fast]).T @ self.approach.speed_gain)
+        X, Y, Z = (z @ part for part in self._places)
+        least = np.sqrt((X * X + Y * Y + Z * Z).min(axis=(0, 2))) - sides / 2
+        near = np.flatnonzero(least < lost + NEAR)
         if len(near):
-            least[near] = np.maximum(least[near], _patches(places[:, near]))
+            places = np.stack([X[:, near], Y[:, near], Z[:, near]], axis=-1)
+            least[near] = np.maximum(least[near], _patches(places))
         return np.asarray(np.minimum(least - lost, held))
 
 

@@ -6,26 +6,16 @@ Seen from such axes the sun stands still, and with it both cones; what is left o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from ...model.checks import non_negative, positive
+from ...model.checks import positive
 from ...model.errors import ScenarioError
 from ...model.hill import free_flight
 from ...model.system import Array
 from ..inspection import Inspection
 from ..vectors import length
-
-SHRUNK = 1e-3
-"""Norm of the loop's power behind which the rest of a sum is bounded geometrically."""
-
-LONGEST = 4096
-"""Most powers of the loop that are summed exactly."""
-
-TOLERANCE = 1e-9
-"""By how much a plan may ask for more than the thrust there is [N]; the tube pays for what is clipped."""
+from .tube import Held, Tube, Uncertainty
 
 MOST = 2000
 """Most samples of a plan: what would take longer is not proven."""
@@ -35,58 +25,6 @@ RESPONSES = (10.0, 20.0, 40.0)
 
 LOOKS = 2048
 """Instants at which free flight from rest is looked at, once."""
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """What is not known exactly, at any time and however it changes.
-
-    Parameters
-    ----------
-    position, velocity : float
-        Bounds per axis on the error of the estimated states [m], [m/s].
-    disturbance : float
-        Bound on the 2-norm of an acceleration that the model does not have [m/s^2].
-    thrust : float
-        Bound on the error of each thrust, as a share of the thrust limit.
-    """
-
-    position: float = 0.0
-    velocity: float = 0.0
-    disturbance: float = 0.0
-    thrust: float = 0.0
-
-    def __post_init__(self) -> None:
-        units = {"position": "m", "velocity": "m/s", "disturbance": "m/s^2", "thrust": "-"}
-        for name, unit in units.items():
-            non_negative(name, getattr(self, name), unit)
-
-    @property
-    def exact(self) -> bool:
-        """Whether nothing is unknown."""
-        return self == Uncertainty()
-
-
-@dataclass(frozen=True, eq=False)
-class Tube:
-    """How far the true state may be from a plan, in 2-norms: position [m], velocity [m/s], shape (K,).
-
-    The numbers are for the periods since the plan was made, rising, the last of them for ever; half a period
-    before and after a sample is included. `feedback` is the most thrust per axis [N] that keeps it there.
-    """
-
-    position: Array
-    velocity: Array
-    feedback: float
-
-    def during(self, age: NDArray[np.intp], count: int) -> tuple[Array, Array]:
-        """Positions and velocities, (count, N) each, for the periods of plans made `age` (N,) periods ago.
-
-        The last is for ever.
-        """
-        at = np.minimum(age + np.arange(1, count + 1)[:, None], len(self.position) - 1)
-        at[-1] = len(self.position) - 1
-        return self.position[at], self.velocity[at]
 
 
 class Brake:
@@ -125,66 +63,21 @@ class Brake:
         self._turn = np.kron(np.eye(2), turned(-n * D))  # a state at rest, a period later
         self.resting = np.vstack([np.eye(3), self.spin])
         # The constant thrust after which a state at rest has the velocity of rest again, per metre.
-        self._still = np.linalg.inv(Gamma[3:]) @ (self._turn @ self.resting - Phi @ self.resting)[3:]
-        held = [self._tube(max(response, 5 * D)) for response in RESPONSES]
-        self.gain, self.tube = min(
-            held, key=lambda one: one[1].position[-1] + q.passive_time * one[1].velocity[-1]
-        )
-        self.available = q.thrust_max - self.tube.feedback
+        self._pushed = np.linalg.inv(Gamma[3:])  # the thrust that changes the velocity so
+        self._still = self._pushed @ (self._turn @ self.resting - Phi @ self.resting)[3:]
+        slip = Phi @ self.resting + Gamma @ self._still - self._turn @ self.resting
+        # What holding takes at each instant turns with the deputy; it is held for a period.
+        needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
+        uneven = np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
+        held = Held(q, D, self.motion, self.resting, self._still, slip, float(uneven))
+        tubes = [Tube(held, self.uncertainty, max(response, 5 * D)) for response in RESPONSES]
+        self.tube = min(tubes, key=lambda tube: tube.widest @ (1.0, q.passive_time))
+        self.gain, self.available = self.tube.gain, q.thrust_max - self.tube.feedback
         self.holding = float(length(self._still).max())  # N per axis and metre
         if self.available <= 2 * self.holding * q.distance_max:
             rule = f"too weak: {self.tube.feedback:.3g} N go to what is not known exactly"
             raise ScenarioError("thrust_max", q.thrust_max, rule)
         self.drifting = self._free_flight()
-
-    # -- the tube ---------------------------------------------------------------------------------
-
-    def _tube(self, response: float) -> tuple[Array, Tube]:
-        """Lemma B: the gain for a time constant [s]; sums over the loop's powers, and between samples."""
-        q, D, u, n = self.inspection, self.period, self.uncertainty, self.inspection.mean_motion
-        Phi, Gamma = self.motion
-        grow = np.exp((2 + np.sqrt(3)) * n * D)
-        # What holding with constant thrust misses of a state at rest, per metre of its distance.
-        slip = Phi @ self.resting + Gamma @ self._still - self._turn @ self.resting
-        missed = np.array([np.linalg.norm(slip[:3], 2), np.linalg.norm(slip[3:], 2)]) * q.distance_max
-        w = u.disturbance + np.sqrt(3) * (u.thrust * q.thrust_max + TOLERANCE) / q.mass
-        pushed = missed + w * grow * np.array([D**2 / 2, D])
-        unknown = np.repeat([u.position, u.velocity], 3)
-        gain = -q.mass * np.hstack([np.eye(3) / response**2, 2 * np.eye(3) / response])
-        outputs = np.vstack([np.eye(6), gain])
-        scale = np.repeat([response, 1.0], 3)
-        error = self._sums(Phi + Gamma @ gain, outputs, Gamma @ gain, pushed, unknown, scale)
-        error[0] = np.maximum(error[0], np.abs(outputs) @ unknown)
-        error = np.maximum.accumulate(error)
-        position, velocity = length(error[:, :3]), length(error[:, 3:6])
-        feedback = float((error[-1, 6:] + np.abs(gain) @ unknown).max())
-        # What holding takes at each instant turns with the deputy; it is held for a period.
-        needed = self.spin @ self.spin - q.system.A[3:] @ self.resting
-        uneven = np.linalg.norm(needed - self._still / q.mass, 2) + np.linalg.norm(needed, 2) * n * D
-        extra = np.sqrt(3) * feedback / q.mass + w + uneven * q.distance_max
-        between = (velocity + np.sqrt(3) * n * position + extra * D / 2) * grow
-        return gain, Tube(position + between * D / 2, between, feedback)
-
-    def _sums(
-        self, loop: Array, outputs: Array, by_estimate: Array, pushed: Array, unknown: Array, scale: Array
-    ) -> Array:
-        """Bounds on the outputs of the error 0, 1, ... periods after a plan was made; the last for ever."""
-        outer = length((by_estimate * unknown).T / scale).sum() + np.hypot(pushed[0] / scale[0], pushed[1])
-        start, power = self.motion[0] * unknown, outputs
-        sums, gains, closed, found = np.zeros(9), np.zeros(9), np.eye(6), [np.abs(outputs) @ unknown]
-        for _ in range(LONGEST):
-            sums = sums + np.abs(power @ by_estimate) @ unknown
-            sums = sums + length(power[:, :3]) * pushed[0] + length(power[:, 3:]) * pushed[1]
-            first = np.abs(power @ start).sum(axis=1)
-            gains = gains + length(power * scale)
-            found.append(sums + first)
-            power, closed = power @ loop, closed @ loop
-            shrunk = np.linalg.norm(closed * scale / scale[:, None], 2)
-            if shrunk <= SHRUNK:
-                rest = gains * shrunk / (1 - shrunk) * (outer + length(start.T / scale).sum())
-                found.append(np.max(found, axis=0) + rest)
-                return np.stack(found)
-        raise ScenarioError("period", self.period, "too long: the loop that holds a plan does not settle")
 
     def _free_flight(self) -> tuple[float, float]:
         """Lemma F: what is left, after up to T without thrust, of a distance held in the plane and across it.
@@ -254,7 +147,7 @@ class Brake:
         n, D = self.inspection.mean_motion, self.period
         Phi, Gamma = self.motion
         slow, push = (Phi - Gamma @ self._hold).T, (Gamma @ self._solve).T
-        back = np.stack([turned(-n * D * k).T for k in range(1, len(wanted) + 1)])
+        back = turned(n * D * np.arange(1, len(wanted) + 1))
         gained = wanted @ back @ push
         out = np.empty((len(wanted) + 1, *x.shape))
         out[0] = x
@@ -267,16 +160,17 @@ class Brake:
         """A plan with at least `count` samples: what ends at rest stays so."""
         if len(x) >= count:
             return x
-        more = [x[-1]]
-        for _ in range(count - len(x)):
-            more.append(more[-1] @ self._turn.T)
-        return np.concatenate([x, np.stack(more[1:])])
+        turn = turned(self.inspection.mean_motion * self.period * np.arange(1, count - len(x) + 1))
+        return np.concatenate([x, np.concatenate([x[-1, :, :3] @ turn, x[-1, :, 3:] @ turn], axis=2)])
 
     def thrusts(self, x: Array) -> Array:
         """Thrust [N] between the samples of plans (L+1, N, 6), shape (L, N, 3), and how to fly them."""
-        Phi, Gamma = self.motion
-        gained = x[1:, :, 3:] - x[:-1] @ Phi[3:].T
-        return np.asarray(gained @ np.linalg.inv(Gamma[3:]).T)
+        gained = x[1:, :, 3:] - x[:-1] @ self.motion[0][3:].T
+        return np.asarray(gained @ self._pushed.T)
+
+    def around(self, plan: Array) -> Array:
+        """How far flights may be from plans (L+1, N, 6) that are new: as `Tube.around`, (L+1, N, 2)."""
+        return self.tube.around(self.thrusts(plan), length(plan[-1, :, :3]))
 
     def follow(self, x: Array, plan: Array) -> Array:
         """Thrust [N] of the coming period, (N, 3), at estimates x (N, 6) of deputies on plans (L+1, N, 6)."""
@@ -285,10 +179,13 @@ class Brake:
         return np.asarray(np.clip(u, -limit, limit))
 
 
-def turned(angle: float) -> Array:
-    """Rotation about z, shape (3, 3)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def turned(angle: ArrayLike) -> Array:
+    """Rotations about z by angles (...) [rad], shape (..., 3, 3)."""
+    out = np.zeros((*np.shape(angle), 3, 3))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
+    out[..., 1, 0], out[..., 2, 2] = np.sin(angle), 1.0
+    out[..., 0, 1] = -out[..., 1, 0]
+    return out
 
 
 def _divided(a: Array, b: Array) -> Array:

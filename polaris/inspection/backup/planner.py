@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
-from ..constraints.table import Index
 from ..vectors import length
 from .all_time import AllTime
 
@@ -20,13 +19,13 @@ ROOM = 0.5
 
 
 class Proven(NamedTuple):
-    """A plan (L+1, N, 6), from now on, how many periods ago each deputy's was made (N,), and what it keeps.
+    """A plan (L+1, N, 6), from now on, the tube about it (L+1, N, 2) and what it keeps.
 
     Bounds (M,) of all constraints along it, for all time: negative where they are not proven.
     """
 
     plan: Array
-    age: Index
+    tube: Array
     margins: Array
 
     @property
@@ -36,10 +35,17 @@ class Proven(NamedTuple):
 
 
 class Planner:
-    """Finds plans that brake and hold and are safe for all time; see `Brake` and `AllTime`."""
+    """Finds plans that brake and hold and are safe for all time; see `Brake` and `AllTime`.
 
-    def __init__(self, check: AllTime) -> None:
-        self.check, self.brake = check, check.brake
+    Parameters
+    ----------
+    check : AllTime
+    mixed : bool
+        Whether new plans must be safe whoever goes on with the old ones instead.
+    """
+
+    def __init__(self, check: AllTime, mixed: bool = False) -> None:
+        self.check, self.brake, self.mixed = check, check.brake, mixed
 
     def find(
         self,
@@ -58,23 +64,30 @@ class Planner:
         Phi, Gamma = brake.motion
         start = x if u is None else x @ Phi.T + u @ Gamma.T
         toward, shift = np.zeros((len(x), 3)), np.zeros((len(x), 3))
-        best, age = None, np.zeros(len(x), dtype=np.intp)
+        best = None
         for _ in range(ATTEMPTS):
             plan = brake.plan(start, toward, shift)
             if u is not None:
                 plan = np.concatenate([x[None], plan])
-            if kept is not None and keeps is not None and keeps.any():
-                count = max(len(plan), len(kept.plan))
-                plan, old = brake.extended(plan, count), brake.extended(kept.plan, count)
-                plan[:, keeps] = old[:, keeps]
-                age = np.where(keeps, kept.age, 0)
-            found = Proven(plan, age, self.check(t, plan, age))
+            old = None
+            if kept is not None and (self.mixed or (keeps is not None and keeps.any())):
+                plan = brake.extended(plan, len(kept.plan))
+                old = self.extended(kept, len(plan))
+            tube = brake.around(plan)
+            if old is not None and keeps is not None:
+                plan[:, keeps], tube[:, keeps] = old[0][:, keeps], old[1][:, keeps]
+            found = Proven(plan, tube, self.check(t, plan, tube, old if self.mixed else None))
             if best is None or found.margins.min() > best.margins.min():
                 best = found
             if best.good or not self._mend(t, found, start, toward, shift, keeps):
                 break
         assert best is not None
         return best
+
+    def extended(self, found: Proven, count: int) -> tuple[Array, Array]:
+        """A plan and its tube with at least `count` samples."""
+        more = max(count - len(found.tube), 0)
+        return self.brake.extended(found.plan, count), np.concatenate([found.tube, *[found.tube[-1:]] * more])
 
     def _mend(
         self,
@@ -92,7 +105,7 @@ class Planner:
         for row in np.flatnonzero(found.margins < 0)[::-1]:
             name, i, j = check.labels[row].split("[")[0], check.first[row], check.second[row]
             if name in ("phi9", "phi10"):
-                shift[i] += self._inwards(found.plan[-1, i])
+                shift[i] += self._inwards(found.plan[-1, i], float(found.tube[-1, i, 1]))
             elif name in ("phi1", "phi2", "phi4", "phi5+", "phi5-", "phi6"):
                 z = start[i, :3] - (start[j, :3] if j >= 0 else 0.0)
                 outward = check.direction(name, z, t + D)
@@ -103,11 +116,10 @@ class Planner:
             toward[keeps], shift[keeps] = 0.0, 0.0
         return not (np.array_equal(toward, before[0]) and np.array_equal(shift, before[1]))
 
-    def _inwards(self, rest: Array) -> Array:
+    def _inwards(self, rest: Array, slip: float) -> Array:
         """By what (3,) a deputy must be held farther in, so that turning keeps its velocity limits."""
-        brake, q = self.brake, self.check.inspection
-        most = (q.speed_max - brake.tube.velocity[-1]) / q.mean_motion - ROOM
-        p = rest.copy()
-        p[2] = 0.0
-        far = length(p[:3])
-        return np.asarray(-p[:3] / far * max(far - most, 0.0)) if far > 0 else np.zeros(3)
+        q = self.check.inspection
+        most = (q.speed_max - slip) / q.mean_motion - ROOM
+        p = rest[:3] * (1.0, 1.0, 0.0)
+        far = float(length(p))
+        return np.asarray(-p / far * max(far - most, 0.0)) if far > 0 else np.zeros(3)

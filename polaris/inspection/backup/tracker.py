@@ -1,20 +1,59 @@
-"""The paper's backup controller: LQR tracking of a closed eNMT with integral action (eqs. 40, 41)."""
+"""The paper's backup controller: LQR tracking of a closed eNMT with integral action (eqs. 40, 41).
+
+Its flights can be predicted: exact motion with the thrust held period by period.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.checks import positive
+from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...synthesis.tracking import solve_are
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
-from .law import Law, Outlook
 from .settled import Decay
+
+LONGEST = 20_000
+"""Most periods of one predicted flight."""
+
+LOOK = 4
+"""Every so many periods it is asked whether the flight has settled."""
+
 
 BRAKING = 0.5
 """Share of the thrust with which the stopping point of the reference is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What is known about the flight under a backup law for ever after, for each of N deputies.
+
+    Valid without disturbances, while the law is followed period by period.
+
+    Attributes
+    ----------
+    settled : ndarray of bool, shape (N,)
+        The loop is linear from here on: no thrust is clipped and no limit of the eNMT is reached. The
+        other fields mean something only here.
+    delta_v : ndarray, shape (N,)
+        Upper bound on what will still be spent [m/s]; inf where not settled.
+    distance : ndarray, shape (N,)
+        Lower bound on the distance from the chief's centre [m]; -inf where not settled.
+    """
+
+    settled: NDArray[np.bool_]
+    delta_v: Array
+    distance: Array
+
+    def __post_init__(self) -> None:
+        nothing = {"delta_v": np.inf, "distance": -np.inf}
+        for name, value in nothing.items():
+            object.__setattr__(self, name, np.where(self.settled, getattr(self, name), value))
 
 
 def augmented(inspection: Inspection) -> tuple[Array, Array]:
@@ -26,7 +65,7 @@ def augmented(inspection: Inspection) -> tuple[Array, Array]:
     return A, np.vstack([system.B, np.zeros((3, 3))])
 
 
-class Tracker(Law):
+class Tracker:
     """LQR with integral action about a reference that moves on an eNMT: ``u = clip(-K_1 e - K_2 z)``.
 
     Eq. 41 builds the desired state from the present position. Its position error is identically zero: so
@@ -64,8 +103,8 @@ class Tracker(Law):
         period: float = 1.0,
         response: float = 20.0,
     ) -> None:
-        super().__init__(inspection, period)
-        q = inspection
+        q, self.period = inspection, positive("period", period, "s")
+        self.inspection, self.motion = q, q.held(period)
         self.ellipses = Ellipses.fitting(q, ellipses)
         A, B = augmented(q)
         stiffness, weights = lqr_weights(q, response)
@@ -120,10 +159,6 @@ class Tracker(Law):
         distance = semi_axes(memory, q.mean_motion)[0] - strays
         return Outlook(settled, spent, distance)
 
-    def reset(self) -> None:
-        """Forget the references; the next call chooses new ones."""
-        self._memory = None
-
     def __call__(self, t: float, x: Array) -> Array:
         """Thrust [N], shape (N, 3), at finite states (N, 6).
 
@@ -154,3 +189,52 @@ def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[fl
 def _errors(x: Array, memory: Array) -> Array:
     """Tracking errors and the integrals of their positions, shape (N, 9)."""
     return np.concatenate([x - memory[:, :6], memory[:, 6:]], axis=1)
+
+
+def periods(horizon: float, period: float) -> int:
+    """Whole periods [s] in a horizon [s]; a ScenarioError if there is none, or more than `LONGEST`."""
+    count = int(positive("horizon", horizon, "s") / period + 1e-9)
+    if not 1 <= count <= LONGEST:
+        raise ScenarioError("horizon", horizon, f"must be {period:g} s to {LONGEST * period:g} s")
+    return count
+
+
+@dataclass(frozen=True, eq=False)
+class BackupFlight:
+    """A predicted flight of N deputies over K periods.
+
+    States x (K+1, N, 6) at the ends of the periods, the first those given; thrust u (K, N, 3) held [N];
+    what the law remembers at the end (N, m); and what is known from there on.
+    """
+
+    x: Array
+    u: Array
+    memory: Array
+    outlook: Outlook
+
+    def delta_v(self, mass: float, period: float) -> Array:
+        """Upper bound on all that is spent for ever after the start [m/s] (eq. 25), shape (N,).
+
+        The flight's is exact, what follows bounded; inf where the flight has not settled.
+        """
+        return np.asarray(np.abs(self.u).sum(axis=(0, 2)) * (period / mass) + self.outlook.delta_v)
+
+
+def fly_backup(law: Tracker, x: Array, steps: int, share: float = 1.0) -> BackupFlight:
+    """Fly from states (N, 6) until all deputies have settled, at most `steps` periods.
+
+    That is until no more than a `share` of the thrust limit will be used.
+    """
+    memory = law.start(x)
+    Phi, Gamma = (matrix.T for matrix in law.motion)
+    states, inputs = [x], []
+    for k in range(steps):
+        if k % LOOK == 0 and law.settled(x, memory, share).all():
+            break
+        u, memory = law.thrust(x, memory)
+        x = x @ Phi + u @ Gamma
+        states.append(x)
+        inputs.append(u)
+    outlook = law.outlook(x, memory)
+    flown = np.stack(inputs) if inputs else np.empty((0, len(x), 3))
+    return BackupFlight(np.stack(states), flown, memory, outlook)

@@ -55,8 +55,11 @@ class Assured(CallByCall):
         self.inspection, self.period = self.brake.inspection, self.brake.period
         super().__init__(self.inspection, self.period)
         self.log: list[Switch] = []
-        self._plan: Proven | None = None
-        self._due = np.nan
+        self.take_over(None, np.nan)
+
+    def take_over(self, plan: Proven | None, t: float) -> None:
+        """From the time t [s] on a plan is flown that has been proven."""
+        self.plan, self._due = plan, t
 
     @abstractmethod
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
@@ -72,7 +75,7 @@ class Assured(CallByCall):
         if kept is None and not got.estimated.any():
             every = np.ones(len(got.u), dtype=bool)
             return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
-        sure = kept is not None
+        sure, alone = kept is not None, kept is None and self.planner.mixed
         kept = kept or self.planner.find(got.t, got.x)
         x = np.where(got.known[:, None], got.x, kept.plan[0])
         backup = self.brake.follow(x, kept.plan)
@@ -80,12 +83,12 @@ class Assured(CallByCall):
         proposed, who = self._proposal(got, able, backup)
         u, found, flown = self._tried(got, x, proposed, who & able, backup, kept)
         # A state that is not known is where its plan has it, if that was proven and nothing else acts.
-        sure = found.good and bool((got.known | (sure & self.brake.uncertainty.exact)).all())
+        # So is none that begins anew, where others may go on as before.
+        sure = found.good and not alone and bool((got.known | (sure & self.brake.uncertainty.exact)).all())
         if not sure:
             notes.append("no plan is known to be safe for all time")
-        after = self.brake.extended(found.plan, 3)[1:]
-        self._plan = found._replace(plan=after, age=found.age + 1) if sure else None
-        self._due = got.t + self.period
+        after, tube = self.planner.extended(found, 3)
+        self.take_over(found._replace(plan=after[1:], tube=tube[1:]) if sure else None, got.t + self.period)
         labels = np.array(self.check.labels)
         active = tuple(labels[found.margins < 0].tolist()) if not found.good else ()
         intervened = (u != got.wanted).any(axis=1) | ~able
@@ -94,16 +97,19 @@ class Assured(CallByCall):
 
     def _kept(self, got: Received, notes: list[str]) -> Proven | None:
         """The plan that was proven, from now on; None where there is none, or a state is not within it."""
-        plan, tube, error = self._plan, self.brake.tube, self.brake.uncertainty
+        plan = self.plan
         if plan is None or abs(got.t - self._due) > 1e-6 * self.period:
             return None
-        off = np.abs(got.x - plan.plan[0])
-        near = length(off[:, :3]) <= tube.position[-1] + np.sqrt(3) * error.position + FAR
-        near &= length(off[:, 3:]) <= tube.velocity[-1] + np.sqrt(3) * error.velocity + 1e-3 * FAR
-        if (near | ~got.known).all():
+        if (self.near(got.x, plan) | ~got.known).all():
             return plan
         notes.append("a state is farther from its plan than is possible")
         return None
+
+    def near(self, x: Array, plan: Proven) -> Some:
+        """Whether estimates (N, 6) are as near to their plans as what is not known allows."""
+        off, error = np.abs(x - plan.plan[0]), self.brake.uncertainty.estimate
+        near = length(off[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
+        return np.asarray(near & (length(off[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))
 
     def _tried(
         self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven

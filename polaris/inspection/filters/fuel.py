@@ -18,7 +18,7 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import Answer, CallByCall, Switch
 from ...rta.received import Received, listed
-from ..backup.law import BackupFlight, Law, fly_backup, periods
+from ..backup.tracker import BackupFlight, Tracker, fly_backup, periods
 
 
 class FuelLimit(CallByCall):
@@ -29,8 +29,8 @@ class FuelLimit(CallByCall):
 
     Parameters
     ----------
-    law : Law
-        Backup law, as `Tracker`. Its period is the filter's: call it once per period.
+    law : Tracker
+        Backup law. Its period is the filter's: call it once per period.
     keep_clear : bool
         The predicted flight must also keep away from the chief; the printed condition has fuel only.
     horizon : float
@@ -61,7 +61,7 @@ class FuelLimit(CallByCall):
 
     def __init__(
         self,
-        law: Law,
+        law: Tracker,
         keep_clear: bool = True,
         horizon: float = 3000.0,
         spent: ArrayLike = 0.0,
@@ -155,7 +155,7 @@ class FuelLimit(CallByCall):
         return np.where(cost > left, left / np.where(cost > 0, cost, 1.0), 1.0)
 
 
-def clearance(flight: BackupFlight, x: Array, law: Law) -> Array:
+def clearance(flight: BackupFlight, x: Array, law: Tracker) -> Array:
     """Lower bound on the distance from the chief, less the separation [m], over all time; shape (N,).
 
     From the states x (N, 6) through one period of thrust, along the flight after it, and

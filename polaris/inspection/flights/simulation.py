@@ -15,7 +15,7 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import RunTimeFilter
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
-from ..backup.brake import Uncertainty
+from ..backup.tube import Uncertainty
 from ..constraints.families import Families
 from ..filters.explicit import Filtered
 from ..inspection import Inspection
@@ -74,14 +74,13 @@ class Errors:
 
     def estimated(self, x: Array) -> Array:
         """What navigation makes of states (..., 6)."""
-        bound = np.repeat([self.unknown.position, self.unknown.velocity], 3)
-        return np.asarray(x + bound * self._signs(x.shape))
+        return np.asarray(x + self.unknown.estimate * self._signs(x.shape))
 
     def acting(self, u: Array) -> Array:
         """What acts for a period [N] where thrust (..., 3) is asked for: errors and the disturbance, too."""
         q, way = self.inspection, self._rng.normal(size=u.shape)
         push = self.unknown.disturbance * q.mass * way / length(way)[..., None]
-        return np.asarray(u + self.unknown.thrust * q.thrust_max * self._signs(u.shape) + push)
+        return np.asarray(u + self.unknown.thrusters.error(u) * self._signs(u.shape) + push)
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,7 +148,7 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     ax.plot([place[0] for place in front], [place[1] for place in front], color=BLACK, lw=0.9, zorder=2)
     for (x, y, _), here in places.items():
         ax.plot(x, y, "o", color=BLACK if (x, y, _) in front else GREY, ms=4, zorder=3)
-        if any(one["price"] is None for one in here):
+        if any(one["value"] is None for one in here):
             ax.plot(x, y, "D", color=PURPLE, ms=8, mfc="none", mew=1.0, zorder=4)
     _label(ax, places, GAP / height)
     weighted = any(point["share"] != point["weighted_share"] for point in points)
@@ -177,7 +177,7 @@ def _label(ax: Any, places: Places, gap: float) -> None:
     heights[-1] = min(heights[-1], 1.0)
     for i in reversed(range(len(order) - 1)):
         heights[i] = min(heights[i], heights[i + 1] - gap)
-    every = [one["price"] for here in places.values() for one in here]
+    every = [one["value"] for here in places.values() for one in here]
     known = sorted(price for price in every if price is not None)
     for place, height in zip(order, heights, strict=True):
         text = f"{shortened(_prices(places[place], known), 1.4)}, {counted(place[2], 'switch', 'switches')}"
@@ -188,7 +188,7 @@ def _label(ax: Any, places: Places, gap: float) -> None:
 
 def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
     """Prices of the points at one place, three or more in a row of all that are known as from and to."""
-    prices = sorted(one["price"] for one in here if one["price"] is not None)
+    prices = sorted(one["value"] for one in here if one["value"] is not None)
     names = [f"{price:g}" for price in prices]
     if len(prices) > 2 and prices == [price for price in known if prices[0] <= price <= prices[-1]]:
         names = [f"{names[0]} to {names[-1]}"]
@@ -199,4 +199,45 @@ def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
 FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
 """Figures of a comparison."""
 
-TRADEOFF = {"tradeoff": _front}  # figures of a trade-off
+
+def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
+    """Share of U and velocity change against the values of every field; what is infeasible at the foot."""
+    fields = list(dict.fromkeys(point["field"] for point in points))
+    figure = new_figure(0.4 + 1.7 * len(fields), 1.4 * WIDTH)
+    for ax, field in zip(figure.subplots(len(fields), squeeze=False)[:, 0], fields, strict=True):
+        mine = sorted((one for one in points if one["field"] == field), key=lambda one: float(one["value"]))
+        values, beside = np.array([one["value"] for one in mine], dtype=float), ax.twinx()
+        if values.min() > 0 and values.max() > SPREAD * values.min():
+            ax.set_xscale("log")
+        for one, key, colour, scale in (
+            (ax, "share", ORANGE, 100),
+            (beside, "delta_v_m_s", BLUE, 1),
+            (beside, "delta_v_most_m_s", GREY, 1),
+        ):
+            told = np.array([np.nan if row[key] is None else scale * row[key] for row in mine])
+            one.plot(values, told, "o-", color=colour, ms=3, lw=0.9)
+        none = values[[row["guarantee"] == "infeasible" for row in mine]]
+        if len(none):
+            ax.plot(none, 0 * none, "x", color=RED, ms=5, clip_on=False)
+        ax.set(ylim=(0, 105), xlabel=field, ylabel="Share of U (%)")
+        beside.set(ylim=(0, None), ylabel="Delta-v (m/s)")
+        ax.grid(True)
+    names = (
+        (ORANGE, "o", "share"),
+        (BLUE, "o", "mean m/s"),
+        (GREY, "o", "proven m/s"),
+        (RED, "x", "infeasible"),
+    )
+    handles = [
+        Line2D([], [], ls="none", marker=m, color=colour, ms=4, label=name) for colour, m, name in names
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=7)
+    return figure
+
+
+def _points(points: Sequence[Mapping[str, Any]]) -> Any:
+    """Points without a front are those of fields."""
+    return _sensitivity(points) if points[0]["non_dominated"] is None else _front(points)
+
+
+TRADEOFF = {"tradeoff": _points}  # figures of a trade-off

@@ -155,9 +155,6 @@ def _difference(one: Mapping[str, Any]) -> Cell:
     return replace(cell, html=escape(cell.html) + macros().range("perhaps 0"))
 
 
-# -- decisions --------------------------------------------------------------------------------------
-
-
 Decisions = list[dict[str, Any]]
 
 

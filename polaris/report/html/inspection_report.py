@@ -115,8 +115,6 @@ def _studies(summary: Mapping[str, Any]) -> Markup:
     return table(f"{counted(summary['runs'], 'run')} each", heads, rows, sort=True)
 
 
-# -- what is drawn ----------------------------------------------------------------------------------
-
 LOOK = {"dash": "solid", "on": True}
 THRUSTS = tuple(f"Thrust, {name.lower()}" for name in AXES)
 

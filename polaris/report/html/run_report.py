@@ -129,9 +129,6 @@ def synthesis(summary: Mapping[str, Any]) -> Markup:
     return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows.items()])
 
 
-# -- guarantees -------------------------------------------------------------------------------------
-
-
 def reach(claim: Mapping[str, Any]) -> str:
     """How far a schedule's claim goes, in words."""
     until = claim.get("until_s")

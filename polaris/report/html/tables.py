@@ -68,9 +68,6 @@ BADGES = {
 MOST = 4  # columns of a table that have room on any screen
 
 
-# -- values -----------------------------------------------------------------------------------------
-
-
 @cache
 def template(name: str) -> Template:
     """A template of this package; whatever is not markup already is escaped in it."""
@@ -112,9 +109,6 @@ def _without_number(text: str, why: str) -> Markup:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-# -- cells ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -194,9 +188,6 @@ class Measure:
         if self.key not in BAD or value is None:
             return False
         return bool(value < 0) if self.key.endswith("_m") else bool(value > 0)
-
-
-# -- tables and lists -------------------------------------------------------------------------------
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], sort: bool = False) -> Markup:

@@ -189,9 +189,6 @@ def _margins(picture: Picture) -> dict[str, Any]:
     return panel("margin", title, "share of room", [limit(0.0, "")], [series])
 
 
-# -- what is proven ---------------------------------------------------------------------------------
-
-
 def _proven(bound: Array, delta: float) -> dict[str, Any]:
     """The distance that is proven, held over every period."""
     K, q = bound.shape

@@ -33,9 +33,6 @@ class Shape:
         return Shape(self.kind, self.points + shift, self.faces)
 
 
-# -- in the plane -----------------------------------------------------------------------------------
-
-
 def tube_support(centre: Array, generators: Array, bow: Array, parts: int, rays: Array) -> Array:
     """Support (K, parts, R) [m] of a tube over parts of every step along rays (R, e).
 
@@ -76,9 +73,6 @@ def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
     """First and one-past-last index of every stretch of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-# -- in space ---------------------------------------------------------------------------------------
 
 
 def hull(points: Array) -> Shape | None:

@@ -4,7 +4,7 @@ For every unsafe set one barrier: the closing speed must not exceed that from wh
 ``h = d' + s(d)`` with ``s(d) = sqrt(2 a d)`` but for a smooth layer at d = 0. For a ball d is the distance to
 it; for any other set, and for what perception says of satellites, that to the facet with the largest h. The
 filtered input is the nearest to the desired one with ``h' >= -alpha h`` for every set, the worst disturbance
-included. Where inputs move the position at once, ``h = d``.
+and errors of thrusters included. Where inputs move the position at once, ``h = d``.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ class ExplicitASIF(Method):
         self.direct = bool(np.any(C @ system.B))
         rate = C if self.direct else C @ A
         self.push, self.kick, self.drift = rate @ system.B, rate @ system.D, rate @ A
+        self.off = system.thrusters.error(system.u_max)
         if not np.any(self.push):
             raise ScenarioError(
                 "method", self.key, "the input moves the position only by its third derivative"
@@ -91,7 +92,7 @@ class ExplicitASIF(Method):
     def _brake(self, name: str, normals: Array, span: float) -> Array:
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
         system = self.grid.system
-        found = np.abs(normals @ self.push) @ system.u_max - span
+        found = np.abs(normals @ self.push) @ (system.u_max - self.off) - span
         found -= np.linalg.norm(normals @ self.kick, axis=1) * system.w_max
         if np.any(found <= 0) and not self.direct:
             raise ScenarioError("method", self.key, f"full thrust cannot brake before every side of {name}")
@@ -167,6 +168,7 @@ class ExplicitASIF(Method):
         """Barrier, row and bound, from the rate of h along a normal but for input, drift and disturbance."""
         known = ((x @ self.drift.T) * normal).sum(axis=1)
         known -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.w_max
+        known -= np.abs(normal @ self.push) @ self.off
         return h, normal @ self.push, -self.alpha * h - (known + change)
 
     def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:

@@ -100,7 +100,8 @@ class ForwardReachability(Simulation):
     """U flies if its reachable set over a while keeps clear: naive, for S need not be able to take over.
 
     The set is that of U's unclipped law about its clipped prediction, for every measured state within the
-    error bound and every disturbance. It does not ask whether S could still take over where that set ends.
+    error bound, every disturbance and every error of estimates and thrusters. It does not ask whether S could
+    still take over where that set ends.
     """
 
     key, name, place = "reachability", "Forward reachability of U", 10
@@ -120,7 +121,8 @@ class ForwardReachability(Simulation):
         grid = self.grid
         law = grid.controllers[1]
         gain = law.gain if isinstance(law, AffineController) else np.zeros((grid.system.m, grid.system.n))
-        flow = grid.tracking.feedback.flow(grid.system, gain, grid.tracking.delta)
+        error = grid.system.input_error(gain, grid.system.u_max)
+        flow = grid.tracking.feedback.flow(grid.system, gain, grid.tracking.delta, error)
         rows, out = grid.facets[0] @ grid.system.position, []
         added = np.zeros(len(rows))
         for _ in range(self.count + 1):

@@ -70,6 +70,7 @@ class BoxMotion:
 
     def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
         self.system, self.longest, self._grain = system, longest, TIME * period
+        self.most = system.u_max + system.thrusters.error(system.u_max)
         size = float(np.linalg.norm(system.A, 1)) * longest
         if not size <= FARTHEST_MOTION:
             rule = (
@@ -101,7 +102,7 @@ class BoxMotion:
         spread = spread * (1 + ROUNDING) + rest * np.abs(self.system.B).sum(axis=0)
         const = t * (weights @ self._disturbance) * (1 + ROUNDING)
         const += rest * self.system.w_max * np.abs(self.system.D).sum()
-        const += 2 * ROUNDING * (spread @ self.system.u_max)
+        const += 2 * ROUNDING * (spread @ self.most)
         out = np.zeros((2 * n, 3 * n + 2 * m + 1))
         for first, sign in ((0, 1.0), (n, -1.0)):
             mine = slice(first, first + n)
@@ -119,7 +120,7 @@ class BoxFilter:
     def __init__(self, motion: BoxMotion, low: Array, high: Array) -> None:
         self.motion, self.t = motion, 0.0
         self._box, self._n = np.concatenate([high, -low]), len(low)
-        self._any_input = np.tile(motion.system.u_max, 2)
+        self._any_input = np.tile(motion.most, 2)
         self._inputs = self._any_input  # bounds [high, -low] since the instant of the box
 
     @property
@@ -133,14 +134,16 @@ class BoxFilter:
         return self._box[: self._n].copy()
 
     def flown(self, bounds: Array | None, fresh: bool) -> None:
-        """Note bounds (2, m) on the input since the last call; None where only its limits are known.
+        """Note bounds (2, m) on the commands since the last call; None where only their limits are known.
 
         The box is fresh if it is not older than the last call: earlier inputs no longer matter then.
         """
         if bounds is None:
             self._inputs = self._any_input
             return
-        given = np.minimum(np.concatenate([bounds[1], -bounds[0]]), self._any_input)
+        system = self.motion.system
+        most = np.minimum([bounds[1], -bounds[0]], system.u_max)  # of +u and of -u
+        given = (most + system.thrusters.error(most.max(axis=0))).ravel()
         self._inputs = given if fresh else np.maximum(self._inputs, given)
 
     def reaches(self, t: float) -> bool:

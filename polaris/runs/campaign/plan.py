@@ -137,9 +137,6 @@ def _column_type(found: set[type]) -> type:
     return float if found <= {int, float} else str
 
 
-# -- cases -------------------------------------------------------------------------------------------
-
-
 def make_cases(
     scenarios: Sequence[str | ScheduleScenario],
     grid: Mapping[str, Sequence[Any]] | None = None,

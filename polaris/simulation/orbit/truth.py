@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
+from ...model.thrusters import Thrusters
 from ...synthesis.schedule import Schedule
 from ..delayed import Predicting
 from ..disturbances import disturbances
@@ -58,8 +59,12 @@ def fly_true(
 
     Each run has its own target: a near-circular orbit with an argument of latitude and an inclination
     drawn from what is declared, an own difference of the ballistic coefficients, and a constant acceleration
-    of the size declared for everything else. Under sampled feedback, delays and missed periods are flown as
-    they are, with predictions on board; else as errors within the bounds of predictions.
+    of the size declared for everything else. With errors of navigation or thrusters, half of the runs have
+    them, that acceleration and the start at the worst for a limit and an instant, by the adjoint of the
+    linear loop. In the others estimates err at random, and thrusters are as built: each has its own strength,
+    all are turned about an axis, and impulses are rounded to the bit. Under sampled feedback, delays and
+    missed periods are flown as they are, with predictions on board; else as errors within the bounds of
+    predictions.
 
     Parameters
     ----------
@@ -89,8 +94,9 @@ def fly_true(
         flight.prepare(n, rng)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
-    pushed, errors = np.broadcast_to(push, (flight.steps, n, 3)), disturbances(flight, n, rng, "random")[0]
-    pushed = np.concatenate([pushed, errors[..., flight.system.p :]], axis=2)
+    pushed, adjoint = flight.at_their_worst(push, rng)
+    if len(adjoint) and initial in ("corners", "mixed"):
+        x[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
     runs = flight.run(np.concatenate([x, target], axis=1), pushed)
     target = runs.states[..., 6:]
     runs = replace(runs, states=runs.states[..., :6])
@@ -103,9 +109,38 @@ class _TrueMotion(Integrator):
     env: Environment
     ballistic: Array
     residual: Array  # largest within each period, (nodes, R)
+    axis: Array  # about which the last runs' thrusters are turned, (r, 3)
+    strength: Array  # of each of them, as a share of the error, (r, 3)
+    errors = Thrusters()  # of thrusters alone, jitter left out
 
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         return super().command(number, k, half, x[:, :6], later)
+
+    def at_their_worst(self, push: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """All that disturbs, (steps, R, 3 and columns of errors), and which way the first runs start."""
+        system, p, n = self.system, self.system.p, len(push)
+        pushed = np.broadcast_to(push, (self.steps, n, 3))
+        if system.ideal:
+            return pushed, np.zeros((0, 6))
+        self.errors = system.prompt.thrusters
+        w, adjoint = disturbances(self, n, rng, "mixed")
+        worst = np.arange(n) < len(adjoint)
+        force = (w[..., :p] @ system.D.T)[..., 3:] * (self.env.other / max(system.w_max, 1e-300))
+        axis = rng.normal(size=(n - len(adjoint), 3))
+        self.axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+        self.strength = rng.choice([-1.0, 1.0], axis.shape)
+        return np.concatenate([np.where(worst[:, None], force, pushed), w[..., p:]], axis=2), adjoint
+
+    def applied(self, raw: Array, step: int) -> Array:
+        u, errors = super().applied(raw, step), self.errors
+        if errors.exact:
+            return u
+        built = slice(len(u) - len(self.axis), None)
+        told, bit = np.clip(raw[built], -self.system.u_max, self.system.u_max), errors.rounding(self.system.m)
+        told = np.round(told / bit) * bit if bit > 0 else told
+        turned = errors.across * np.cross(self.axis, told)
+        u[built] = told * (1 + errors.along * self.strength) + turned
+        return u
 
     def _unclipped(self, *cell: Any) -> None:
         """Nothing is linear here."""

@@ -1,0 +1,108 @@
+"""One deputy of a group that shares what it knows by messages that may be lost.
+
+Each works out the same plans for all, from what all have told, and takes its own; who misses a message goes
+on with the plan it has. New plans are proven for all that may come of it (``docs/inspection-theory.md``, 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ..backup.planner import Proven
+from .assured import Explicit, Implicit
+
+
+class Message(NamedTuple):
+    """What a deputy tells the others each period: estimated state (6,), wanted thrust (3,) [N], its plan.
+
+    The plan (L+1, 1, 6) is from now on; the tube about it is (L+1, 1, 2).
+    """
+
+    x: Array
+    wanted: Array
+    plan: Array
+    tube: Array
+
+
+class Member:
+    """The filter of one deputy: decides on its thrust from the messages that reached it.
+
+    Parameters
+    ----------
+    me : int
+        Which deputy this is.
+    rule : Explicit or Implicit
+        What all would do who had heard all; its planner must be `mixed`. Of its own: nobody else's.
+    t : float
+        Time [s] at which all know the states `x`, before there is anything to lose.
+    x : ndarray, shape (N, 6)
+        Those estimates.
+
+    Attributes
+    ----------
+    moved : bool
+        Whether the last answer was the common one, and not the plan's.
+    unproven : bool
+        Whether the state was not known, or not within the tube: the assumptions do not hold.
+
+    Raises
+    ------
+    ScenarioError
+        If the planner is not mixed, or no plan from there is proven.
+    """
+
+    def __init__(self, me: int, rule: Explicit | Implicit, t: float, x: Array) -> None:
+        self.me, self.rule, self.brake = me, rule, rule.brake
+        found = rule.planner.find(t, x)
+        if not rule.planner.mixed:
+            raise ScenarioError("rule", type(rule).__name__, "needs a planner that is mixed")
+        if not found.good:
+            worst = int(found.margins.argmin())
+            told = f"{rule.check.labels[worst]} would be {found.margins[worst]:.3g}"
+            raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {told}")
+        self._none = np.zeros(len(rule.check.labels))
+        self._due, self._flown = t, self._part(found)
+        self.moved = self.unproven = False
+
+    def message(self, x: Array, wanted: Array) -> Message:
+        """What to tell all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
+        plan, tube, _ = self._flown
+        return Message(np.array(x, dtype=float), np.array(wanted, dtype=float), plan, tube)
+
+    def decide(self, t: float, told: Sequence[Message | None]) -> Array:
+        """Thrust (3,) [N] of the period that begins at t [s]; messages of all, the own among them, by number.
+
+        None stands for one that has not arrived.
+        """
+        own, heard = told[self.me], [message for message in told if message is not None]
+        if own is None:
+            raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
+        on_time = abs(t - self._due) <= 1e-6 * self.brake.period
+        self._due = t + self.brake.period
+        if on_time and len(heard) == len(told) and all(np.isfinite(message.x).all() for message in heard):
+            plans = [Proven(message.plan, message.tube, np.zeros(0)) for message in heard]
+            count = max(len(each.plan) for each in plans)
+            longer, tubes = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
+            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none), t)
+            x, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
+            decision = self.rule.filter(t, x, wanted)
+            if self.rule.plan is not None:  # it has been proven
+                self.moved, self.unproven, self._flown = True, False, self._part(self.rule.plan)
+                return np.asarray(decision.u[self.me])
+        seen, flown = bool(np.isfinite(own.x).all()), self._flown
+        x = np.where(seen, own.x, flown.plan[0])
+        known = on_time and (seen or self.brake.uncertainty.exact)
+        self.moved, self.unproven = False, not (known and self.rule.near(x, flown).all())
+        plan, tube = self.rule.planner.extended(flown, 3)
+        self._flown = Proven(plan[1:], tube[1:], self._none)
+        return np.asarray(self.brake.follow(x, flown.plan)[0])
+
+    def _part(self, found: Proven) -> Proven:
+        """The part of the plans of all that is this deputy's."""
+        mine = slice(self.me, self.me + 1)
+        return Proven(found.plan[:, mine], found.tube[:, mine], self._none)

@@ -1,0 +1,156 @@
+"""Folders of trade-offs: one schedule per price of velocity change, or per value of a field.
+
+================== ==================================================================================
+price-0.06/ ...    the run folder of each price of velocity change (`polaris.runs.schedule`)
+printed/           that of the printed algorithms, without recourse
+system.mass_kg-5/  the run folder of each value of a field; infeasible.json where there is no schedule
+scenario.toml      the scenario that they share
+tradeoff.json/csv  what each of them reaches, costs and proves, and which none of the others outdoes
+================== ==================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..scenario.scenario import ScheduleScenario
+from .arrays import read_flights
+from .folder import SCENARIO, RunFolder, RunKind, read_json, readable
+from .tables import write_csv
+
+Row = dict[str, Any]  # what one point says, by column
+
+
+COLUMNS = {
+    "folder": "run folder of the point; printed: recoverable.recourse = none, where no price is paid",
+    "field": "what of the scenario is changed from point to point, by its key",
+    "value": "of that field",
+    "share": "share of the time under experimental controllers",
+    "weighted_share": "the same, each controller's time times its weight",
+    "delta_v_undisturbed_m_s": "velocity change of the undisturbed flight from the middle of the initial set",
+    "delta_v_most_m_s": "velocity change proven never to be exceeded until the goal is reached, or nearest",
+    "delta_v_m_s": "velocity change, mean over simulated runs",
+    "delta_v_max_m_s": "velocity change, largest over simulated runs",
+    "guarantee": "proved, or none; infeasible: there is no schedule, for the reason told",
+    "non_dominated": "no other point is as good in weighted_share, delta_v_m_s, switches, the goal, the"
+    " guarantee and until when it holds, and better in one of them; told of prices alone",
+    "needed": "of every field: the last value with which at least the share asked is proven, from the better"
+    " end on; and the value between it and the next by linear interpolation, if that is proven too",
+}
+
+
+def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row:
+    """What the run folder of a point says; `ScenarioError` if a file is missing or damaged."""
+    summary, scenario = folder.summary, folder.scenario
+    with readable(folder.path):
+        found, claim, flown = summary["synthesis"], summary["guarantee"], summary["polaris"]
+        goal, modes = claim["goal"], np.array(folder.json("schedule.json")["modes"], dtype=int)
+        flights = read_flights(folder.path / "trajectories.npz")["polaris"]
+        thrust = np.abs(flights.inputs[flights.labels.index("nominal")]).sum(axis=1)
+        weights = np.array([0.0, *scenario.switching_rules().weights])
+        return {
+            "folder": name,
+            "field": field,
+            "value": value,
+            "share": found["experimental_share"],
+            "weighted_share": float(weights[modes].mean()),
+            "switches": found["switches"],
+            "delta_v_undisturbed_m_s": float(thrust @ np.diff(flights.times)) / scenario.system().mass,
+            "delta_v_most_m_s": goal["delta_v_max_m_s"],
+            "delta_v_m_s": flown["delta_v_m_s"],
+            "delta_v_max_m_s": flown["delta_v_max_m_s"],
+            "goal_reached": goal["reached"],
+            "goal_by_s": goal["by_s"],
+            "goal_distance_m": goal["distance_m"],
+            "guarantee": claim["kind"],
+            "horizon": claim["horizon"],
+            "until_s": claim["until_s"],
+            "cut_by_clock": bool(found["planner"]["cut_by_clock"]),
+            "reason": None,
+        }
+
+
+EMPTY = (
+    *("share", "weighted_share", "switches", "delta_v_undisturbed_m_s", "delta_v_most_m_s", "delta_v_m_s"),
+    *("delta_v_max_m_s", "goal_reached", "goal_by_s", "goal_distance_m"),
+)
+"""Columns that a point without a schedule leaves empty."""
+
+
+def infeasible_row(folder: Path, field: str, value: float | None) -> Row:
+    """What a folder says that has no schedule."""
+    told = {"folder": folder.name, "field": field, "value": value, **dict.fromkeys(EMPTY)}
+    told |= {"guarantee": "infeasible", "horizon": None, "until_s": None, "cut_by_clock": False}
+    return told | {"reason": read_json(folder / INFEASIBLE.summary)["reason"]}
+
+
+def needed(rows: Sequence[Mapping[str, Any]], field: str, share: float) -> Row:
+    """How far a field may go for a share of the time under U; see `COLUMNS`."""
+    mine = sorted((row for row in rows if row["field"] == field), key=lambda row: float(row["value"]))
+    shares = [row["share"] if row["guarantee"] == "proved" else -1.0 for row in mine]
+    falls = shares[0] >= shares[-1]
+    values = [row["value"] for row in mine][:: 1 if falls else -1]
+    shares = shares[:: 1 if falls else -1]
+    told = {"field": field, "share": share, "bound": "at most" if falls else "at least"}
+    told |= dict.fromkeys(("last_proven", "share_there", "next", "share_next", "interpolated"))
+    good = [i for i, one in enumerate(shares) if one >= share]
+    if not good:
+        return told
+    last, after = good[-1], good[-1] + 1
+    told |= {"last_proven": values[last], "share_there": shares[last]}
+    if after < len(values):
+        told["next"] = values[after]
+        if shares[after] >= 0:
+            part = (shares[last] - share) / (shares[last] - shares[after])
+            told["share_next"] = shares[after]
+            told["interpolated"] = values[last] + part * (values[after] - values[last])
+    return told
+
+
+def non_dominated(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
+    """Which points no other one outdoes: is as good in every respect and better in one; see `COLUMNS`."""
+    merits = np.array([_merits(row) for row in rows], dtype=float)
+    as_good = np.all(merits[:, None] >= merits, axis=2)
+    return [bool(alone) for alone in ~np.any(as_good & ~as_good.T, axis=0)]
+
+
+def _merits(row: Mapping[str, Any]) -> tuple[float, ...]:
+    until = np.inf if row["until_s"] is None else row["until_s"]
+    proved, reached = row["guarantee"] == "proved", row["goal_reached"] is True
+    return row["weighted_share"], -row["delta_v_m_s"], -row["switches"], reached, proved, until
+
+
+Points = tuple[Sequence[Row], float]  # rows of all points, and the share asked
+
+
+def _tell_points(scenario: ScheduleScenario, found: Points, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Contents of ``tradeoff.json``."""
+    rows, share = found
+    fields = dict.fromkeys(row["field"] for row in rows if row["non_dominated"] is None)
+    asked = [needed(rows, field, share) for field in fields]
+    return {"points": list(rows), "needed": asked, "definitions": COLUMNS}
+
+
+TRADEOFF = RunKind(
+    "tradeoff",
+    (SCENARIO, "tradeoff.csv"),
+    lambda folder, scenario, found: write_csv(folder / "tradeoff.csv", found[0]),
+    _tell_points,
+    lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
+    summary="tradeoff.json",
+)
+"""What a trade-off leaves."""
+
+INFEASIBLE = RunKind(
+    "infeasible",
+    (SCENARIO,),
+    lambda folder, scenario, reason: None,
+    lambda scenario, reason, seconds: {"reason": reason},
+    lambda folder, scenario: read_json(folder / "infeasible.json"),
+    summary="infeasible.json",
+)
+"""What a point of a trade-off leaves that has no schedule."""
