@@ -57,9 +57,10 @@ class Predicting(Integrator):
         return np.asarray(found)
 
     def applied(self, raw: Array, step: int) -> Array:
-        """Noted for predictions, too."""
-        self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
-        return super().applied(raw, step)
+        """What is commanded is noted for predictions; errors are those of thrusters without jitter."""
+        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        self.told[step : step + self.substeps] = u
+        return u if self.thrust is None else u + self.thrust[step] * self.system.prompt.thrusters.error(u)
 
     def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States a step later, what is measured at its start being noted."""

@@ -136,7 +136,10 @@ class Integrator:
                 u = self.applied(raw, k * self.steps_per_cell + step)
             first = np.clip(raw, -limit, limit) if sub == 0 else first
             x = self.move(number, k, step, x, u, w[sub])
-            spent += np.abs(u).sum(axis=1)
+            size = np.abs(u)
+            if self.system.timing.jitter > 0:  # moves thrust in time, and adds little of it
+                size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)))
+            spent += size.sum(axis=1)
         return x, first, demanded, spent
 
     def run(self, x0: Array, w: Array) -> Runs:

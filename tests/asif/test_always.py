@@ -145,7 +145,7 @@ def test_no_errors_leave_the_tube_and_the_worst_come_near_its_wall(period, name)
             for at in wall[k : k + 2]:
                 assert np.linalg.norm(e[:3]) <= at[0] and np.linalg.norm(e[3:]) <= at[1]
         shares.append(abs(e[axis]) / wall[end, axis // 3])
-    assert max(shares) > 0.3  # three axes at once, and what is between samples, are in the tube
+    assert max(shares) > 0.25  # three axes at once, and what is between samples, are in the tube
 
 
 @pytest.mark.parametrize("period", [0.2, 2.0])
