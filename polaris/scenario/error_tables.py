@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from ..model.allocation import Allocation, axis_pairs
 from ..model.errors import ScenarioError
 from ..model.prediction import predicting
 from ..model.system import Array, LinearSystem
@@ -11,6 +14,7 @@ from ..model.thrusters import Thrusters as Errors
 from ..model.timing import Timing as Delays
 from ..synthesis.passive import Abort as AbortOptions
 from . import fields as f
+from .fault_tables import Fault
 from .fields import ScenarioPart, unit
 
 
@@ -54,6 +58,12 @@ class Thrusters(ScenarioPart):
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
     feedback. The thrust counts as constant over the period."""
+    directions: f.Matrix | None = unit("-", default=None)
+    """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
+    thrust). Without it there is one either way along every input."""
+    thrust_max_N: f.PositivePerAxis | None = unit("N", default=None)
+    """Largest thrust, one number for all thrusters or one each; needed with `directions`. The limits of the
+    inputs are then those of the largest box within the system's own, and of its shape, that they make."""
 
     def build(self, system: LinearSystem, period: float | None) -> Errors:
         """Bounds on the errors of the inputs."""
@@ -63,6 +73,9 @@ class Thrusters(ScenarioPart):
         if self.impulse_bit_N_s > 0 and period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        if self.directions is not None and (self.magnitude_error > 0 or self.impulse_bit_N_s > 0):
+            given, rule = (self.magnitude_error, self.impulse_bit_N_s), "is not covered with directions"
+            raise ScenarioError("thrusters.magnitude_error, impulse_bit_N_s", given, rule)
         bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
         turned = float(np.deg2rad(self.misalignment_deg))
         return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
@@ -99,6 +112,20 @@ class Timing(ScenarioPart):
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
         given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
         return system if given == Delays() else predicting(system, given, period)
+
+
+def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
+    """What the thrusters make of inputs in every fault; None where nothing is said of them."""
+    directions = None if table is None else table.directions
+    limits = None if table is None else table.thrust_max_N
+    if (directions is None) != (limits is None):
+        rule = "must be given both or neither"
+        raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
+    if directions is None or limits is None:
+        pairs = axis_pairs(u_max)
+        return Allocation.of(*pairs, u_max, [fault.build() for fault in faults]) if faults else None
+    most = f.per_axis("thrusters.thrust_max_N", limits, len(directions))
+    return Allocation.of(np.array(directions), most, u_max, [fault.build() for fault in faults])
 
 
 class Abort(ScenarioPart):

@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .fault_tables import allocation
+from .error_tables import allocation
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural

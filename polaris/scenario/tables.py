@@ -20,8 +20,8 @@ from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import LinearSystem
 from . import fields as f
-from .error_tables import Abort, Chaser, Navigation, Tank, Timing
-from .fault_tables import AllocatedThrusters, Fault
+from .error_tables import Abort, Chaser, Navigation, Tank, Thrusters, Timing
+from .fault_tables import Fault
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
@@ -209,9 +209,7 @@ class ScenarioModel(f.Head):
     navigation: Navigation | None = unit(
         "-", "How well it knows its state; exactly without it.", default=None
     )
-    thrusters: AllocatedThrusters | None = unit(
-        "-", "Errors of the thrusters; none without it.", default=None
-    )
+    thrusters: Thrusters | None = unit("-", "Errors of the thrusters; none without it.", default=None)
     timing: Timing | None = unit("-", "How late commands take effect; at once without it.", default=None)
     faults: tuple[Fault, ...] = unit("-", "Faults of thrusters to survive.", default=(), max_length=8)
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
