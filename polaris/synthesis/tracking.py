@@ -275,4 +275,4 @@ class Tracking:
         # A switch between two nodes is seen from both: a period more or less since the hand-over.
         more[1:] = np.maximum(more[1:], more[:-1])
         tail, curved = self.late(rows, errors[0])
-        return found + curved + np.vstack([more, sums[-1:] + within[-1:] + tail])
+        return np.asarray(found + curved + np.vstack([more, sums[-1:] + within[-1:] + tail]))

@@ -211,7 +211,7 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
 
 
 def test_a_profile_allows_for_the_errors_of_its_own_commands():
-    """Commands at the profile, all errors at their worst signs: the response keeps to it, and so from rest."""
+    """Commands at the profile, all errors at their worst signs: the response keeps to it, from rest too."""
     scenario = load_scenario(TINY).with_assignments([ERRORS[0], *ERRORS[2:4]])
     safety = synthesize(scenario).safety
     tracking, flow, gain = safety.tracking, safety.tracking.flow, safety.tracking.gain
