@@ -150,7 +150,7 @@ class Argument:
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
-            departures = None if parts is None else Departures(self.plant, k, parts)
+            departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
             flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K

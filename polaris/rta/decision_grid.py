@@ -77,7 +77,8 @@ class DecisionGrid:
             [s]
         half_widths : array_like, optional
             Largest error of the state estimate that decisions are made on, one number or one per state; 0
-            where it is exact. By default that of the estimate that S and U act on (``[navigation]``).
+            where it is exact. By default that of the estimate that S and U act on (``[navigation]``, or that
+            of predictions with ``[timing]``). By what jitter displaces states they grow.
 
         Raises
         ------
@@ -109,8 +110,8 @@ class DecisionGrid:
         tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
-        half = np.array(np.broadcast_to(half, (n,)))
-        return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
+        moved = 0.0 if half_widths is None else known.system.displaced
+        return cls(schedule, period, latency, half + moved + np.zeros(n), tracking, clearance, nodes, delay)
 
     # -- what it consists of ------------------------------------------------------------------------
 

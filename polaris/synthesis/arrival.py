@@ -197,7 +197,7 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta
-    rate = float((most + system.thrusters.error(most)).sum()) / system.mass * (1 + ROUNDING)
+    rate = float(system.spent(most).sum()) / system.mass * (1 + ROUNDING)
     settled = T + nodes * tracking.flow.h
     until = (spent + _correcting(safety, held, nodes)) * (1 + ROUNDING)
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion

@@ -16,6 +16,7 @@ from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.thrusters import Thrusters
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.estimate import BoxFilter, BoxMotion
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
@@ -210,7 +211,7 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
 
 
 def test_a_profile_allows_for_the_errors_of_its_own_commands():
-    """Commands at the profile, all errors at their worst signs: the response keeps to it."""
+    """Commands at the profile, all errors at their worst signs: the response keeps to it, from rest too."""
     scenario = load_scenario(TINY).with_assignments([ERRORS[0], *ERRORS[2:4]])
     safety = synthesize(scenario).safety
     tracking, flow, gain = safety.tracking, safety.tracking.flow, safety.tracking.gain
@@ -251,6 +252,21 @@ def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
     assert under > 0.1
 
 
+def test_delays_and_jitter_are_among_the_errors_of_a_monitor():
+    scenario = exact(5001)
+    h = scenario.problem().period
+    late = [f"timing.delay_s={h}", "timing.missed_periods=1", f"timing.jitter_s={h / 500}"]
+    schedule = synthesize(scenario.with_assignments([PRINTED, *tables(scenario, 5001), *late]))
+    system = schedule.safety.problem.system
+    assert np.all(system.navigation > printed(5001).safety.problem.system.navigation)
+    assert DecisionGrid.of(schedule).half_widths.tolist() == system.navigation.tolist()
+    assert DecisionGrid.of(schedule, half_widths=0.0).half_widths.tolist() == system.displaced.tolist()
+    assert np.any(system.displaced)
+    found, under = attack_monitor(Monitor(DecisionGrid.of(schedule)), 40, 5001)
+    judge(5001, found)
+    assert under > 0.1
+
+
 def test_errors_that_a_monitor_does_not_know_of_break_it():
     monitor, known = monitored(5001, printed(5001, False)), printed(5001).safety.problem.system
     system = monitor.grid.system
@@ -281,7 +297,7 @@ def test_many_monitors_hold_with_errors_at_their_worst():
 def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():
     mild = ["navigation.state_error=[0.004, 0.004, 0.001, 0.001]", "thrusters.magnitude_error=0.01"]
     schedule = synthesize(load_scenario(TINY).with_assignments([*mild, "system.input_max=2.0"]))
-    found = compare_methods(DecisionGrid.of(schedule, latency=0.5, period=0.5), 8)
+    found = compare_methods(DecisionGrid.of(schedule, latency=0.5, period=0.5), 4)
     assert not found.refused and found.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
     for one in found.results.values():
         assert one.claim.kind == "none" or not one.metrics.collided.any(), one.name
