@@ -74,8 +74,9 @@ def test_they_are_registered_under_names():
     assert made.reset(seed=1)[0] in made.observation_space
     made = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
     assert made.reset(seed=1)[0].shape == (3, 4)
-    made = gymnasium.make("polaris/Inspection-v0", scenario=inspected())
-    assert made.reset(seed=1)[0] in made.observation_space
+    made = gymnasium.make_vec("polaris/Inspection-v0", 2, wrappers=[Shield], scenario=inspected())
+    assert made.reset(seed=1)[0].shape == (2, 9)
+    assert made.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
 
 
 def flown(env, seed, steps):
