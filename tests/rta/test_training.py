@@ -44,6 +44,13 @@ def sampled():
 
 
 @cache
+def inexact():
+    """With errors of the estimates that S acts on as well, and of thrusters."""
+    navigation, thrusters = {"state_error": [0.004, 0.004, 0.001, 0.001]}, {"magnitude_error": 0.02}
+    return synthesize(load_scenario(TINY, SAMPLED | {"navigation": navigation, "thrusters": thrusters}))
+
+
+@cache
 def inspected():
     return load_scenario("inspection", INSPECTED)
 
@@ -246,6 +253,7 @@ SCENES = {
     "sampled": (sampled, {}),
     "estimated": (sampled, {"half_widths": 0.01}),
     "continuous": (lambda: tiny()[1], {"period_s": 0.125}),
+    "inexact": (inexact, {}),
 }
 
 
@@ -254,7 +262,7 @@ def test_adversaries_do_not_get_through(name):
     make, given = SCENES[name]
     policy, learned = colliding()
     assert learned > 20, "without the shield it hits something in most episodes"
-    policies = ("towards", "random", policy) if name != "continuous" else ("towards", "random")
+    policies = ("towards", "random", policy) if name in ("sampled", "estimated") else ("towards", "random")
     collided, intervened, periods, worst = attacked(make(), 2000, 1, policies, **given)
     assert collided == 0 and worst <= 1 + 1e-9
     assert 0.05 * periods < intervened < 0.98 * periods
