@@ -107,7 +107,7 @@ class DecisionGrid:
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
             q = per_step * nodes
-        tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta, known.share)
+        tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
         moved = 0.0 if half_widths is None else known.system.displaced

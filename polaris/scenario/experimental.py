@@ -21,7 +21,7 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy, check_exact
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, Neural, hill_rate
@@ -48,7 +48,7 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 def read_policies(
     model: ScenarioModel, system: LinearSystem, folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
-    """Networks of a scenario and their files, by the name of their controller.
+    """Networks of a scenario and their files, by the name of their controller; black boxes are checked too.
 
     Raises
     ------
@@ -57,10 +57,13 @@ def read_policies(
     """
     found: dict[str, tuple[Path, Policy]] = {}
     for path, spec in model.controllers():
-        if not isinstance(spec, Neural):
+        if not isinstance(spec, (Neural, BlackBoxTable)):
             continue
         if not isinstance(model.feedback, SampledFeedback):
             raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
+        if isinstance(spec, BlackBoxTable):
+            check_exact(system)
+            continue
         file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
             raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")

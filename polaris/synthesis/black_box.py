@@ -24,7 +24,7 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .controllers import AnyThrust, TubeSegment
-from .neural import check_exact, reduced
+from .neural import NEEDS_SAMPLES, check_exact, reduced
 from .tracking import Tracking
 
 Ask = Callable[[float, Array, Array], Any]
@@ -96,8 +96,7 @@ class BlackBox:
 
     def __post_init__(self) -> None:
         if not self.tracking.feedback.sampled:
-            rule = "must be sampled where a black box flies: it is asked once a control period"
-            raise ScenarioError("feedback.kind", "continuous", rule)
+            raise ScenarioError("feedback.kind", "continuous", NEEDS_SAMPLES)
         check_exact(self.system)
 
     @property

@@ -232,8 +232,8 @@ class NeuralController:
         return np.array([z.c for z in sets]), np.array([z.half_widths for z in sets]) * (1 + WIDER)
 
 
-NEEDS_SAMPLES = "must be sampled where a network flies: it is evaluated once a control period"
-"""What a scenario with a network must have."""
+NEEDS_SAMPLES = "must be sampled where a network or a black box flies: it is asked once a control period"
+"""What a scenario with one of them must have."""
 
 
 def check_exact(system: LinearSystem) -> None:

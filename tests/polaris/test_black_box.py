@@ -305,6 +305,19 @@ def test_an_answer_that_is_no_command_is_one_error(answer):
         box(lambda t, x, xi: answer).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
 
 
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"feedback": {"kind": "continuous"}}, "feedback.kind"),
+        ({"thrusters": {"magnitude_error": 0.05}}, "thrusters"),
+    ],
+)
+def test_what_no_band_covers_is_refused_on_loading(changes, field):
+    with pytest.raises(ScenarioError) as told:
+        ScheduleScenario.from_dict(document() | changes)
+    assert told.value.field == field
+
+
 def test_a_program_that_is_none_is_one_error():
     with pytest.raises(ScenarioError, match="cannot be started"), program(["/nowhere/at-all"]):
         pass
