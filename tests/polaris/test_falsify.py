@@ -53,7 +53,7 @@ def flight_of(schedule, tail=False, substeps=1):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n in ("dynamic", "hold_point", "robot"))) for n in BUNDLED],
+    [pytest.param(n, marks=[pytest.mark.slow] * (n != "static")) for n in BUNDLED],
 )
 def test_nothing_breaks_a_proven_schedule(name):
     found = falsify(synthesised(name)[1], 250, seed=1)
