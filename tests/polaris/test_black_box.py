@@ -115,6 +115,17 @@ def test_an_affine_box_is_fitted_to_rounding():
     assert np.all(tube.fit[..., 5] < 1e-7)
 
 
+def test_states_that_do_not_vary_are_not_fitted():
+    flat = Zonotope.box(np.zeros(4), [0.05, 0.0, 0.0, 1e-12])
+    tube = box().fly(flat, 0)
+    assert not tube.refused and np.all(tube.fit[0, :, 1:3] == 0.0) and np.abs(tube.fit).max() < 1e3
+
+
+def test_sets_without_bound_refuse_a_step():
+    wild = box(lambda t, x, xi: np.sign(np.sin(1e9 * x[:, :2])))
+    assert wild.fly(Zonotope.box(np.zeros(4), np.full(4, 1e61)), 0).refused
+
+
 def test_the_same_seed_gives_the_same_sets():
     start = Zonotope.box(np.zeros(4), np.full(4, 0.02))
     assert np.array_equal(box().fly(start, 3).fit, box().fly(start, 3).fit)
