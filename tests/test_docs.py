@@ -128,7 +128,7 @@ class Shell:
                 encoding="utf-8",
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                timeout=300,
+                timeout=600,
                 check=False,
             )
             self.known[command] = done.stdout, done.returncode

@@ -1,6 +1,6 @@
 """Proven schedules flown in Basilisk, an independent simulation of spacecraft.
 
-    pip install polaris[basilisk]
+    pip install '.[basilisk]'
     python -m benchmarks.basilisk                          static, dynamic, hold_point, 200 flights each
     python -m benchmarks.basilisk static --flights 20 --set timing.delay_s=2
 

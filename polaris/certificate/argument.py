@@ -15,8 +15,9 @@ from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
 from .motion import Arc, Path
 from .plants import plant_of, within_limits
-from .recovery import Barrier, Limits, Recovery
+from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement
+from .scheduled import Scheduled
 from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
@@ -64,8 +65,7 @@ class Argument:
         self.plant = plant_of(document)
         self.pilots = [Pilot(law, self.plant, document.slopes, document.fits) for law in document.laws]
         self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
-        most = [x * document.share for x in self.plant.u_max]
-        self.loop = self.plant.loop(self.gain, sums(noise, self.plant.thruster_error(most)))
+        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in noise])
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -103,16 +103,19 @@ class Argument:
         """Everything that rests on the sets which the schedule reaches."""
         sets, flown = self.tubes(path, merging)
         self.enclosures(sets, flown)
-        memory = Memory.of(self.loop, widest(sets), self.document.q)
-        self.error_bounds(memory, sets[0])
+        profile = [[arb(x) for x in most] for most in self.document.profile]
+        memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
+        prolonged, chosen = self._prolonged(path, memory)
+        scheduled = Scheduled(self.loop, memory, prolonged, self.gain) if profile else None
+        self.error_bounds(memory, sets[0], scheduled)
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
-        self.recoverability(path, memory, sets)
+        self.recoverability(prolonged, chosen, memory, sets, scheduled)
         if self.stated.goal is not None and self.document.guarantee != "none":
             spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
-            arrival = Arrival(self.document, path, self.loop, memory, held, spent)
+            arrival = Arrival(self.document, path, self.loop, memory, held, spent, scheduled)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
@@ -147,7 +150,7 @@ class Argument:
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
-            departures = None if parts is None else Departures(self.plant, k, parts)
+            departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
             flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
@@ -174,7 +177,7 @@ class Argument:
                 require("enclosures", step.lower[i] - low + slack, where)
         self.record.holds("enclosures", f"{len(sets)} instants, {len(flown)} steps")
 
-    def error_bounds(self, memory: Memory, start: Zonotope) -> None:
+    def error_bounds(self, memory: Memory, start: Zonotope, scheduled: Scheduled | None) -> None:
         """Stored bounds on S's error from the initial set, and on its command, are no smaller than derived.
 
         Beyond the memory of the loop what is derived is the disturbance's share alone.
@@ -185,12 +188,15 @@ class Argument:
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
         d, error = 2 * C.nrows(), self.pilots[0].noise
+        taken = scheduled.along(needs.rows) if scheduled else []
+        more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in taken]
         for k in range(self.K):
             lags = range(k * q, (k + 1) * q + 1)
             if lags[-1] <= memory.periods:
                 need = [largest(tube[lag][j] + disturbed[lag][j] for lag in lags) for j in range(len(names))]
             else:
                 need = disturbed[-2]
+            need = sums(need, more[k]) if more else need
             for j, name in enumerate(names):
                 self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
             for i, top in enumerate(self.plant.u_max):
@@ -198,7 +204,8 @@ class Argument:
                 where = f"{doc.input_names[i]} in step {k}"
                 self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)) + error[i])
                 require("thrust", top - doc.peaks[k][i], f"{where}, {doc.peaks[k][i]:.6g} claimed")
-        for name, stored, most in zip(names, doc.settled, disturbed[-2], strict=True):
+        settled = sums(disturbed[-2], more[doc.cells - 1]) if more else disturbed[-2]
+        for name, stored, most in zip(names, doc.settled, settled, strict=True):
             self._no_smaller("error_bounds", f"{name} from rest, for ever", stored, most)
         self.record.holds("error_bounds", f"{self.K} steps of S from the initial set, and from rest for ever")
         self.record.holds("thrust", "reference, and S from the initial set, within the limits")
@@ -209,13 +216,23 @@ class Argument:
         if not spare >= 0:
             require(claim, spare, f"{what}: {stored:.6g} stored, {plain(derived)} derived")
 
-    def recoverability(self, path: Path, memory: Memory, sets: list[Zonotope]) -> None:
+    def recoverability(
+        self,
+        path: Path,
+        chosen: list[list[int]],
+        memory: Memory,
+        sets: list[Zonotope],
+        scheduled: Scheduled | None,
+    ) -> None:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
-        path, chosen = self._prolonged(path, memory)
         limits = Limits.of(doc, path, self.gain, chosen)
         needs = Needs(self.loop, memory, limits.rows)
-        recovery = Recovery(doc, limits.less_jump(needs, path), needs)
+        limits = limits.less_jump(needs, path)
+        if scheduled is not None:
+            limits = limits.less(scheduled.along(limits.rows))
+        levels = levels_of(doc, self.pilots[0].noise, needs, path)
+        recovery = Recovery(doc, limits, needs, levels)
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 else ():

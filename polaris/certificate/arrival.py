@@ -17,6 +17,7 @@ from .balls import above, column, diagonal, largest, magnitude, matrix, norms, p
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Path
+from .scheduled import Scheduled
 from .verdict import Rejected, Undecided
 from .zonotopes import Zonotope
 
@@ -158,7 +159,9 @@ class Arrival:
     memory: Memory
     held: tuple[tuple[Zonotope, int], ...]
     spent: arb
+    scheduled: Scheduled | None = None
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
+    _caused: dict[int, tuple[arb_mat, list[arb]]] = field(default_factory=dict, repr=False)
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
         """Refuse a claim that does not hold; returns what was confirmed.
@@ -259,12 +262,22 @@ class Arrival:
                 parts += [needs.booked(z, lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
+        least = sums(least, self._from_thrust(needs.rows)) if self.scheduled else least
         if not around:  # commands do not answer to what jitter displaces
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.displaced)).entries())
         if node > periods:
             return sums(least, self._forgotten(needs, jump))
         carried = magnitude(needs.carried[node])
         return sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
+
+    def _from_thrust(self, rows: arb_mat) -> list[arb]:
+        """What errors of scheduled commands add along rows at any time of the tail."""
+        if id(rows) not in self._caused:
+            assert self.scheduled is not None
+            tail = self.scheduled.along(rows)[min(self.document.steps, self.document.cells - 1) :]
+            every = (node for nodes in tail for node in nodes)
+            self._caused[id(rows)] = rows, [largest(each) for each in zip(*every, strict=True)]
+        return self._caused[id(rows)][1]
 
     def _state(self, node: int) -> arb_mat:
         """State of the reference at a node of the tail."""
@@ -284,11 +297,14 @@ class Arrival:
             return
         if claimed is None:
             return
-        row = [arb(2), *[arb(0)] * 3, 1 / arb(doc.mean_motion or 0.0), arb(0)]
-        both = above(matrix([row]), -matrix([row]))
-        need = self._at(Needs(self.loop, self.memory, both), node)
-        most = largest(sums((both * self._state(node)).entries(), need))
+        both = self._drifting.rows
+        most = largest(sums((both * self._state(node)).entries(), self._at(self._drifting, node)))
         self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
+
+    @cached_property
+    def _drifting(self) -> Needs:
+        row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
+        return Needs(self.loop, self.memory, above(matrix([row]), -matrix([row])))
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -174,9 +175,8 @@ class Document:
         self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
         bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
         self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter
-        self.share: float = 1.0 if system.get("safety_share") is None else system["safety_share"]
-        if not 0 < self.share <= 1 or any(x < 0 for x in self.thrusters):
-            raise ValueError("the safety controller's share must be within 0 and 1, errors not negative")
+        if any(x < 0 for x in self.thrusters):
+            raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
         self.input_names: list[str] = system["input_names"]
@@ -239,6 +239,11 @@ class Document:
         self.tube: Matrix = read["error_bounds"]["per_step"]
         self.settled: Vector = read["error_bounds"]["settled"]
         self.peaks: Matrix = read["thrust"]["peak"]
+        caused = any(x > 0 for x in self.thrusters[:2])
+        self.profile: Matrix = (read["thrust"].get("profile") or [self.u_max]) if caused else []
+        falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
+        if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
+            raise ValueError("what is commanded after a hand-over must not grow, nor be negative")
         self.recoverable: str = read["recoverable"]["kind"]
         self.weight: Matrix = read["recoverable"]["weight"]
         self.radius: Vector = read["recoverable"]["radius"]

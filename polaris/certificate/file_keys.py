@@ -51,7 +51,7 @@ CERTIFICATE = {
         "A": grid("n n"), "B": grid("n m"), "C": grid("d n"), "D": grid("n p"),
         "input_max": grid("m"), "input_names": grid("m", NAME),
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
-        "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"), "safety_share?": HEX,
+        "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced")},
         "allocation?": {
@@ -78,7 +78,7 @@ CERTIFICATE = {
     }), 1),
     "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
     "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},
-    "thrust": {"peak": grid("K m")},
+    "thrust": {"peak": grid("K m"), "profile?": grid("* m")},
     "recoverable": {
         "kind": Text(("polytope", "time_varying_ball", "ball", "paper_ball")),
         "weight": grid("n n"), "radius": grid("K+1", Either((HEX, None))),
@@ -158,7 +158,6 @@ GAINS = {
             **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
             **every(VECTOR, "measured displaced"),
         },
-        "safety_share?": NOT_NEGATIVE,
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

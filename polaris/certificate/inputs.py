@@ -142,7 +142,6 @@ def _check_navigation(document: Document, spec: dict[str, Any]) -> None:
 
 def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     """Errors of the thrusters are no smaller than those of the scenario."""
-    _need("system", "share of thrust", document.share, scenario["tracking"].get("thrust_share", 1.0))
     spec = scenario.get("thrusters", {})
     magnitude, mass, angle, bit = (
         arb(spec.get(key, 0.0))

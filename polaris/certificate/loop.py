@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
-from flint import arb, arb_mat
+from flint import arb, arb_mat, arb_poly
 
 from .balls import above, column, identity, largest, magnitude, norms, sums
-from .motion import Motion
+from .motion import Motion, Push
 from .verdict import Imprecise, Undecided
 from .zonotopes import Zonotope
 
@@ -31,6 +32,8 @@ class Memory:
     powers: list[arb_mat]  # phi^l for l = 0 ... N + 1
     z: arb_mat  # shape (n, 1)
     c: arb
+    errors: list[list[arb]] = field(default_factory=list)
+    """Bounds, l periods after a hand-over, on the part of the errors of every input that commands cause."""
 
     @property
     def periods(self) -> int:
@@ -38,9 +41,10 @@ class Memory:
         return len(self.powers) - 2
 
     @classmethod
-    def of(cls, motion: Motion, extent: arb_mat, multiple: int) -> Memory:
+    def of(cls, motion: Motion, extent: arb_mat, multiple: int, profile: Sequence[list[arb]] = ()) -> Memory:
         """Find N, a multiple of a number of periods, for errors up to an extent.
 
+        `profile` bounds what feedback commands l periods after a hand-over; its last entry holds for ever.
         `Undecided` if there is none, `Imprecise` if the powers' own radii, which grow, have come to more.
         """
         p = motion.disturbance_box
@@ -53,7 +57,9 @@ class Memory:
             z = magnitude(z0 + last * z0 + last * (last * z0))
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < FORGOTTEN:
-                return cls([*powers, powers[-1] * motion.phi], z, c)
+                parts = [motion.plant.thruster_part(most) for most in profile]
+                errors = [parts[min(lag, len(parts) - 1)] for lag in range(len(powers) + 1) if parts]
+                return cls([*powers, powers[-1] * motion.phi], z, c, errors)
             radii = arb_mat(*(len(z0.entries()),) * 2, [x.rad() for x in powers[-1].entries()]) * z
             if not largest(a / b for a, b in zip(radii.entries(), z.entries(), strict=True)) < FORGOTTEN:
                 raise Imprecise("recoverable", f"precision is lost within {len(powers)} periods of the loop")
@@ -81,47 +87,111 @@ class Needs:
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
     @cached_property
-    def responses(self) -> list[list[arb]]:
-        """Response at node L to the disturbance from rest, for L = 0 ... N + 1."""
+    def _steady(self) -> list[list[arb]]:
+        """Response at node L to what does not depend on commands, from rest, for L = 0 ... N + 1."""
         found = [[arb(0)] * self.rows.nrows()]
         for gains in self._split(self.motion.disturbance_gain(above(*self.carried[:-1]))):
             found.append([x.upper() for x in sums(found[-1], gains)])
         return found
+
+    @cached_property
+    def _gains(self) -> list[list[list[arb]]]:
+        """What one unit of an input's error in a period adds so many periods later, ``[input][lag][row]``."""
+        stacked, columns = above(*self.carried[:-1]), self.motion.plant.B.transpose().tolist()
+        pushes = [Push.in_box(column(entries), [arb(1)]) for entries in columns]
+        return [self._split(self.motion.push_gain(stacked, push)) for push in pushes]
+
+    def summed(self, errors: list[list[arb]]) -> list[list[arb]]:
+        """Response at node L to errors of the inputs in each period before, from rest, L = 0, 1, ...
+
+        What is older than N periods is left to `late`.
+        """
+        count, series = len(errors), [arb_poly(list(each)) for each in zip(*errors, strict=True)]
+        found = []
+        for row in range(self.rows.nrows()):
+            total = arb_poly()
+            for gains, error in zip(self._gains, series, strict=True):
+                total += arb_poly([each[row] for each in gains]) * error
+            found.append([arb(0), *(total[i].upper() for i in range(count))])
+        return [list(each) for each in zip(*found, strict=True)] if found else [[]] * (count + 1)
+
+    @cached_property
+    def _all(self) -> list[list[arb]]:
+        """`_gains` of all periods together, ``[input][row]``."""
+        return [[x.upper() for x in sums(*gains)] for gains in self._gains]
+
+    def always(self, error: list[arb]) -> list[arb]:
+        """Response to errors of the inputs that have always been as large; N periods of them."""
+        return sums(*([x * size for x in each] for each, size in zip(self._all, error, strict=True)))
+
+    def within(self, error: list[arb]) -> list[arb]:
+        """What errors of the inputs add within one period."""
+        parts = [[x * size for x in gains[0]] for gains, size in zip(self._gains, error, strict=True)]
+        return sums(*parts)
+
+    @cached_property
+    def responses(self) -> list[list[arb]]:
+        """Response at node L to all that disturbs from rest, for L = 0 ... N + 1."""
+        if not self.memory.errors:
+            return self._steady
+        caused = self.summed(self.memory.errors[:-1])
+        return [sums(*each) for each in zip(self._steady, caused, strict=True)]
 
     def _split(self, stacked: list[arb]) -> list[list[arb]]:
         """Numbers for the rows of one lag after the other, as a list per lag."""
         count = self.rows.nrows()
         return [stacked[at : at + count] for at in range(0, len(stacked), count)]
 
-    @cached_property
-    def _late(self) -> list[arb]:
-        """Bound on the share of all disturbances older than N periods."""
-        memory, p = self.memory, self.motion.disturbance_box.entries()
-        alpha = largest(a / b for a, b in zip(p, memory.z.entries(), strict=True))
+    def late(self, box: arb_mat) -> list[arb]:
+        """Bound on the share of all that is older than N periods, if each adds no more than a box."""
+        memory = self.memory
+        alpha = largest(a / b for a, b in zip(box.entries(), memory.z.entries(), strict=True))
         weight = alpha * memory.c / (1 - memory.c)
+        return [x * weight for x in self._reached]
+
+    @cached_property
+    def _reached(self) -> list[arb]:
         total = magnitude(self.carried[0])
-        for carried in self.carried[1 : memory.periods]:
+        for carried in self.carried[1 : self.memory.periods]:
             total = total + magnitude(carried)
-        return [x * weight for x in (total * memory.z).entries()]
+        return list((total * self.memory.z).entries())
 
     @cached_property
     def settled(self) -> list[arb]:
-        """Bound on the disturbance's share at every node, however late."""
-        return [x.upper() for x in sums(self.responses[-1], self._late)]
+        """Bound on the disturbance's share at every node more than N periods after a hand-over."""
+        box = self.motion.disturbance_box
+        if self.memory.errors:
+            box += self.motion.box_of(Push.in_box(self.motion.plant.B, self.memory.errors[0]))
+        return [x.upper() for x in sums(self.responses[-1], self.late(box))]
+
+    @cached_property
+    def rates(self) -> tuple[Needs, Needs]:
+        """The same of ``A_c e`` and of ``X A_c e``, which bend the motion between nodes."""
+        closed = self.motion.closed
+        both = (Needs(self.motion, self.memory, M) for M in (closed, self.motion.X * closed))
+        return next(both), next(both)
+
+    @cached_property
+    def peak(self) -> list[arb]:
+        """Bound on the disturbance's share at every node."""
+        return [largest(each) for each in zip(*self.responses, self.settled, strict=True)]
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """The disturbance's share until the end of the period after node l, l = 0 ... N, then for ever."""
         # Bounds on what the disturbance adds to ``A_c e`` and ``X A_c e`` at any node.
-        closed = self.motion.closed
-        rates = (Needs(self.motion, self.memory, M).settled for M in (closed, self.motion.X * closed))
-        curved = self.motion.lesser_bow(self.rows, *(magnitude(column(rate)) for rate in rates))
-        first = self.responses[1]
+        rates = (magnitude(column(needs.peak)) for needs in self.rates)
+        curved = self.motion.lesser_bow(self.rows, *rates)
+        first = [self._steady[1]] * len(self.memory.powers)
+        if self.memory.errors:
+            first = [
+                sums(steady, self.within(e)) for steady, e in zip(first, self.memory.errors, strict=True)
+            ]
         until = [
-            [largest((a + f, b)) + k for a, b, f, k in zip(now, following, first, curved, strict=True)]
-            for now, following in pairwise(self.responses)
+            [largest((a + f, b)) + k for a, b, f, k in zip(now, following, begun, curved, strict=True)]
+            for (now, following), begun in zip(pairwise(self.responses), first, strict=False)
         ]
-        return [*until, sums(self.settled, first, curved)]
+        return [*until, sums(self.settled, first[-1], curved)]
 
     @cached_property
     def forgotten(self) -> list[arb]:

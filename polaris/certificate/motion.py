@@ -91,11 +91,18 @@ class Plant:
 
     def thruster_error(self, most: Sequence[arb]) -> list[arb]:
         """By how much what is applied may differ from commands up to some sizes."""
-        if not self.thrusters:
-            return [arb(0)] * len(most)
-        along, across, bit = self.thrusters
-        size = root(dot(most, most))
-        return [along * x + across * size + bit for x in most]
+        return [x + self.bit for x in self.thruster_part(most)]
+
+    def thruster_part(self, most: Sequence[arb]) -> list[arb]:
+        """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
+        along, across, _ = self.thrusters or (0.0, 0.0, 0.0)
+        size = root(dot(most, most)) if across else arb(0)
+        return [along * x + across * size for x in most]
+
+    @property
+    def bit(self) -> float:
+        """The part of it that does not depend on commands."""
+        return self.thrusters[2] if self.thrusters else 0.0
 
     def spent(self, most: Sequence[arb]) -> arb:
         """Bound on the integral of the 1-norm of what is applied in a period, under commands up to `most`."""
@@ -247,8 +254,12 @@ class Motion:
         h, sizes = self.plant.h, row_sums(magnitude(self.over * self.plant.D))
         box = column([s * self.plant.w_max * h for s in sizes])
         for push in self.disturbances[1:]:
-            box += column(push.along(magnitude(self.over * push.V))) * h
+            box += self.box_of(push)
         return magnitude(box)
+
+    def box_of(self, push: Push) -> arb_mat:
+        """The same of a push, shape (n, 1)."""
+        return magnitude(column(push.along(magnitude(self.over * push.V))) * self.plant.h)
 
 
 # -- arcs of the reference ------------------------------------------------------------------------------

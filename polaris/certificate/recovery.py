@@ -5,7 +5,7 @@ The limits are facets of unsafe sets, and the thrusters'.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
@@ -14,6 +14,7 @@ from .balls import above, absolute, beside, largest, magnitude, matrix, plain, r
 from .document import Document
 from .loop import Needs
 from .motion import Path
+from .scheduled import Along
 from .verdict import Rejected
 from .zonotopes import Zonotope
 
@@ -71,7 +72,7 @@ class Limits:
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell])
             thrust = sums(
-                [x * document.share for x in plant.u_max] * 2,
+                plant.u_max * 2,
                 above(arc.u, -arc.u).entries(),
                 [-x for x in error],
             )
@@ -109,6 +110,17 @@ class Limits:
             targets.append(reduced)
         return Limits(self.rows, targets)
 
+    def less(self, taken: Along) -> Limits:
+        """The same limits, each reduced by what is taken of it at its node, along its row."""
+        targets = [
+            [
+                [replace(t, room=(t.room - at[t.row]).lower()) for t in met]
+                for met, at in zip(*cell, strict=True)
+            ]
+            for cell in zip(self.targets, taken, strict=True)
+        ]
+        return Limits(self.rows, targets)
+
     def at(self, node: int, first: bool) -> list[Target]:
         """Limits at a node of the grid: of the cell on its right and, unless it is the first, on its left."""
         q = len(self.targets[0]) - 1
@@ -119,6 +131,26 @@ class Limits:
         return met
 
 
+def levels_of(document: Document, noise: list[arb], needs: Needs, path: Path) -> list[list[Target]]:
+    """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
+    size, count = magnitude(path.jump), 2 * len(noise)
+    first = needs.rows.nrows() - count
+    steps = zip(needs.carried, needs.bend, strict=True)
+    costs = zip(*(((magnitude(row) + bend) * size).entries()[first:] for row, bend in steps), strict=True)
+    share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
+    jumps = [
+        largest((*cost, late * share)) for cost, late in zip(costs, needs.forgotten[first:], strict=True)
+    ]
+    names = [f"{name} that errors are booked for" for name in document.input_names * 2]
+    return [
+        [
+            Target(first + j, (top - noise[j % len(noise)] - jumps[j]).lower(), names[j], arb(0))
+            for j, top in enumerate(map(arb, most * 2))
+        ]
+        for most in document.profile
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class Recovery:
     """Limits, reduced by the jump at the start of the tail, against needs along their rows."""
@@ -126,6 +158,8 @@ class Recovery:
     document: Document
     limits: Limits
     needs: Needs
+    levels: list[list[Target]] = field(default_factory=list)
+    """What feedback may command l periods after a hand-over; the last ones hold from then on."""
 
     @property
     def nodes(self) -> int:
@@ -176,7 +210,7 @@ class Recovery:
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
-                for target in self.limits.at(k * self.document.q + lag, first=lag == 0):
+                for target in self._all(k, lag):
                     room = target.room - self.needs.disturbed[lag][target.row]
                     if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
                         close.setdefault((lag, target.row), []).append(target)
@@ -185,6 +219,11 @@ class Recovery:
             if share > 0:
                 self._check_late(k, reached[k], share)
         return worst
+
+    def _all(self, step: int, lag: int) -> list[Target]:
+        """Limits that a set at the start of a step must keep to some periods later."""
+        booked = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
+        return self.limits.at(step * self.document.q + lag, first=lag == 0) + booked
 
     def _of(self, share: float, step: int, lag: int) -> float:
         """The share claimed of limits some periods after the start of a step: none of those flown on to."""
@@ -222,7 +261,8 @@ class Recovery:
                 where = f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
-                worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
+                if target.whole > 0:
+                    worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
                 self._leaves(of, target, need, where)
         return worst
 
@@ -231,7 +271,7 @@ class Recovery:
         need = sums(self.needs.forgotten, self.needs.disturbed[-1])
         for cell in range(self._far_cell(0), len(self.limits.targets)):
             for i, met in enumerate(self.limits.targets[cell]):
-                for t in met:
+                for t in (*met, *(self.levels[-1] if self.levels else ())):
                     if need[t.row] <= t.room:
                         continue
                     where = f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}"
@@ -243,7 +283,7 @@ class Recovery:
         per = self.needs.per_norm(inverse)
         for k, radius in enumerate(radii):
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
-                for t in self.limits.at(k * self.document.q + lag, first=lag == 0):
+                for t in self._all(k, lag):
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
                         where = f"radius {radius:.6g} at {self.time(k, 0)}, {t.name} at {self.time(k, lag)}"

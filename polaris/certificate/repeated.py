@@ -284,7 +284,6 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
             if document.thrusters
             else None,
             "timing": document.timing or None,
-            "safety_share": None if document.share == 1 else document.share,
         },
         "feedback": {
             "sampled": document.sampled,

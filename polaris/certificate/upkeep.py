@@ -8,7 +8,7 @@ from typing import Any
 from flint import arb
 
 from .arrival import SLACK, Arrival
-from .balls import largest, require, sums
+from .balls import largest, require
 from .verdict import Rejected
 
 
@@ -21,8 +21,8 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     later = range(node, max(node, arrival.memory.periods + 1) + 1)
     most = list(map(largest, zip(*(arrival.tops(at, [0.0] * len(doc.u_max)) for at in later), strict=True)))
     for top, x in zip(arrival.loop.plant.u_max, most, strict=True):
-        require("upkeep", top * doc.share - x, "S may ask for more thrust than there is")
-    rate = sum(sums(most, arrival.loop.plant.thruster_error(most)), arb(0)) / doc.mass
+        require("upkeep", top - x, "S may ask for more thrust than there is")
+    rate = arrival.loop.plant.spent(most) / arrival.loop.plant.h / doc.mass
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
     until = arrival.spent + arrival.correcting(node)
     arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)

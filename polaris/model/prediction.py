@@ -56,7 +56,7 @@ def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, 
     once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
     moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
     if np.linalg.matrix_rank(moments) < n:
-        rule = "must be 0 for a system with less than half as many inputs as states, or none that act on some"
+        rule = "must be 0 for a system with fewer inputs than half its states, or states that none moves"
         raise ScenarioError("timing.jitter_s", jitter, rule)
     inverse, over = np.linalg.pinv(moments), expm(np.abs(A) * reach) @ np.abs(B)
     shape = np.abs(inverse @ B) + jitter * np.abs(inverse @ A @ B)

@@ -57,5 +57,9 @@ class Thrusters:
 
     def error(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
         """Bounds on the errors under commands up to u in size, shape (..., m)."""
+        return np.asarray(self.part(u) + self.bit)
+
+    def part(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The part of `error` that is proportional to u: that of a sum is at most the sum of the parts."""
         size = np.linalg.norm(u, axis=-1, keepdims=True)
-        return np.asarray(self.along * np.abs(u) + self.across * size + self.bit)
+        return np.asarray(self.along * np.abs(u) + self.across * size)

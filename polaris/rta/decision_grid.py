@@ -77,7 +77,8 @@ class DecisionGrid:
             [s]
         half_widths : array_like, optional
             Largest error of the state estimate that decisions are made on, one number or one per state; 0
-            where it is exact. By default that of the estimate that S and U act on (``[navigation]``).
+            where it is exact. By default that of the estimate that S and U act on (``[navigation]``, or that
+            of predictions with ``[timing]``). By what jitter displaces states they grow.
 
         Raises
         ------
@@ -106,11 +107,11 @@ class DecisionGrid:
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
             q = per_step * nodes
-        tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta, known.share)
+        tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
-        half = np.array(np.broadcast_to(half, (n,)))
-        return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
+        moved = 0.0 if half_widths is None else known.system.displaced
+        return cls(schedule, period, latency, half + moved + np.zeros(n), tracking, clearance, nodes, delay)
 
     # -- what it consists of ------------------------------------------------------------------------
 

@@ -169,15 +169,17 @@ def _samples(schedule: Schedule) -> dict[str, Any]:
 def _bounds(safety: Safety) -> dict[str, Any]:
     """S's error from the initial set along positions and gain rows, and its largest command."""
     tracking, K, q = safety.tracking, safety.problem.K, safety.clearance.q
+    profile = tracking.profile
     C, gain = tracking.system.position, tracking.gain
     rows = np.vstack([C, -C, gain, -gain])
-    tube = error_tube(tracking, safety.start, rows).over_cells(K, q)
+    scheduled = safety.clearance.scheduled(rows).max(axis=1)
+    tube = error_tube(tracking, safety.start, rows).over_cells(K, q) + scheduled[:K]
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
     peak = np.maximum(above + nu, below - nu) + tracking.system.command_error(gain)
     return {
-        "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1]},
-        "thrust": {"peak": peak * (1 + ROUNDING)},
+        "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1] + scheduled[-1]},
+        "thrust": {"peak": peak * (1 + ROUNDING)} | ({} if profile is None else {"profile": profile}),
     }
 
 

@@ -129,10 +129,12 @@ DEFINITIONS = {
 def assumptions(scenario: FlightScenario) -> list[str]:
     """What a claim about a flight rests on."""
     known, flight = scenario.uncertainty(), scenario.model.flight
-    state, push, thrust = "exactly and without delay", "without disturbance", "exactly"
+    delay = scenario.model.timing.delay_s
+    how = f"as predicted over {delay:g} s" if delay else "without delay"
+    state, push, thrust = f"exactly and {how}", "without disturbance", "exactly"
     if known.estimate.any():
         most = known.estimate.reshape(2, 3).max(axis=1)
-        state = f"without delay, to {most[0]:g} m and {most[1]:g} m/s per axis"
+        state = f"{how}, to {most[0]:g} m and {most[1]:g} m/s per axis"
     if known.disturbance:
         push = f"with a disturbance of at most {known.disturbance:g} m/s^2"
     if not (errors := known.thrusters).exact:

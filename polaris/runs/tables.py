@@ -137,13 +137,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 
 def errors_of(safety: Safety) -> dict[str, Any]:
-    """Errors of estimates, thrusters and timing, and the share of thrust that S keeps to, if any."""
-    system, share = safety.problem.system, safety.tracking.share
+    """Errors of estimates, thrusters and timing, if any."""
+    system = safety.problem.system
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": asdict(system.timing)}),
-        **({"safety_share": share} if share < 1 else {}),
     }
 
 

@@ -52,7 +52,7 @@ def _flights(scenario: Any, runs: int, given: dict[str, Any]) -> TrainingFlights
         of_kind("scenario", scene, ScheduleScenario, "polaris.load_scenario of a switching scene")
         scene = synthesize(scene)
     if not isinstance(scene, DecisionGrid):
-        scene = DecisionGrid.of(scene, given.pop("period_s", None), 0.0, given.pop("half_widths", 0.0))
+        scene = DecisionGrid.of(scene, given.pop("period_s", None), 0.0, given.pop("half_widths", None))
     return TrainingFlights(scene, runs, **given)
 
 

@@ -12,6 +12,7 @@ from ..inspection.constraints.strengthening import PRESETS, Strengthening
 from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.errors import ScenarioError
+from ..model.prediction import prediction_error
 from . import inspection_tables as models
 from .base import Scenario, kept
 from .fields import check_length, in_file_terms, whole_parts
@@ -114,6 +115,7 @@ class FlightScenario(FilteredScenario):
             for k, state in enumerate(initial.states):
                 check_length(f"initial.states[{k}]", state, 6)
         self.strengthening()
+        self.uncertainty()
         self._check_filter("filter", model.filter, "flight", model.flight.period_s)
         if isinstance(initial, models.InitialStates):
             self._check_start(initial)
@@ -170,10 +172,19 @@ class FlightScenario(FilteredScenario):
         """What is not known exactly."""
         from ..inspection.backup.tube import Uncertainty
 
-        model, system = self.model, self.inspection().system
-        eta = model.navigation.build(system).tolist()
+        model, push = self.model, self.model.flight.disturbance_max_m_s2
+        refused = ("thrusters", "directions"), ("thrusters", "thrust_max_N")
+        for table, key in (
+            *refused,
+            *(("timing", key) for key in ("jitter_s", "missed_periods", "clock_error_s")),
+        ):
+            if value := getattr(getattr(model, table), key):
+                raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
+        system = replace(self.inspection().system, w_max=push)
         errors = model.thrusters.build(system, model.flight.period_s)
-        return Uncertainty(tuple(eta[:3]), tuple(eta[3:]), model.flight.disturbance_max_m_s2, errors)
+        eta, worst = model.navigation.build(system), errors.error(system.u_max)
+        eta = prediction_error(system, eta, worst, model.timing.delay_s)
+        return Uncertainty(tuple(eta[:3].tolist()), tuple(eta[3:].tolist()), push, errors)
 
     def errors(self) -> Errors | None:
         """What errors are flown, if any."""

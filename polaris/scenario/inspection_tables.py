@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from . import fields as f
-from .error_tables import Navigation, Thrusters
+from .error_tables import Navigation, Thrusters, Timing
 from .fields import ScenarioPart, unit
 from .filter_tables import Filter, FlightFilter, StrengtheningTable
 
@@ -137,6 +137,7 @@ class InspectionModel(_Filtered):
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
     navigation: Navigation = unit("-", "Errors of the estimated states.", default_factory=Navigation)
     thrusters: Thrusters = unit("-", "Errors of the thrusters.", default_factory=Thrusters)
+    timing: Timing = unit("-", "Delay of the answers; nothing else of it.", default_factory=Timing)
     primary: Phases = unit("-", "Primary controllers, one after another.")
 
 

@@ -23,7 +23,7 @@ class Predicting(Integrator):
 
     def prepare(self, runs: int, rng: np.random.Generator) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
-        system, timing = self.system, self.system.timing
+        system, timing, self.thrusters = self.system, self.system.timing, self.system.prompt.thrusters
         if not self.sampled:
             raise ScenarioError("feedback.kind", "continuous", "must be 'sampled' to fly delays step by step")
         nodes = len(self.modes) * self.q
@@ -57,7 +57,7 @@ class Predicting(Integrator):
         return np.asarray(found)
 
     def applied(self, raw: Array, step: int) -> Array:
-        """Noted for predictions, too."""
+        """What is commanded is noted for predictions, too."""
         self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
         return super().applied(raw, step)
 

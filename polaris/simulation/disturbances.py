@@ -116,6 +116,12 @@ def adjoint_worst_case(
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
+        number = int(numbers[step])
+        if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
+            about = _undisturbed(flight) if about is None else about
+            answer = _answered(flight, number, step, about[:, step // flight.substeps], kick)
+            carried = carried + answer
+            direction[:, own.stop :] += answer
         along = direction[:, own]
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
@@ -125,10 +131,6 @@ def adjoint_worst_case(
             w[step, :, errors] = np.sign(kick)
         if free is not None:
             free[step] = np.sign(kick) * system.u_max
-        number = int(numbers[step])
-        if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
-            about = _undisturbed(flight) if about is None else about
-            carried = carried + _answered(flight, number, step, about[:, step // flight.substeps], kick)
         adjoint = carried
     return w, free, adjoint
 

@@ -51,6 +51,7 @@ class Integrator:
         self.thrust: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
+        self.thrusters = self.system.thrusters
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
         self.dt = self.tracking.flow.h / substeps
         self.steps_per_cell = self.q * substeps
@@ -100,7 +101,7 @@ class Integrator:
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
         u = np.clip(raw, -self.system.u_max, self.system.u_max)
-        return u if self.thrust is None else u + self.thrust[step] * self.system.thrusters.error(u)
+        return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(u)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
@@ -136,7 +137,10 @@ class Integrator:
                 u = self.applied(raw, k * self.steps_per_cell + step)
             first = np.clip(raw, -limit, limit) if sub == 0 else first
             x = self.move(number, k, step, x, u, w[sub])
-            spent += np.abs(u).sum(axis=1)
+            size = np.abs(u)
+            if self.system.timing.jitter > 0:  # moves thrust in time, and adds little of it
+                size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)))
+            spent += size.sum(axis=1)
         return x, first, demanded, spent
 
     def run(self, x0: Array, w: Array) -> Runs:

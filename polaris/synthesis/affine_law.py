@@ -14,6 +14,7 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
+from .demand import taken_over
 from .tracking import Feedback, Tracking
 
 
@@ -102,7 +103,8 @@ class AffineLaw:
         fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
         if self.clips:
             fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
-        return self._continuous(fastest, np.maximum(self.error, self.tracking.error)).period_box
+        error = np.maximum(self.error, taken_over(self.tracking, self.reference))
+        return self._continuous(fastest, error).period_box
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""

@@ -145,9 +145,11 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
     tracking = safety.tracking
     carried = rows @ tracking.transitions
     last = len(carried) - 1
-    pushed = tracking.flow.disturbance_support(rows, last)
+    pushed = tracking.responses(rows, last)
     late = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
     always = pushed[-1] + late * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
+    if tracking.profile is not None:
+        always = always + tracking.late(rows, tracking.system.thrusters.part(tracking.profile[0]))[0]
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
         lag = since + np.arange(nodes)
@@ -156,14 +158,14 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
         spread = np.abs(carried @ z.G).sum(axis=-1)[near]
         forgotten = late * float(z.norm_bound(tracking.W)) + always
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
-    need = np.min(found, axis=0) + safety.clearance.jump_need(rows) + safety.clearance.round_off(rows)
+    need = np.min(found, axis=0) + safety.clearance.tail_need(rows)
     need = need + np.abs(rows) @ tracking.system.displaced
     return need + ROUNDING * np.abs(need), centre
 
 
 def _to_hold(tracking: Tracking, rows: Array) -> float:
     """What S needs along the rows against the disturbance once it has forgotten where it came from [m]."""
-    return float(np.max(tracking.flow.disturbance_support(rows, tracking.memory + 1)[-1], initial=0.0))
+    return float(np.max(tracking.responses(rows, tracking.memory + 1)[-1], initial=0.0))
 
 
 def _correcting(safety: Safety, held: Held, nodes: int) -> float:
@@ -172,7 +174,7 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     both = np.vstack([tracking.gain, -tracking.gain])
     tubes = ((error_tube(tracking, z, both).need, since + np.arange(nodes + 1)) for z, since in held)
     need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
-    need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
+    need = need + safety.clearance.tail_need(both)
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
@@ -190,12 +192,12 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
         return None
     both = np.vstack([tracking.gain, -tracking.gain])
     need = np.min([error_tube(tracking, z, both).need[-1] for z, _ in held], axis=0)
-    need = need + safety.clearance.jump_need(both) + safety.clearance.round_off(both)
+    need = need + safety.clearance.tail_need(both)
     most = need.reshape(2, -1).max(axis=0) + system.command_error(tracking.gain)
-    if not np.all(most <= tracking.u_max):
+    if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta
-    rate = float((most + system.thrusters.error(most)).sum()) / system.mass * (1 + ROUNDING)
+    rate = float(system.spent(most).sum()) / system.mass * (1 + ROUNDING)
     settled = T + nodes * tracking.flow.h
     until = (spent + _correcting(safety, held, nodes)) * (1 + ROUNDING)
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion

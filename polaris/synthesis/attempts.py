@@ -18,11 +18,14 @@ from ..planning.problem import Plan, PlannerOptions, PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
 from .clearance import error_tube
+from .demand import Scheduled
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking
 
+AFRESH = 2
+"""How often it is planned again where errors of thrusters leave the reference no room."""
 AGAIN = 1000, 2
 """Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
 
@@ -73,6 +76,13 @@ class Attempts:
         self.cut_by_clock = found.cut_by_clock
         self.clock.lap("plan")
         yield from self._references(found)
+        for _ in range(AFRESH if self.tracking.profile is not None else 0):
+            if self.margin.inside:
+                break
+            asked = self._allowing(asked)
+            found = find_plan(asked, self.problem.planner)
+            self.clock.lap("plan")
+            yield from self._references(found)
         if not self.margin.inside:
             return
         self.clock.lap("recoverable")
@@ -80,6 +90,18 @@ class Attempts:
         self.clock.lap("plan")
         if again is not None:
             yield from self._references(again)
+
+    def _allowing(self, asked: PlanProblem) -> PlanProblem:
+        """The same, with room for errors of thrusters as large as the last plan's commands cause them."""
+        system, K = self.problem.system, self.problem.K
+        last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
+        caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
+        margins = tuple(
+            margin + caused.along(-unsafe.normals @ system.position).max(axis=1)
+            for unsafe, margin in zip(asked.unsafe, asked.margins, strict=True)
+        )
+        limit = np.maximum(asked.u_limit - caused.along(gain).max(axis=1), 0.0)
+        return replace(asked, margins=margins, u_limit=limit)
 
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
         """The plan again, so that coasting after its end is safe; None if there is none to be had."""
@@ -140,11 +162,11 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     start = problem.initial_set - problem.initial_set.c
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
-    largest = float(np.min(tracking.u_max / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
     tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
     thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
     needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + system.command_error(tracking.gain)
-    limit = tracking.u_max * (1 - SOLVER_BOOK_INPUT) - needed
+    limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         errors = errors_alone(tracking, int(axis), system.as_ideal())
@@ -153,13 +175,13 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
             late = errors_alone(tracking, int(axis), system.prompt)
             share += f" ({late:.4g} of that for delay, missed periods and jitter)"
         raise SynthesisInfeasible(
-            f"the tracker alone may demand {needed[k, axis]:.4g} of the {tracking.u_max[axis]:.4g} of "
+            f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
             f"disturbance{share}.",
             float(-limit[k, axis]),
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
-    limit = np.maximum(limit - problem.thrust_reserve * tracking.u_max, 0.0)
+    limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
     margins = []
     for unsafe in sets:
         tube = error_tube(tracking, start, -unsafe.normals @ system.position)

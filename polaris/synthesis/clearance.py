@@ -14,6 +14,7 @@ from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
+from .demand import Scheduled
 from .tracking import Tracking, at_nodes
 
 
@@ -42,12 +43,7 @@ class Tube:
 
     def left_over(self, tracking: Tracking, radius: float) -> Array:
         """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        return np.asarray(_left_over(tracking, self.rows, radius) + tracking.disturbance(self.rows)[-1])
-
-
-def _left_over(tracking: Tracking, rows: Array, radius: float) -> Array:
-    weight = np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + tracking.curvature(rows)
-    return np.asarray(weight * tracking.decay[-1] * radius)
+        return np.asarray(tracking.forgotten(self.rows, radius) + tracking.disturbance(self.rows)[-1])
 
 
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
@@ -69,7 +65,7 @@ def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
     disturbance = tracking.disturbance(rows)
     booked = curvature * tracking.decay_before[:, None] * radius
     within = support + booked + disturbance[: len(support)]
-    need = np.vstack([within, _left_over(tracking, rows, radius) + disturbance[-1]])
+    need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])
     return Tube(rows, need + ROUNDING * np.abs(need))
 
 
@@ -148,10 +144,22 @@ class Clearance:
         return np.asarray(np.stack(chosen, axis=-1) - self.jumps[0][:, None, :])
 
     @cached_property
+    def _scheduled(self) -> Scheduled | None:
+        if self.tracking.profile is None:
+            return None
+        return Scheduled(self.tracking, self.reference, self.planned)
+
+    def scheduled(self, rows: Array) -> Array:
+        """What errors of thrusters add along rows because of the reference's input, (cells, q + 1, r)."""
+        if self._scheduled is None:
+            return np.zeros((self.cells, self.q + 1, len(rows)))
+        return self._scheduled.along(rows)
+
+    @cached_property
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         system = self.tracking.system
-        limit = self.tracking.u_max * (1 - ROUNDING) - system.command_error(self.tracking.gain)
+        limit = system.u_max * (1 - ROUNDING) - system.command_error(self.tracking.gain)
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 
@@ -174,6 +182,11 @@ class Clearance:
     def round_off(self, rows: Array) -> Array:
         """What the round-off of the reference's states, new at every step, needs along rows, shape (r,)."""
         return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
+
+    def tail_need(self, rows: Array) -> Array:
+        """What S needs along rows (r, n) at any time of the tail, its error at T apart, shape (r,)."""
+        scheduled = self.scheduled(rows)[min(self.planned, self.cells - 1) :].max(axis=(0, 1))
+        return np.asarray(scheduled + self.jump_need(rows) + self.round_off(rows))
 
     def _need_of(self, rows: Array, step: Array) -> Array:
         weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)

@@ -19,6 +19,7 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .affine_law import AffineLaw
+from .demand import taken_over
 from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
 from .tracking import Tracking, at_nodes
@@ -212,6 +213,12 @@ class AnyThrust:
         B, u_max = self.system.B, self.system.u_max + self.system.thrusters.error(self.system.u_max)
         return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
 
+    @cached_property
+    def _back(self) -> Array:
+        """What disturbs S within the period in which it takes over, shape (n,)."""
+        E = self.system.error_map(taken_over(self.tracking, self.reference))
+        return replace(self.tracking.flow, E=E).period_box
+
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """The worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
         direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
@@ -232,7 +239,7 @@ class AnyThrust:
         bent = (
             self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         )
-        bow = bent + self.flow.period_box + self.tracking.flow.period_box
+        bow = bent + self.flow.period_box + self._back
         return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 

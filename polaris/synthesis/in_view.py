@@ -28,6 +28,7 @@ from ..planning.search import Candidate, Seen
 from .attempts import plan_problem
 from .clearance import error_tube
 from .controllers import AffineController
+from .demand import Scheduled
 from .neural import NeuralController
 from .schedule import Schedule
 from .tracking import Tracking
@@ -107,11 +108,16 @@ class Windows:
         self.worth, self.K, self.mode = worth, problem.K, mode
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         asked = plan_problem(problem, tracking, sets)
-        u = Tracking(system, law.gain, tracking.feedback, problem.delta, tracking.share)
+        demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
+        u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
+        own = Scheduled(u, law.own, law.own.cells) if u.profile is not None else None
         margins = []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
-            tube = error_tube(u, safety.start, -unsafe.normals @ system.position)
-            margins.append(margin + tube.over_cells(problem.K, tracking.feedback.nodes_per_cell))
+            rows = -unsafe.normals @ system.position
+            tube = error_tube(u, safety.start, rows).over_cells(problem.K, tracking.feedback.nodes_per_cell)
+            if own is not None:
+                tube = tube + own.along(rows).max(axis=1)[: problem.K]
+            margins.append(margin + tube)
         # Coasting after T that is proven safe along the printed reference shall stay so.
         self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
         self.rows = Rows(self.asked)

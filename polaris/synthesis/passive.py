@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -145,19 +146,15 @@ class FreeFlight:
 
         `nodes` is a stack of q+1 sets of states, which lie on chords between them up to `bow`, shape (q, n).
         """
-        ends = np.array([0, len(bow)])
-        whole = self._drifts(k, nodes, bow, ends)
-        if whole[0].clear or len(bow) == 1:
-            return whole
-        return self._drifts(
-            k, nodes, bow, np.unique(np.linspace(0, len(bow), GROUPS + 1).round().astype(int))
-        )
-
-    def _drifts(self, k: int, nodes: Zonotope, bow: Array, ends: NDArray[np.int_]) -> tuple[Drift, ...]:
-        found = []
-        for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-            start = self._start(nodes[a : b + 1], bow[a:b], a, len(bow))
-            found.append(self._drift(k, b - a, start))
+        q, found = len(bow), []
+        for groups in (1, min(GROUPS, q)):
+            ends = [round(q * i / groups) for i in range(groups + 1)]
+            found = [
+                self._drift(k, b - a, self._start(nodes[a : b + 1], bow[a:b], a, q))
+                for a, b in pairwise(ends)
+            ]
+            if clear(found):
+                break
         return tuple(found)
 
     def _start(self, nodes: Zonotope, bow: Array, first: int, q: int) -> Zonotope:
@@ -175,16 +172,13 @@ class FreeFlight:
         bent = h / 8 * (h * most @ np.abs(system.A @ system.A).T + 2 * apart @ np.abs(system.A).T)
         beyond = (bow + bent) @ grown.T
         L, inverse = self._weight
-        tall = np.concatenate(
-            [np.moveaxis(spread, 0, 1).reshape(system.n, -1), (centre - centre.mean(0)).T], 1
-        )
+        tall = np.hstack([*spread, (centre - centre.mean(axis=0)).T])
         _, axes = np.linalg.eigh(L.T @ (tall @ tall.T + np.diag(beyond.max(0) ** 2)) @ L)
         T, rows = inverse.T @ axes, axes.T @ L.T
         at, reach = centre @ rows.T, np.abs(rows @ spread).sum(-1)
         extra = np.einsum("qij,qj->qi", np.abs(rows @ back[:-1]), beyond)
-        ends = np.stack([extra, extra])
-        low = np.min(np.stack([at[:-1] - reach[:-1], at[1:] - reach[1:]]) - ends, axis=(0, 1))
-        high = np.max(np.stack([at[:-1] + reach[:-1], at[1:] + reach[1:]]) + ends, axis=(0, 1))
+        low = np.min(np.stack([(at - reach)[:-1], (at - reach)[1:]]) - extra, axis=(0, 1))
+        high = np.max(np.stack([(at + reach)[:-1], (at + reach)[1:]]) + extra, axis=(0, 1))
         half = (high - low) / 2 * (1 + SPARE) + ROUNDING * (np.abs(low) + np.abs(high)) + 1e-12
         return Zonotope(T @ ((low + high) / 2), T * half)
 
@@ -198,9 +192,10 @@ class FreeFlight:
             ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, L * p, -1)
             at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
             chord = (np.abs(middle) + spread)[:-1] @ bend.T + pushed
-            needs = np.stack([at[:-1] + reach[:-1], at[1:] + reach[1:]]) + chord
-            size = np.abs(ends) + np.stack([np.abs(at[:-1]), np.abs(at[1:])]) + reach[1:] + chord
-            left = (-ends - needs - ROUNDING * size).min(axis=0)
+            most, size = at + reach, np.abs(at) + reach
+            needs = np.stack([most[:-1], most[1:]]) + chord
+            rounded = ROUNDING * (np.abs(ends) + np.maximum(size[:-1], size[1:]) + chord)
+            left = (-ends - needs - rounded).min(axis=0)
             best = left.argmax(axis=1)
             facets.append(best)
             room.append(left[np.arange(L * p), best])

@@ -38,44 +38,63 @@ class PolytopeSets:
         """Carried back ``row phi^l`` (L, r, n); disturbance and round-off (L + 1, r); curvature; rows."""
         tracking = self.clearance.tracking
         obstacle, _ = self.clearance.obstacle_rows
-        rows = np.vstack([obstacle, tracking.gain, -tracking.gain])
+        thrust = np.vstack([tracking.gain, -tracking.gain])
+        rows = np.vstack([obstacle, *[thrust] * self._times])
         disturbance = tracking.disturbance(rows) + self.clearance.round_off(rows)
+        if tracking.profile is not None:  # a bound that falls is the first one, of which more is taken
+            falls = tracking.profile[0] - np.vstack([tracking.profile, tracking.profile[-1:]])
+            disturbance[:, -len(thrust) :] += np.hstack([falls, falls])
         return rows @ tracking.transitions, disturbance, tracking.curvature(rows), rows
+
+    @property
+    def _times(self) -> int:
+        """How often commands are limited: by the thrusters, and by what errors are booked for."""
+        return 1 if self.clearance.tracking.profile is None else 2
 
     @cached_property
     def _index(self) -> NDArray[np.int_]:
-        """Row of every limit in every cell, shape (cells, o + 2 m)."""
+        """Row of every limit in every cell, shape (cells, limits): facets, then commands of either sign."""
         obstacle, index = self.clearance.obstacle_rows
-        m = self.clearance.tracking.system.m
-        thrust = np.broadcast_to(len(obstacle) + np.arange(2 * m), (self.clearance.cells, 2 * m))
+        count = 2 * self.clearance.tracking.system.m * self._times
+        thrust = np.broadcast_to(len(obstacle) + np.arange(count), (self.clearance.cells, count))
         return np.hstack([index, thrust])
 
     @cached_property
     def room(self) -> Array:
-        """Room of every limit at every node of every cell, shape (cells, q+1, o + 2 m).
+        """Room of every limit at every node of every cell, shape (cells, q+1, limits).
 
         ``u = mu - Lambda e``: the row ``+Lambda_i`` is limited by the room below, ``-Lambda_i`` above.
         """
-        above, below = self.clearance.thrust
-        thrust = np.broadcast_to(
-            np.hstack([below, above])[:, None, :],
-            (self.clearance.cells, self.clearance.q + 1, 2 * below.shape[1]),
-        ).copy()
-        if self.clearance.tracking.feedback.sampled:
-            thrust[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
-        return np.concatenate([self.clearance.room, thrust], axis=-1)
+        clearance, tracking = self.clearance, self.clearance.tracking
+        above, below = clearance.thrust
+        thrust = np.hstack([below, above])
+        if tracking.profile is not None:
+            level = tracking.profile[0] * (1 - ROUNDING) - tracking.system.command_error(tracking.gain)
+            thrust = np.hstack([thrust, *[level - clearance.jumps[1]] * 2])
+        nodes = np.repeat(thrust[:, None, :], clearance.q + 1, axis=1)
+        if tracking.feedback.sampled:
+            nodes[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
+        return np.concatenate([clearance.room, nodes], axis=-1) - self._scheduled
 
     @cached_property
-    def _jumps(self) -> Array:
-        """What the jump into the tail has taken of `room`, shape (cells, o + 2 m)."""
+    def _scheduled(self) -> Array:
+        """What errors of scheduled commands have taken of `room`, shape (cells, q+1, limits)."""
+        found = self.clearance.scheduled(self._rows[3])
+        if self._times > 1:
+            found[:, :, -2 * self.clearance.tracking.system.m :] = 0.0  # they are booked apart
+        return np.take_along_axis(found, self._index[:, None, :], axis=2)
+
+    @cached_property
+    def _taken(self) -> Array:
+        """That, and what the jump into the tail has taken."""
         facets, inputs = self.clearance.jumps
-        return np.hstack([facets, inputs, inputs])
+        return np.hstack([facets, *[inputs] * (2 * self._times)])[:, None, :] + self._scheduled
 
     @cached_property
     def names(self) -> list[str]:
         """Names of the limits, in the order of `room`."""
         axes = self.clearance.tracking.system.input_names
-        return [*(u.name for u in self.clearance.unsafe), *axes, *axes]
+        return [*(u.name for u in self.clearance.unsafe), *axes * (2 * self._times)]
 
     @cached_property
     def _reach(self) -> Array:
@@ -118,7 +137,7 @@ class PolytopeSets:
         jump = self.clearance.jump_need(self._rows[3])
         room = self._ahead[start] + jump
         need = (self._rows[1][-1] + self._reach * radius) * (1 + ROUNDING) + jump
-        share = left(need, room)
+        share = self._physical(left(need, room))
         row = int(np.argmin(share))
         # Where that row has its least room: which of the limits it is, and when.
         cells = np.arange(start // self.clearance.q, self.clearance.cells)
@@ -128,6 +147,13 @@ class PolytopeSets:
         at, limit = np.unravel_index(int(np.argmin(found)), found.shape)
         time = float(cells[at] * self.clearance.tracking.delta)
         return Margin(float(share[row]), self.names[limit], time, float(need[row]), float(room[row]))
+
+    def _physical(self, share: Array) -> Array:
+        """Shares of room left, where what errors are booked for counts only if it is exceeded."""
+        if self._times > 1:
+            booked = share[..., -2 * self.clearance.tracking.system.m :]
+            booked[booked >= 0] = np.inf
+        return share
 
     def _targets(self, node: int) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
         """Lags, cells and places in the cell of the limits that a node must meet from there on."""
@@ -204,9 +230,10 @@ class PolytopeSets:
             counts = cell < cells if side == 0 else (target % q == 0) & (target > first) & (cell < cells)
             i, lag = np.nonzero(counts)
             at = cell[i, lag]
-            room = self.room[at, target[i, lag] - at * q] + self._jumps[at]
-            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1) + self._jumps[at]
-            share = left(needed, room)
+            taken = self._taken[at, target[i, lag] - at * q]
+            room = self.room[at, target[i, lag] - at * q] + taken
+            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1) + taken
+            share = self._physical(left(needed, room))
             if share.size and share.min() < worst:
                 j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
                 worst, where = float(share[j, limit]), (int(i[j]), int(lag[j]), int(limit))

@@ -64,7 +64,8 @@ class Problem:
     thrust_reserve : float
         Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
     thrust_share : float
-        Share of the thrust limits, in (0, 1], that S commands at most: errors of thrusters grow with it.
+        Share of the thrust limits, in (0, 1], that S's feedback may demand when it takes over: errors of
+        thrusters are booked for so much, and for less and less from there on.
     planner : PlannerOptions
         Solver, time limit, gap.
     gains : tuple of ndarray
@@ -94,7 +95,7 @@ class Problem:
     objective: Objective = "margin_then_fuel"
     extra_margin: float = 0.0
     thrust_reserve: float = 0.2
-    thrust_share: float = 1.0
+    thrust_share: float = 0.5
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
     abort: Abort | None = None

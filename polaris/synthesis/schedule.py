@@ -238,7 +238,7 @@ def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
         return ()
     system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
     rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
-    bow = tube.bow + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    bow = tube.bow + system.displaced + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
     return flight.after(k, tube.nodes + arc, bow)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from reach.tubes.flow import LinearFlow
 
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
+from .demand import profile, summed
 
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
@@ -118,25 +119,38 @@ class Tracking:
         Continuous, or sampled with its control period.
     delta : float
         Planning step [s].
-    share : float
-        Share of the thrust limits that S commands at most.
+    level : float, optional
+        Share of the thrust limits from which what S's feedback commands after a hand-over falls, where errors
+        of thrusters grow with it (`polaris.synthesis.demand.profile`). Without it they are booked for all
+        that the thrusters have, at all times.
     """
 
     system: LinearSystem
     gain: Array
     feedback: Feedback
     delta: float
-    share: float = 1.0
-
-    @property
-    def u_max(self) -> Array:
-        """What S commands at most, shape (m,)."""
-        return self.share * self.system.u_max
+    level: float | None = None
 
     @property
     def error(self) -> Array:
-        """Bounds on the errors of what S applies, shape (m,)."""
-        return self.system.input_error(self.gain, self.u_max)
+        """Bounds on the errors of what S applies, shape (m,); without those that the profile bounds."""
+        most = self.system.u_max if self.level is None else np.zeros(self.system.m)
+        return self.system.input_error(self.gain, most)
+
+    @cached_property
+    def profile(self) -> Array | None:
+        """Bound on what S's feedback commands after a hand-over, period by period, shape (memory + 2, m).
+
+        None where errors of thrusters do not depend on it, or are booked for more.
+        """
+        if self.level is None or not self.system.thrusters.proportional:
+            return None
+        return profile(self, self.level)
+
+    @property
+    def most(self) -> Array:
+        """What S's feedback commands at most, shape (m,)."""
+        return self.system.u_max if self.profile is None else self.profile[0]
 
     @cached_property
     def flow(self) -> LinearFlow:
@@ -213,12 +227,36 @@ class Tracking:
         bend = np.abs(rows @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ self.W_inverse)
         return np.asarray(flow.h**2 / 8 * np.linalg.norm(bend, axis=-1))
 
+    def forgotten(self, rows: Array, radius: float) -> Array:
+        """What errors up to ``norm(W e) = radius`` still need along rows beyond the memory, shape (r,)."""
+        weight = np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows)
+        return np.asarray(weight * self.decay[-1] * radius)
+
+    def late(self, rows: Array, error: Array) -> tuple[Array, Array]:
+        """What input errors up to some size add beyond the memory, and between nodes, each of shape (r,)."""
+        box = replace(self.flow, w_max=0.0, E=self.system.B * error).period_box
+        size, factor = float(np.linalg.norm(np.abs(self.W) @ box)), self.flow.lyapunov[1]
+        tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * size / (1 - factor)
+        return tail, self.curvature(rows) * size * (self.accumulated + 1.0)
+
     def disturbance(self, rows: Array) -> Array:
         """What the disturbance adds along each row until L periods have passed, shape (memory + 3, r).
 
         Entry L holds for every instant up to and including the (L+1)-st period, so that between
         nodes nothing is missing. The last entry holds for all time.
         """
+        return self.pushed(rows, self.profile)
+
+    def responses(self, rows: Array, count: int) -> Array:
+        """What the disturbance adds along each row by node L = 0 ... count, count <= memory + 2."""
+        sums = self.flow.disturbance_support(rows, count)
+        if self.profile is not None:
+            gains = self.flow.input_gains(rows, self.system.B, count)
+            sums = sums + summed(gains, self.system.thrusters.part(self.profile))[: count + 1]
+        return np.asarray(sums)
+
+    def pushed(self, rows: Array, profile: Array | None) -> Array:
+        """The same as `disturbance` under the errors of commands within a profile, shape (memory + 2, m)."""
         sums = self.flow.disturbance_support(rows, self.memory + 2)
         first = sums[1]
         booked = self.curvature(rows) * self.disturbance_radius
@@ -227,4 +265,14 @@ class Tracking:
         tail = (
             np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
         )
-        return np.vstack([until, until[-1] + tail])
+        found = np.vstack([until, until[-1] + tail])
+        if profile is None:
+            return found
+        errors = self.system.thrusters.part(profile)
+        gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
+        sums, within = summed(gains, errors), errors @ gains[0].T
+        more = np.maximum(sums[:-1] + within, sums[1:])
+        # A switch between two nodes is seen from both: a period more or less since the hand-over.
+        more[1:] = np.maximum(more[1:], more[:-1])
+        tail, curved = self.late(rows, errors[0])
+        return np.asarray(found + curved + np.vstack([more, sums[-1:] + within[-1:] + tail]))

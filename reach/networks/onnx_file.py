@@ -45,13 +45,16 @@ def read_onnx(path: str | Path) -> Network:
     try:
         if path.stat().st_size > LARGEST:
             raise ReachError(f"has more than {LARGEST} bytes: not a controller")
-        return _Reader(onnx.load_model_from_string(path.read_bytes()).graph).network()
+        model = onnx.load_model_from_string(path.read_bytes())
+        found = _Reader(onnx.shape_inference.infer_shapes(model).graph).network()
+        onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
+        return found
     except OSError as error:
         raise ReachError(f"{path} cannot be read: {error.strerror}") from error
     except ReachError as error:
         raise ReachError(f"{path}: {error}") from error
     except Exception as error:  # the package raises errors of its own where a file or a tensor is garbled
-        raise ReachError(f"{path} is not an ONNX file: {error}") from error
+        raise ReachError(f"{path} is not an ONNX file: {str(error).splitlines()[0]}") from error
 
 
 @dataclass
@@ -61,7 +64,6 @@ class _Reader:
     graph: Any
     layers: list[Affine | Activation] = field(default_factory=list)
     width: int = 0
-    rank: int = 0
 
     def network(self) -> Network:
         from onnx import TensorProto, numpy_helper
@@ -74,13 +76,18 @@ class _Reader:
         given = [value for value in self.graph.input if value.name not in self.constants]
         if len(given) != 1 or len(self.graph.output) != 1:
             raise ReachError(f"needs one input and one output, has {len(given)} and {len(self.graph.output)}")
-        shape = [axis.dim_value for axis in given[0].type.tensor_type.shape.dim]
-        self.width, self.rank = shape[-1] if shape else 0, len(shape)
+        known = [*self.graph.input, *self.graph.value_info, *self.graph.output]
+        dims = {value.name: [axis.dim_value for axis in value.type.tensor_type.shape.dim] for value in known}
+        shape = dims[given[0].name]
+        self.width = shape[-1] if shape else 0
         if not 1 <= self.width <= WIDEST or any(size > 1 for size in shape[:-1]):
             raise ReachError(f"the input must be a vector of known size, has shape {shape}")
         at = given[0].name
         for node in self.graph.node:
             at = self._apply(node, at)
+            sizes = dims.get(at) or [0]  # as the package infers them
+            if sizes[-1] != self.width or any(size > 1 for size in sizes[:-1]):
+                raise ReachError(f"{node.op_type} must leave {self.width} components along the last axis")
         if at != self.graph.output[0].name:
             raise ReachError("the output is not the end of the chain of operators")
         return Network(tuple(self.layers))
@@ -133,27 +140,9 @@ class _Reader:
     def _diagonal(self, scale: Any, shift: Any) -> None:
         self._affine(np.diag(_spread(scale, self.width)), np.asarray(shift, dtype=float))
 
-    def _same(self, kind: str, inputs: list[Any], more: dict[str, Any]) -> None:
-        """An operator that changes no value, as long as the components stay along the last axis."""
-        if kind == "Cast" and more.get("to") not in (1, 11):
+    def _cast(self, _: list[Any], more: dict[str, Any]) -> None:
+        if more.get("to") not in (1, 11):
             raise ReachError("a Cast must be to float or double: others change values")
-        if kind in ("Identity", "Cast", "Dropout"):
-            return
-        given = inputs[1] if len(inputs) > 1 else more.get("axes", more.get("shape"))
-        places = [] if given is None else [int(place) for place in np.reshape(given, -1)]
-        if kind == "Reshape":
-            rank, last = len(places), bool(places) and places[-1] in (-1, self.width)
-            kept = last and all(size in (-1, 0, 1) for size in places[:-1])
-        elif kind == "Flatten":
-            rank, axis = 2, more.get("axis", 1)
-            kept = -self.rank <= axis < self.rank
-        else:
-            rank = self.rank + len(places) * (1 if kind == "Unsqueeze" else -1)
-            most = max(self.rank, rank)
-            kept = bool(places) and all(-most <= at < most and at % most != most - 1 for at in places)
-        if not kept:
-            raise ReachError(f"{kind} must leave the components along the last axis")
-        self.rank = rank
 
     def _combine(self, kind: str, inputs: list[Any]) -> None:
         first = inputs[0] is None
@@ -189,7 +178,7 @@ class _Reader:
 def _spread(value: Any, width: int) -> Array:
     """One constant for all components, or one each along the last axis."""
     given = np.asarray(value, dtype=float)
-    if given.size not in (1, width) or given.shape[-1:] not in ((), (given.size,)):
+    if given.size not in (1, width):
         raise ReachError(f"constants of shape {given.shape} follow {width} values")
     return np.broadcast_to(given.reshape(-1), (width,))
 
@@ -202,22 +191,16 @@ def _combining(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None
     return lambda reader, inputs, _: reader._combine(kind, inputs)
 
 
-def _keeping(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
-    return lambda reader, inputs, more: reader._same(kind, inputs, more)
-
-
 _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
     "Gemm": _Reader._gemm,
     "MatMul": _Reader._matmul,
     "BatchNormalization": _Reader._normalize,
     "Clip": _Reader._clip,
+    "Cast": _Reader._cast,
     "Relu": _activation("relu"),
     "LeakyRelu": _activation("relu", 0.01),
     "Tanh": _activation("tanh"),
     "Sigmoid": _activation("sigmoid"),
     **{kind: _combining(kind) for kind in ("Add", "Sub", "Mul", "Div")},
-    **{
-        kind: _keeping(kind)
-        for kind in ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout")
-    },
+    **dict.fromkeys(("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout"), lambda *_: None),
 }

@@ -197,6 +197,15 @@ class LinearFlow:
             period = period + self._along(images[:-1], self.E, 1)
         return np.vstack([np.zeros((1, len(rows))), np.cumsum(period, axis=0)])
 
+    @checked
+    def input_gains(self, rows: Array, B: Array, count: int) -> Array:
+        """``int_0^h |row phi^l e^{A_x s} B_j| ds`` for l = 0..count-1, bounded above, shape (count, r, m).
+
+        What a measurable input with ``|v_j| <= 1`` adds along each row l periods later.
+        """
+        images = rows @ powers(self.phi, count - 1)
+        return np.stack([self._along(images, column[:, None], 1) for column in B.T], axis=-1)
+
     def _along(self, rows: Array, M: Array, order: int) -> Array:
         """Bound on ``int_0^h norm(row e^{A_x s} M) ds``, for a norm of an order."""
         end = np.asarray(expm(self.A_x * self.h)) @ M

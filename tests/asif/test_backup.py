@@ -183,19 +183,6 @@ def test_anti_windup_holds_the_integral_of_clipped_axes():
     assert largest < 0.7 * abs(naive)
 
 
-def test_tracker_remembers_between_calls_and_starts_anew_after_a_gap():
-    law = Tracker(Q)
-    Phi, Gamma = law.motion
-    x = np.array([[200.0, 100.0, 0.0, 0.5, 0.0, 0.0]])
-    expected = on_long(law, x, law.start(x), 30)
-    for k in range(30):
-        u = law(float(k), x)
-        np.testing.assert_array_equal(u, law(float(k), x))  # asked twice, answered alike
-        np.testing.assert_allclose(u, expected[1][k], atol=1e-12)
-        x = x @ Phi.T + u @ Gamma.T
-    np.testing.assert_array_equal(law(100.0, x), law.thrust(x, law.start(x))[0])
-
-
 def test_ellipses_of_another_orbit_are_refused():
     with pytest.raises(ScenarioError, match="ellipses"):
         Tracker(Q, Ellipses(0.0011, 15.0))

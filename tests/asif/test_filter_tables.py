@@ -138,6 +138,27 @@ def test_errors_of_the_tables_are_flown_booked_and_told(tmp_path):
     assert not load_scenario("inspection", bare).uncertainty().exact
 
 
+def test_a_delay_is_an_error_of_what_is_predicted():
+    tables = {"navigation": {"position_error_m": [0.05, 0.0, 0.01], "velocity_error_m_s": 0.002}}
+    late = load_scenario("inspection", {**tables, "timing": {"delay_s": 3.0}}).uncertainty().estimate
+    at_once = load_scenario("inspection", tables).uncertainty().estimate
+    np.testing.assert_allclose(at_once, [0.05, 0.0, 0.01, 0.002, 0.002, 0.002])
+    np.testing.assert_allclose(late - at_once, [0.006, 0.006, 0.006, 0, 0, 0], atol=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "field"),
+    [
+        ("timing.jitter_s=0.1", "timing.jitter_s"),
+        ("timing.missed_periods=2", "timing.missed_periods"),
+        ("thrusters.thrust_max_N=0.5", "thrusters.thrust_max_N"),
+    ],
+)
+def test_what_only_schedules_have_is_refused(assignment, field):
+    with pytest.raises(ScenarioError, match=f"{field}: .*schedules only"):
+        load_scenario("inspection").with_assignments([assignment])
+
+
 @pytest.mark.parametrize(
     ("table", "field", "rule"),
     [

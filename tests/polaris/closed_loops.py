@@ -273,8 +273,7 @@ class Loop:
             mode = flown.modes[k * self.per : (k + 1) * self.per]
             safe = (np.vstack([mode, mode[-1:]]) == 0)[:end:every]
             raw = np.abs(self.nu[k] - need)
-            kept = self.schedule.safety.tracking.share  # to which S keeps; estimates add to commands
-            most = kept * system.u_max - system.navigation @ np.abs(self.gain).T
+            most = system.u_max - system.navigation @ np.abs(self.gain).T  # estimates add to commands
             thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
             for sign in (1, -1):
                 room = most + sign * self.nu[k]

@@ -186,7 +186,9 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     assert all(until >= horizon for until in found.satellites.values())
 
 
-@pytest.mark.parametrize("name", [*SPACECRAFT[:3], pytest.param("hold_point", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
+)
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
     scenario, schedule = synthesised(name)
     env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max

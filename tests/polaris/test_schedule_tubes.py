@@ -41,7 +41,12 @@ def reached(law, start, rows):
 
 
 @pytest.mark.parametrize(
-    "name", ["static", "dynamic", "keep_out", "hold_point", pytest.param("robot", marks=pytest.mark.slow)]
+    "name",
+    [
+        "static",
+        "dynamic",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("keep_out", "hold_point", "robot")),
+    ],
 )
 def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name):
     _, schedule = synthesised(name)

@@ -87,7 +87,13 @@ def test_u_alone_collides_and_s_alone_does_not(name):
     assert distances(schedule, simulate(schedule, 50, 0, mode=0), scenario) > 0
 
 
-@pytest.mark.parametrize("name", FEASIBLE)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "keep_out", "robot")))
+        for n in FEASIBLE
+    ],
+)
 def test_schedule_uses_the_experimental_controllers_for_a_real_part_of_the_time(name):
     _, schedule = synthesised(name)
     assert schedule.share() > 0.3

@@ -13,7 +13,8 @@ from reach.numerics.errors import ReachError  # noqa: E402
 
 
 def constant(name, value):
-    return numpy_helper.from_array(np.asarray(value, dtype=np.float32), name)
+    whole = isinstance(value, list) and all(isinstance(part, int) for part in value)
+    return numpy_helper.from_array(np.asarray(value, dtype=np.int64 if whole else np.float32), name)
 
 
 def model(nodes, weights, inputs=3, outputs=2, shape=None):
@@ -98,15 +99,15 @@ WRONG = {
     "a clip without limits": ([FIRST, node("Clip", "h", "c"), LAST], {}, "both limits"),
     "infinity": ([FIRST, LAST], {"b1": np.full(5, np.inf)}, "not finite"),
     "a bias of another size": ([node("Gemm", "x W1 b2", "h"), LAST], {}, "follow 5 values"),
-    "nothing": ([node("Identity", "x", "y")], {}, "affine layer"),
+    "nothing": ([node("Identity", "x", "y")], {}, "along the last axis"),
     "zero": ([node("Div", "x zero", "c"), node("Gemm", "c W1 b1", "h"), LAST], {"zero": 0.0}, "not zero"),
 }
 
 BETWEEN = {
-    "a column": (node("Add", "h column", "t"), {"column": np.ones((5, 1))}, "of shape"),
+    "a column": (node("Add", "h column", "t"), {"column": np.ones((5, 1))}, "last axis"),
     "an integer": (node("Cast", "h", "t", to=6), {}, "Cast"),
     "half precision": (node("Cast", "h", "t", to=10), {}, "Cast"),
-    "a foreign operator": (node("Relu", "h", "t", domain="some.where"), {}, "not understood"),
+    "a foreign operator": (node("Relu", "h", "t", domain="some.where"), {}, "some.where"),
     "a column by a reshape": (node("Reshape", "h shape", "t"), {"shape": [5, 1]}, "last axis"),
     "a column by flattening": (node("Flatten", "h", "t", axis=2), {}, "last axis"),
     "a column by an axis": (node("Unsqueeze", "h axes", "t"), {"axes": [-1]}, "last axis"),
@@ -133,19 +134,17 @@ def test_what_is_not_understood_is_one_error(name, tmp_path):
     assert "policy.onnx" in str(told.value) and "\n" not in str(told.value)
 
 
-@pytest.mark.parametrize(
-    "kept",
-    [
-        node("Reshape", "h shape", "t"),
-        node("Flatten", "h", "t"),
-        node("Cast", "h", "t", to=11),
-        node("Unsqueeze", "h front", "t"),
-        node("Squeeze", "h front", "t"),
-    ],
-    ids=lambda kept: kept.op_type,
-)
-def test_shapes_may_change_where_no_value_moves(kept, tmp_path):
-    path = saved(tmp_path, [FIRST, kept, SECOND], WEIGHTS | {"shape": [-1, 5], "front": [0]})
+KEPT = {
+    "reshaped": [node("Reshape", "h shape", "t")],
+    "flattened": [node("Flatten", "h", "t")],
+    "cast": [node("Cast", "h", "t", to=1)],
+    "an axis more, and less": [node("Unsqueeze", "h front", "u"), node("Squeeze", "u front", "t")],
+}
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_shapes_may_change_where_no_value_moves(name, tmp_path):
+    path = saved(tmp_path, [FIRST, *KEPT[name], SECOND], WEIGHTS | {"shape": [-1, 5], "front": [0]})
     x = RNG.normal(size=3)
     assert read_onnx(path)(x) == pytest.approx((x @ W1 + b1) @ W2.T + b2, rel=1e-6)
 

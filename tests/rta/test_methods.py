@@ -26,7 +26,7 @@ SETTINGS = {
     "robot late, estimated": {"name": "robot", "period": 0.25, "latency": 0.05, "half": 0.005},
 }
 
-DEFAULT = ("anything", "whole period late, estimated", "robot late, estimated")
+DEFAULT = ("anything", "whole period late, estimated")
 
 
 def flights(setting, keys, runs=12, seed=3):

@@ -36,7 +36,7 @@ class Decay:
             if count >= LONGEST:
                 raise ScenarioError("period", f"spectral radius {radius:.6g}", "the loop settles too slowly")
             power, count = power @ power, 2 * count
-        outputs = np.empty((count, *C.shape))
+        self.powers = outputs = np.empty((count, *C.shape))
         outputs[0] = C
         for k in range(1, count):
             outputs[k] = outputs[k - 1] @ M
@@ -45,6 +45,8 @@ class Decay:
         self._after = power / weight  # scaled state after `count` steps
         gains = np.linalg.norm(outputs * weight, axis=2)
         self._total_rest = gains.sum(axis=0) / (1 - shrunk)
+        self.left = shrunk * self._total_rest
+        """What is left of the totals (r,) after the `powers` (K, r, d), for a state of norm 1."""
         self.total_gain = float(np.linalg.norm(gains.sum(axis=0) + shrunk * self._total_rest))
         """``norm(total(s)) <= total_gain norm(s / weight)``: quick, and not sharp."""
         self._peak_rest = gains.max(axis=0)

@@ -118,9 +118,6 @@ class Tracker:
         scale = np.array([response] * 3 + [1.0] * 3 + [response**2] * 3)
         self._thrusts = Decay(loop, -self.gain, scale)
         self._errors = Decay(loop, np.eye(6, 9), scale)
-        self._memory: Array | None = None
-        self._next = -np.inf
-        self._last = (np.nan, np.empty((0, 3)))
 
     def start(self, x: Array) -> Array:
         """Choose the reference for each state of shape (N, 6); shape (N, 9)."""
@@ -158,21 +155,6 @@ class Tracker:
         spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
         return Outlook(settled, spent, distance)
-
-    def __call__(self, t: float, x: Array) -> Array:
-        """Thrust [N], shape (N, 3), at finite states (N, 6).
-
-        One call per period continues; a repeated call for the same instant gets the same answer; any other
-        instant, or another number of deputies, takes over anew.
-        """
-        if t == self._last[0] and len(x) == len(self._last[1]):
-            return self._last[1].copy()
-        on_time = abs(t - self._next) <= 1e-6 * self.period
-        if self._memory is None or not on_time or len(x) != len(self._memory):
-            self._memory = self.start(x)
-        u, self._memory = self.thrust(x, self._memory)
-        self._last, self._next = (t, u), t + self.period
-        return u.copy()
 
 
 def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[float]]:

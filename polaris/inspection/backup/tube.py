@@ -7,17 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...model.checks import non_negative
-from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.thrusters import Thrusters
 from ..inspection import Inspection
 from ..vectors import length
-
-SHRUNK = 1e-3
-"""Norm of the loop's power behind which the rest of a sum is bounded geometrically."""
-
-LONGEST = 4096
-"""Most powers of the loop that are summed exactly."""
+from .settled import Decay
 
 TOLERANCE = 1e-9
 """By how much a plan may ask for more than the thrust there is [N]; the tube pays for what is clipped."""
@@ -99,7 +93,8 @@ class Tube:
         self._period, self._grow = D, np.exp((2 + np.sqrt(3)) * n * D)
         self.gain = -q.mass * np.hstack([np.eye(3) / response**2, 2 * np.eye(3) / response])
         scale = np.repeat([response, 1.0], 3)
-        powers, shrunk = _powers(Phi + Gamma @ self.gain, np.vstack([np.eye(6), self.gain]), scale, D)
+        loop = Decay(Phi + Gamma @ self.gain, np.vstack([np.eye(6), self.gain]), scale)
+        powers = loop.powers
         # Acceleration per newton that is asked for (2-norm), and whatever is asked for.
         self.share = (errors.along + np.sqrt(3) * errors.across) / q.mass
         always = unknown.disturbance + np.sqrt(3) * (errors.bit + TOLERANCE) / q.mass
@@ -117,7 +112,7 @@ class Tube:
         # What the powers that are left out add, for ever.
         size = length((Gamma @ self.gain * eta).T / scale).sum() + length((Phi * eta).T / scale).sum()
         size += np.hypot(*((missed + (always + self.share * full) * kick) / (response, 1.0)))
-        left = length(powers * scale).sum(axis=0) * shrunk / (1 - shrunk) * size
+        left = loop.left * size
         rest = np.array([length(left[:3]), length(left[3:6]), left[6:].max()])
         most = known + (always + self.share * full) * total
         self.feedback = float(most[:, 2].max() + rest[2] + (np.abs(self.gain) @ eta).max())
@@ -151,17 +146,6 @@ class Tube:
         between = error[..., 1] + self._spin * error[..., 0] + (missed + self._extra) * self._period / 2
         between = between * self._grow
         return np.stack([error[..., 0] + between * self._period / 2, between], axis=-1)
-
-
-def _powers(loop: Array, outputs: Array, scale: Array, period: float) -> tuple[Array, float]:
-    """What the loop's powers put out, (K, 9, 6), and the norm of the K-th, at most `SHRUNK`."""
-    found, closed = [outputs], loop
-    while (shrunk := float(np.linalg.norm(closed * scale / scale[:, None], 2))) > SHRUNK:
-        if len(found) >= LONGEST:
-            raise ScenarioError("period", period, "too long: the loop that holds a plan does not settle")
-        found.append(found[-1] @ loop)
-        closed = closed @ loop
-    return np.stack(found), shrunk
 
 
 def _pushed(powers: Array, place: float, speed: float) -> Array:

@@ -98,8 +98,8 @@ class Member:
         x = np.where(seen, own.x, flown.plan[0])
         known = on_time and (seen or self.brake.uncertainty.exact)
         self.moved, self.unproven = False, not (known and self.rule.near(x, flown).all())
-        plan, tube = self.rule.planner.extended(flown, 3)
-        self._flown = Proven(plan[1:], tube[1:], self._none)
+        later = self.rule.planner.extended(flown, 3)
+        self._flown = Proven(later[0][1:], later[1][1:], self._none)
         return np.asarray(self.brake.follow(x, flown.plan)[0])
 
     def _part(self, found: Proven) -> Proven:

@@ -120,13 +120,15 @@ class Observer:
             return "the state is not finite"
         if np.abs(x).max() > self._farthest:
             return f"absurd: an entry beyond {self._farthest:g}"
-        half: Array | None = self.grid.half_widths
+        half, moved = self.grid.half_widths, np.zeros(self._shape)
         if measurement.half_widths is not None:
-            half = numbers(measurement.half_widths, self._shape)
-        if half is None:
-            return "malformed: the half widths"
-        if not ((half >= 0) & (half <= self.grid.half_widths)).all():  # also for nan
+            given = numbers(measurement.half_widths, self._shape)
+            if given is None:
+                return "malformed: the half widths"
+            half, moved = given, self.grid.system.displaced  # jitter displaces what is measured
+        if not ((half >= 0) & (half + moved <= self.grid.half_widths)).all():  # also for nan
             return "half widths: not between zero and the scene's"
+        half = half + moved
         contents = x.tobytes()
         repeated, self._newest, self._state = contents == self._state, stamp, contents
         if repeated:

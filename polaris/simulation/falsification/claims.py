@@ -128,7 +128,7 @@ class Claims:
             at_end = self.schedule.final.inflate(safety.clearance.jump)
             tube = error_tube(safety.tracking, at_end, rows).need
             lag = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
-            need[K:] = tube[np.minimum(lag, len(tube) - 1)]
+            need[K:] = tube[np.minimum(lag, len(tube) - 1)] + safety.clearance.scheduled(rows)[K : self.cells]
         return need, bow
 
     def period_at(self, time: float) -> int:

@@ -84,6 +84,7 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
     eye = np.eye(tracking.system.n)
     tube = error_tube(tracking, start, np.vstack([eye, -eye]))
     need = np.maximum(tube.over_cells(cells, q), tube.need[-1])
+    need = need + safety.clearance.scheduled(tube.rows)[first:].max(axis=1)
     nodes, bow = safety.clearance.nodes[first:], curve[first:].max(axis=1)
     n = tracking.system.n
     return Region(

@@ -1,0 +1,66 @@
+"""What errors of the thrusters add because of the reference's own input, by the time of the flight."""
+
+from __future__ import annotations
+
+from flint import arb, arb_mat
+
+from .balls import column, largest, magnitude, sums
+from .loop import Memory, Needs
+from .motion import Motion, Path, Push
+from .verdict import Undecided
+
+ROUNDS, SPARE = 60, 1e-3
+"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
+
+Along = list[list[list[arb]]]
+"""Bounds by step, node of the step and row."""
+
+
+class Scheduled:
+    """The input of the reference, what S corrects of its errors, and their response along rows.
+
+    Over the tail, which is flown again and again, commands are bounded by one number for every input.
+    """
+
+    def __init__(self, loop: Motion, memory: Memory, path: Path, gain: arb_mat) -> None:
+        self.loop, self.memory, self.path = loop, memory, path
+        self.planned = min(path.planned, len(path.arcs))
+        nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
+        self.commanded, needs = nu, Needs(loop, memory, gain)
+        self._rates = needs.rates
+        for _ in range(ROUNDS):
+            more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in self._along(needs)]
+            if tail := more[self.planned :]:
+                more[self.planned :] = [[largest(each) for each in zip(*tail, strict=True)]] * len(tail)
+            if self._holds([sums(*pair) for pair in zip(nu, more, strict=True)]):
+                return
+            grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
+            self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
+        raise Undecided("recoverable", "errors of thrusters feed on themselves along the reference")
+
+    def _holds(self, caused: list[list[arb]]) -> bool:
+        pairs = zip(caused, self.commanded, strict=True)
+        return all(a <= b for one, two in pairs for a, b in zip(one, two, strict=True))
+
+    def along(self, rows: arb_mat) -> Along:
+        """What they add along rows in the periods next to every node."""
+        return self._along(Needs(self.loop, self.memory, rows))
+
+    def _along(self, needs: Needs) -> Along:
+        plant, q = self.loop.plant, self.loop.plant.q
+        errors = [[x.upper() for x in plant.thruster_part(most)] for most in self.commanded]
+        worst = [largest(each) for each in zip(*errors, strict=True)]
+        box = self.loop.box_of(Push.in_box(plant.B, worst))
+        rates = (magnitude(column(sums(rate.always(worst), rate.late(box)))) for rate in self._rates)
+        booked = sums(needs.late(box), self.loop.lesser_bow(needs.rows, *rates))
+        sums_at = needs.summed([error for error in errors for _ in range(q)])
+        for_ever, found = needs.always(errors[-1]), []  # as if the tail's commands had always been
+        for cell, error in enumerate(errors):
+            first, parts = needs.within(error), []
+            repeated = [sums(for_ever, first)] if cell >= self.planned else []
+            for p in range(cell * q, (cell + 1) * q):
+                both = [sums(sums_at[p], first), sums_at[p + 1], *repeated]
+                parts.append(sums(map(largest, zip(*both, strict=True)), booked))
+            ends = [parts[max(i - 1, 0) : i + 1] for i in range(q + 1)]
+            found.append([list(map(largest, zip(*each, strict=True))) for each in ends])
+        return found
