@@ -490,3 +490,12 @@ def test_the_slope_of_an_affine_network_is_the_network():
     policy = Policy(Network((Affine(W, np.zeros(2)),)), ("error",), np.full(4, 0.5), np.array([0.1, 0.3]))
     slope = replace(controller, policy=policy).slope
     assert slope.clips and slope.gain == pytest.approx(np.array([[0.1], [0.3]]) * W * 0.5)
+
+
+@pytest.mark.slow
+def test_a_reference_planned_with_a_network_in_view_gives_it_more_time(made, tmp_path):
+    found = run(scene(tmp_path), tmp_path / "run", overrides=["recoverable.recourse=in_view"])
+    verdict = verify(found.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    alone = read_run(made).summary["synthesis"]["experimental_share"]
+    assert found.summary["synthesis"]["experimental_share"] > alone
