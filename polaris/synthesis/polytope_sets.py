@@ -79,10 +79,15 @@ class PolytopeSets:
     @cached_property
     def _scheduled(self) -> Array:
         """What errors of scheduled commands have taken of `room`, shape (cells, q+1, limits)."""
+        return np.take_along_axis(self._caused, self.index[:, None, :], axis=2)
+
+    @cached_property
+    def _caused(self) -> Array:
+        """The same along every distinct row, shape (cells, q+1, r)."""
         found = self.clearance.scheduled(self.carried[3])
         if self._times > 1:
             found[:, :, -2 * self.clearance.tracking.system.m :] = 0.0  # they are booked apart
-        return np.take_along_axis(found, self.index[:, None, :], axis=2)
+        return found
 
     @cached_property
     def _taken(self) -> Array:
@@ -134,7 +139,7 @@ class PolytopeSets:
     def _far_margin(self, node: int, radius: float) -> Margin:
         """Tightest limit beyond the memory for errors up to a norm at a node."""
         start = self._beyond[min(node, len(self._beyond) - 1)]
-        jump = self.clearance.jump_need(self.carried[3])
+        jump = self.clearance.jump_need(self.carried[3]) + self._caused.max(axis=(0, 1))
         room = self._ahead[start] + jump
         need = (self.carried[1][-1] + self._reach * radius) * (1 + ROUNDING) + jump
         share = self._physical(left(need, room))
