@@ -195,7 +195,9 @@ class DecisionGrid:
         polytopes, none = self.unsafe, np.zeros((len(self.xi), 0))
         first = np.cumsum([0, *(len(unsafe.normals) for unsafe in polytopes)])[:-1]
         normals = np.vstack([np.zeros((0, self.system.d)), *(unsafe.normals for unsafe in polytopes)])
-        offsets = [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in polytopes]
+        # Sets may be perceived for longer than the reference and its tail last.
+        fine = (unsafe.fine(self.clearance.q)[: self.clearance.cells] for unsafe in polytopes)
+        offsets = [_at_nodes(arcs) for arcs in fine]
         return normals, np.hstack([none, *offsets]), first.astype(np.intp)
 
     def nearest(self, room: Array) -> Array:
