@@ -113,6 +113,14 @@ class DecisionGrid:
         moved = 0.0 if half_widths is None else known.system.displaced
         return cls(schedule, period, latency, half + moved + np.zeros(n), tracking, clearance, nodes, delay)
 
+    def profiled(self) -> DecisionGrid:
+        """The same, errors of thrusters under S booked as the schedule books them: by commands that fall.
+
+        Otherwise they are booked for all that the thrusters have, which leaves S all of its commands.
+        """
+        tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
+        return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
+
     # -- what it consists of ------------------------------------------------------------------------
 
     @property

@@ -247,9 +247,11 @@ def printed(seed, errors=True):
 
 @pytest.mark.parametrize("seed", [5001, 5024])
 def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
-    found, under = attack_monitor(monitored(seed, printed(seed)), 40, seed)
+    monitor = monitored(seed, printed(seed))
+    found, under = attack_monitor(monitor, 40, seed)
     judge(seed, found)
     assert under > 0.1
+    judge(seed, attack_monitor(Monitor(monitor.grid.profiled(), monitor.trust), 40, seed)[0])
 
 
 def test_delays_and_jitter_are_among_the_errors_of_a_monitor():
