@@ -198,13 +198,19 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
 
 def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
     """What is told of a flight whose drift must stay clear and is not shown to."""
-    enters = witness["middle_m"] <= 0
-    does = "enters" if enters else "is not shown to stay clear of"
-    found = witness["middle_m"] if enters else witness["distance_m"]
     return SynthesisInfeasible(
-        f"passive safety is required, but if all thrust stops in step {witness['step']} (from "
-        f"{witness['t_s']:g} s) of S alone, the drift {does} {witness['unsafe_set']} by "
-        f"{witness['after_s']:.6g} s later: {directed(found, '.4g')} m are left.",
-        -found,
+        f"passive safety is required, but under S alone, if all thrust stops {in_words(witness)}.",
+        -witness["distance_m"],
         "shorten abort.drift_orbits (drift_s), raise planner.extra_margin_m, or lower the disturbance bound.",
+    )
+
+
+def in_words(witness: Mapping[str, Any]) -> str:
+    """Where a drift that is not clear goes."""
+    enters = witness["middle_m"] <= 0
+    does = "enters what is perceived of" if enters else "is not shown to stay clear of"
+    left = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")
+    return (
+        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {does} {witness['unsafe_set']} by"
+        f" {witness['after_s']:.6g} s later ({left} m are left)"
     )
