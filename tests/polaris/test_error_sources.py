@@ -7,9 +7,15 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import flint
 import numpy as np
 import pytest
 
+from polaris.certificate.argument import Argument
+from polaris.certificate.balls import PRECISION
+from polaris.certificate.document import Document
+from polaris.certificate.lemma import Stated
+from polaris.certificate.verdict import Record
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
@@ -225,6 +231,18 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
         assert np.all(reached + tracking.system.command_error(gain) <= profile[lag])
     need = tracking.pushed(gain, profile)[-1] + tracking.system.command_error(gain)
     assert np.all(reached < need) and np.all(need <= profile[-1])
+
+
+@pytest.mark.slow
+def test_a_certificate_with_errors_holds_far_beyond_the_memory_of_the_loop():
+    given = ["feedback.kind=sampled", "feedback.period_s=2.0", "thrusters.impulse_bit_N_s=0.005"]
+    given += ["thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"]
+    schedule = synthesize(load_scenario("static").with_assignments([*given, "tracking.thrust_share=0.5"]))
+    assert schedule.share() >= 0.8 and schedule.safety.end.horizon == "infinite"
+    told, record = Document(json.loads(json.dumps(certificate(schedule, "static")))), Record()
+    with flint.ctx.workprec(PRECISION):
+        Argument(told, record, Stated(schedule.safety.start_margin.value)).run()
+    assert ("guarantee", "proved") in record.checked
 
 
 def test_what_the_reference_commands_is_booked_where_it_acts():
