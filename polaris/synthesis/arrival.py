@@ -164,8 +164,16 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
 
 
 def _to_hold(tracking: Tracking, rows: Array) -> float:
-    """What S needs along the rows against the disturbance once it has forgotten where it came from [m]."""
-    return float(np.max(tracking.responses(rows, tracking.memory + 1)[-1], initial=0.0))
+    """What S needs along the rows against the disturbance once it has forgotten where it came from [m].
+
+    A profile of commands counts with what holds for ever: what came before is forgotten later than the start.
+    """
+    count = tracking.memory + 1
+    need = tracking.flow.disturbance_support(rows, count)[-1]
+    if tracking.profile is not None:
+        gains = tracking.flow.input_gains(rows, tracking.system.B, count)
+        need = need + gains.sum(axis=0) @ tracking.system.thrusters.part(tracking.profile[-1])
+    return float(np.max(need, initial=0.0))
 
 
 def _correcting(safety: Safety, held: Held, nodes: int) -> float:
