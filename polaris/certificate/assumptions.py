@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 SATELLITES = (
@@ -19,22 +20,9 @@ ALLOCATED = (
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
-def assumptions(
-    w_max: float,
-    period: float | None,
-    *,
-    resting: bool = True,
-    satellites: bool = False,
-    horizon: str = "none",
-    until: float | None = None,
-    estimate: Iterable[float] = (),
-    timing: Iterable[float] = (),
-    thrusters: Iterable[float] = (),
-    chaser: float = 0.0,
-    allocated: bool = False,
-    sampled: Mapping[str, Any] | None = None,
-) -> list[str]:
-    """What a certificate rests on and no checker can confirm: the one list, for runs and certificates.
+@dataclass(frozen=True)
+class Premises:
+    """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
 
     Parameters
     ----------
@@ -63,55 +51,80 @@ def assumptions(
     sampled : mapping, optional
         What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
-    errors = list(estimate)
-    delay, jitter, missed, clock = list(timing) or (0.0, 0.0, 0, 0.0)
-    predicted = delay > 0 or missed > 0
-    seen = "an estimate of the state" if any(errors) else "the exact state"
-    seen = "a prediction of the state" if predicted else seen
-    if period is None:
-        law = f"every controller acts continuously on {seen}"
-    else:
-        law = f"every controller renews its input each {period:g} s, in time and with {seen}"
-    bounds = ", ".join(f"{x:g}" for x in errors)
-    known = f"navigation: at all times no state is further from its estimate than [{bounds}], one by one"
-    applied = list(thrusters)
-    off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False) if x)
-    late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
-    late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
-    late += f", at most {missed} periods in a row without a new one" if missed else ""
-    late += "; what is commanded meanwhile is known, and the model holds before the start as well"
-    started = f"schedule and reference count from the same instant, unsafe sets from within {clock:g} s of it"
-    exact = "exact; schedule, reference and unsafe sets count from the same instant"
-    size = f"within {chaser:g} m of the point that is navigated, which is added to every unsafe set"
-    point = "a point, its own size being part of the unsafe sets"
-    ever = horizon == "infinite"
-    if horizon == "none" or not (ever or until):
-        fuel = "fuel: enough for every command up to T"
-    else:
-        end = "for ever" if ever else f"until {until:g} s"
-        fuel = f"after T: the safety controller flies on {end}, and there is fuel for every command"
-    rest = ["sets at rest: they stay at rest" + (" for ever" if ever else "")]
-    return [
-        f"model: x' = A x + B u + D w, |u_i| <= u_max, norm(w, 2) <= {w_max:g} and otherwise arbitrary",
-        "initial state: inside the initial set",
-        f"chaser: {size if chaser else point}",
-        "perception: every unsafe set lies in its timed polytope",
-        *(rest if resting else []),
-        *([SATELLITES] if satellites else []),
-        f"sampling: {law}",
-        *([known] if any(errors) else []),
-        *(
-            [f"thrusters: what is applied to an input is within {off} of its command u_i"]
-            if any(applied)
-            else []
-        ),
-        *([ALLOCATED] if allocated else []),
-        *([late] if predicted or jitter > 0 else []),
-        f"clocks: {started if clock > 0 else exact}",
-        "experimental controllers: each obeys its declared model",
-        *(_of_samples(**sampled) if sampled else []),
-        fuel,
-    ]
+
+    w_max: float
+    period: float | None
+    resting: bool = True
+    satellites: bool = False
+    horizon: str = "none"
+    until: float | None = None
+    estimate: Iterable[float] = ()
+    timing: Iterable[float] = ()
+    thrusters: Iterable[float] = ()
+    chaser: float = 0.0
+    allocated: bool = False
+    sampled: Mapping[str, Any] | None = None
+
+    def told(self) -> list[str]:
+        """All that applies, in words, in the order that the format prescribes."""
+        size = f"within {self.chaser:g} m of the point that is navigated, which is added to every unsafe set"
+        point = "a point, its own size being part of the unsafe sets"
+        ever = " for ever" if self.horizon == "infinite" else ""
+        limits = f"|u_i| <= u_max, norm(w, 2) <= {self.w_max:g} and otherwise arbitrary"
+        return [
+            f"model: x' = A x + B u + D w, {limits}",
+            "initial state: inside the initial set",
+            f"chaser: {size if self.chaser else point}",
+            "perception: every unsafe set lies in its timed polytope",
+            *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
+            *([SATELLITES] if self.satellites else []),
+            *self._of_hardware(),
+            "experimental controllers: each obeys its declared model",
+            *(_of_samples(**self.sampled) if self.sampled else []),
+            self._of_fuel(),
+        ]
+
+    def _of_hardware(self) -> Iterator[str]:
+        """How well the state is known, how late, and what is made of commands."""
+        errors, applied = list(self.estimate), list(self.thrusters)
+        delay, jitter, missed, clock = list(self.timing) or (0.0, 0.0, 0, 0.0)
+        predicted = delay > 0 or missed > 0
+        seen = "an estimate of the state" if any(errors) else "the exact state"
+        seen = "a prediction of the state" if predicted else seen
+        if self.period is None:
+            yield f"sampling: every controller acts continuously on {seen}"
+        else:
+            each = f"every controller renews its input each {self.period:g} s"
+            yield f"sampling: {each}, in time and with {seen}"
+        if any(errors):
+            bounds = ", ".join(f"{x:g}" for x in errors)
+            near = f"no state is further from its estimate than [{bounds}], one by one"
+            yield f"navigation: at all times {near}"
+        if any(applied):
+            parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
+            off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
+            yield f"thrusters: what is applied to an input is within {off} of its command u_i"
+        if self.allocated:
+            yield ALLOCATED
+        if predicted or jitter > 0:
+            late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
+            late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
+            late += f", at most {missed} periods in a row without a new one" if missed else ""
+            yield (
+                late + "; what is commanded meanwhile is known, and the model holds before the start as well"
+            )
+        if clock > 0:
+            own = "schedule and reference count from the same instant"
+            yield f"clocks: {own}, unsafe sets from within {clock:g} s of it"
+        else:
+            yield "clocks: exact; schedule, reference and unsafe sets count from the same instant"
+
+    def _of_fuel(self) -> str:
+        ever = self.horizon == "infinite"
+        if self.horizon == "none" or not (ever or self.until):
+            return "fuel: enough for every command up to T"
+        end = "for ever" if ever else f"until {self.until:g} s"
+        return f"after T: the safety controller flies on {end}, and there is fuel for every command"
 
 
 def _of_samples(

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from .assumptions import SATELLITES, assumptions
+from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
 from .layers import Layer, network_of
@@ -264,7 +264,7 @@ class Document:
         self.statement: dict[str, Any] = samples
         self._check_claims()
         self.satellites = SATELLITES in read["assumptions"]  # a scenario beside it must agree
-        self.assumptions = assumptions(
+        self.assumptions = Premises(
             self.w_max,
             self.delta / self.q if self.sampled else None,
             resting=any(item.resting for item in self.unsafe),
@@ -279,7 +279,7 @@ class Document:
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
             sampled=self.statement or None,
-        )
+        ).told()
         if read["assumptions"] != self.assumptions:
             raise Rejected(
                 "assumptions", "the certificate rests on other assumptions than those of its format"

@@ -37,6 +37,9 @@ def semi_axes(x: Array, n: float) -> tuple[Array, Array]:
     return np.hypot(x[..., 0], x[..., 1] / 2), np.hypot(x[..., 2], x[..., 5] / n)
 
 
+TINY = 1e-150  # [m] axes that are shorter count as none: shares of them would overflow
+
+
 @dataclass(frozen=True)
 class Ellipses:
     """The closed eNMTs among which one is chosen, at a mean motion [rad/s].
@@ -98,12 +101,13 @@ class Ellipses:
         a_aim, c_aim = np.clip(a, self.least, self.largest), np.minimum(c, self.cross_track)
         n = self.mean_motion
         out = np.empty(x.shape)
-        scale = a_aim / np.where(a > 0, a, 1.0)
+        off, across = a > TINY, c > TINY
+        scale = a_aim / np.where(off, a, 1.0)
         out[..., 0] = scale * x[..., 0]
-        out[..., 1] = np.where(a > 0, scale * x[..., 1], 2 * a_aim)
+        out[..., 1] = np.where(off, scale * x[..., 1], 2 * a_aim)
         out[..., 3] = n / 2 * out[..., 1]
         out[..., 4] = -2 * n * out[..., 0]
-        out[..., 2::3] = (c_aim / np.where(c > 0, c, 1.0))[..., None] * x[..., 2::3]
+        out[..., 2::3] = (c_aim / np.where(across, c, 1.0))[..., None] * x[..., 2::3]
         return out
 
 

@@ -113,6 +113,14 @@ class DecisionGrid:
         moved = 0.0 if half_widths is None else known.system.displaced
         return cls(schedule, period, latency, half + moved + np.zeros(n), tracking, clearance, nodes, delay)
 
+    def profiled(self) -> DecisionGrid:
+        """The same, errors of thrusters under S booked as the schedule books them: by commands that fall.
+
+        Otherwise they are booked for all that the thrusters have, which leaves S all of its commands.
+        """
+        tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
+        return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
+
     # -- what it consists of ------------------------------------------------------------------------
 
     @property
@@ -195,7 +203,9 @@ class DecisionGrid:
         polytopes, none = self.unsafe, np.zeros((len(self.xi), 0))
         first = np.cumsum([0, *(len(unsafe.normals) for unsafe in polytopes)])[:-1]
         normals = np.vstack([np.zeros((0, self.system.d)), *(unsafe.normals for unsafe in polytopes)])
-        offsets = [_at_nodes(unsafe.fine(self.clearance.q)) for unsafe in polytopes]
+        # Sets may be perceived for longer than the reference and its tail last.
+        fine = (unsafe.fine(self.clearance.q)[: self.clearance.cells] for unsafe in polytopes)
+        offsets = [_at_nodes(arcs) for arcs in fine]
         return normals, np.hstack([none, *offsets]), first.astype(np.intp)
 
     def nearest(self, room: Array) -> Array:

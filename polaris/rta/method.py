@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.errors import NotCertified
 from ..model.system import Array
 from .decision_grid import DecisionGrid
 
@@ -154,7 +155,12 @@ class Method(ABC):
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> Method:
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
-        return cls(grid, **options)
+        try:
+            return cls(grid, **options)
+        except NotCertified:
+            if not grid.system.thrusters.proportional:
+                raise
+            return cls(grid.profiled(), **options)
 
     @property
     def claim(self) -> Claim:

@@ -18,6 +18,7 @@ from reach.tubes.flow import LinearFlow
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.controllers import AffineController
+from ..synthesis.demand import taken_over
 from .decision_grid import DecisionGrid
 from .recovery import Recovery
 
@@ -51,7 +52,7 @@ class Leg:
         grid, law = recovery.grid, recovery.grid.controllers[mode]
         assert isinstance(law, AffineController)
         system, nodes = grid.system, grid.last
-        error = law.error if mode else grid.tracking.error
+        error = law.error if mode else taken_over(grid.tracking, grid.clearance.reference)
         flow = grid.tracking.feedback.flow(system, law.gain, grid.tracking.delta, error)
         zeta = np.zeros((nodes, 2, system.n))
         if mode in grid.own:

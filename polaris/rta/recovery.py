@@ -12,7 +12,7 @@ one to the other does, whoever flies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
+from ..synthesis.demand import taken_over
 from ..synthesis.polytope_sets import PolytopeSets
 from .decision_grid import DecisionGrid
 
@@ -81,9 +82,8 @@ class Recovery:
 
     @cached_property
     def rows(self) -> Array:
-        """Facets, then ``+Lambda`` and ``-Lambda``, shape (r, n)."""
-        gain = self.grid.tracking.gain
-        return np.vstack([self.grid.clearance.obstacle_rows[0], gain, -gain])
+        """Facets, then ``+Lambda`` and ``-Lambda``, once or twice (see `PolytopeSets`), shape (r, n)."""
+        return self.sets.carried[3]
 
     @property
     def lags(self) -> int:
@@ -104,10 +104,20 @@ class Recovery:
     @cached_property
     def booked(self) -> Array:
         """What S's disturbance, round-off and the path between nodes need of every row, shape (L r,)."""
-        tracking = self.grid.tracking
-        out = (tracking.disturbance(self.rows) + self.grid.clearance.round_off(self.rows))[: self.lags]
-        out[:, : len(self.bow)] += self.bow + self._bent * tracking.disturbance_radius
+        out = self.sets.carried[1][: self.lags].copy()
+        out[:, : len(self.bow)] += self.bow + self._bent * self._radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
+
+    @cached_property
+    def _radius(self) -> float:
+        """Bound on ``norm(W e)`` reached under S by all that pushes, at any node, however late."""
+        tracking = self.grid.tracking
+        if tracking.profile is None:
+            return tracking.disturbance_radius
+        error = taken_over(tracking, self.grid.clearance.reference)
+        box = replace(tracking.flow, w_max=0.0, E=self.grid.system.B * error).period_box
+        more = float(np.linalg.norm(np.abs(tracking.W) @ box)) * (tracking.accumulated + 1.0)
+        return tracking.disturbance_radius + more
 
     # -- the path between two nodes -------------------------------------------------------------------
 
@@ -157,16 +167,8 @@ class Recovery:
         cells, q, room = self.grid.clearance.cells, self.grid.clearance.q, self.sets.room
         out = np.full((cells * q + 1 + self.lags, len(self.rows)), np.inf)
         at = np.arange(cells)[:, None] * q + places
-        np.minimum.at(out, (at[:, :, None], self._index[:, None, :]), room[:, places])
+        np.minimum.at(out, (at[:, :, None], self.sets.index[:, None, :]), room[:, places])
         return out
-
-    @cached_property
-    def _index(self) -> NDArray[np.int_]:
-        """Row of every limit in every cell, shape (cells, limits)."""
-        clearance, m = self.grid.clearance, self.grid.system.m
-        rows, index = clearance.obstacle_rows
-        thrust = np.broadcast_to(len(rows) + np.arange(2 * m), (clearance.cells, 2 * m))
-        return np.hstack([index, thrust])
 
     @cached_property
     def _jump(self) -> Array:
@@ -245,9 +247,9 @@ class Recovery:
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
         # Of every period: what its cell allows where it begins, and where it ends.
         ends = np.stack([self._limits(np.arange(clearance.q) + end) for end in (0, 1)])
-        disturbance = tracking.disturbance(self.rows)[-1] + clearance.round_off(self.rows)
+        disturbance = self.sets.carried[1][-1]
         need = np.zeros_like(ends) + disturbance * (1 + ROUNDING)
-        path = (self.bow + self._bent * tracking.disturbance_radius) * (1 + ROUNDING)
+        path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
         need[:, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
         weight[:o] += self._bent
@@ -284,7 +286,7 @@ class Recovery:
     def names(self) -> list[str]:
         """What every row limits, in words."""
         names = [""] * len(self.rows)
-        for cell in self._index:
+        for cell in self.sets.index:
             for limit, row in enumerate(cell):
                 if self.sets.names[limit] not in names[row].split(" or "):
                     names[row] = " or ".join(filter(None, (names[row], self.sets.names[limit])))

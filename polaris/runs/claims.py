@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..synthesis.recoverable import directed
+from ..synthesis.synthesize import in_words
 
 
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -33,14 +34,6 @@ def drift_told(claim: Mapping[str, Any]) -> str:
     most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
     told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
     found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
-    witness = claim["witness"]
-    if witness is None:
+    if claim["witness"] is None:
         return f"{found}, all of the flight."
-    enters = witness["middle_m"] <= 0
-    does, left = (
-        ("enters", witness["middle_m"]) if enters else ("is not shown to clear", witness["distance_m"])
-    )
-    return (
-        f"{found}. Witness: from step {witness['step']} ({witness['t_s']:g} s) it {does}"
-        f" {witness['unsafe_set']} by {witness['after_s']:.6g} s later ({directed(left, '.4g')} m left)."
-    )
+    return f"{found}. Witness: {in_words(claim['witness'])}."

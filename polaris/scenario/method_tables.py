@@ -18,9 +18,10 @@ class Tracking(ScenarioPart):
     bound: Literal["envelope", "lyapunov"] = unit("-", default="envelope")
     """How the norm of the tracking error is bounded (Lemma 1): an envelope of the matrix exponential
     (tighter), or a Lyapunov function."""
-    thrust_share: f.Real = unit("-", default=0.5, gt=0, le=1)
+    thrust_share: f.Real | None = unit("-", default=None, gt=0, le=1)
     """Share of the thrust limits that the safety controller's feedback may demand when it takes over. Errors
-    of thrusters are booked for so much, and for less and less from there on."""
+    of thrusters are booked for so much, and for less and less from there on. Without a number, the best of a
+    few."""
     weight: f.WordOrWeights = unit("-", default="auto")
     """Weighted norm of that bound: chosen for the closed loop, none (m and m/s in one norm, loose), or the
     diagonal of W, n numbers > 0."""

@@ -24,7 +24,7 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .controllers import AnyThrust, TubeSegment
-from .neural import NEEDS_SAMPLES, check_exact, reduced
+from .neural import NEEDS_SAMPLES, check_exact, no_tube, reduced
 from .tracking import Tracking
 
 Ask = Callable[[float, Array, Array], Any]
@@ -35,6 +35,11 @@ SAMPLES = 400
 
 WIDER = 2.0
 """By how much the bands are wider than what the samples leave over."""
+
+NARROW = 1e-7
+"""Share of its size from which on a state varies enough for a command to be fitted to it."""
+FARTHEST = 1e60
+"""States beyond which nothing is computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +140,8 @@ class BlackBox:
             after, bow = held_step(self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G))
             nodes.append(reduced(after))
             bows.append(bow + rounding)
+            if not np.all(nodes[-1].extent < FARTHEST):
+                return FittedSegment(*no_tube(start, self._q), "its sets grow beyond all bounds")
         end = reduced(nodes[-1].inflate(rounding))
         return FittedSegment(Zonotope.stack(nodes), np.array(bows), end, fit=fit)
 
@@ -158,7 +165,9 @@ class BlackBox:
         for i, xi in enumerate(self.reference.fine(self._q)[k, :-1]):
             u = np.clip(self.command(k, xi, xi, e + xi, i * self.flow.h), -system.u_max, system.u_max)
             middle = e.mean(axis=0)
-            scale = np.maximum(np.abs(e - middle).max(axis=0), 1e-300)
+            spread = np.abs(e - middle).max(axis=0)
+            seen = spread > NARROW * (np.abs(xi) + np.abs(e).max(axis=0))
+            scale = np.where(seen, spread, np.inf)
             base = np.hstack([(e - middle) / scale, np.ones((len(e), 1))])
             solved = np.linalg.lstsq(base, u, rcond=1e-9)[0]
             K = (solved[:n] / scale[:, None]).T

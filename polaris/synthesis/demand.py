@@ -1,65 +1,14 @@
-"""What S commands after a hand-over, and what errors of thrusters in proportion to it add.
-
-Two parts are booked apart: the feedback, by a bound that falls with the time since the hand-over (the
-*profile*), and the reference's input with what S corrects of its errors, step by step (the *scheduled* part).
-"""
+"""What S commands because of its reference's input, and what errors of thrusters in proportion to it add."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from scipy.signal import oaconvolve
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-
-if TYPE_CHECKING:
-    from .tracking import Tracking
-
-ROUNDS = 60
-"""Most rounds of a bound that grows with the errors which it allows."""
-SETTLED, SPARE = 1e-4, 2e-3
-"""Relative change at which it counts as settled, and what is added to it then."""
-SLOWER = 1.5
-"""By how much slower the demand of sets that an experimental controller leaves falls than that of a ball."""
-FFT = 1e-13
-"""Round-off of sums of products by fast transforms, relative to the largest of them."""
-
-
-def summed(gains: Array, errors: Array) -> Array:
-    """``sum_{i<L} gains[L-1-i] errors[i]`` for L = 0 ... len(errors), shape (len(errors) + 1, r).
-
-    `gains` (a, r, m) belong to periods by their age, `errors` (L, m) to periods in their order.
-    """
-    sums = oaconvolve(gains, errors[:, None, :], axes=0)[: len(errors)].sum(axis=-1)
-    sums = np.maximum(sums, 0.0) + FFT * np.max(sums, axis=0, initial=0.0)
-    return np.vstack([np.zeros((1, gains.shape[1])), sums])
-
-
-def profile(tracking: Tracking, level: float) -> Array:
-    """Bound on what S's feedback commands so many periods after a hand-over, shape (memory + 2, m) [N].
-
-    Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as
-    what errors demand that start with the share `level` of the limits, to what disturbances and
-    the errors of the commands themselves demand for ever: each round allows for the errors of the one before.
-    """
-    gain, u_max = tracking.gain, tracking.system.u_max
-    norms = np.linalg.norm(gain @ tracking.transitions @ tracking.W_inverse, axis=-1)
-    ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
-    shape = np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)
-    shape = shape * level * u_max
-    noise = tracking.system.command_error(gain)
-    left = tracking.forgotten(gain, float(np.min(u_max / norms[0])))
-    found = shape
-    for _ in range(ROUNDS):
-        pushed = tracking.pushed(gain, found)
-        parts = np.maximum(shape + pushed[:-1], pushed[-1] + left) + noise
-        before, found = found, np.maximum.accumulate(parts[::-1])[::-1]
-        if np.all(found - before <= SETTLED * before) or np.any(found[-1] > u_max):
-            break
-    return np.asarray(found * (1 + SPARE))
+from .profile import ROUNDS, SETTLED, SPARE, summed
+from .tracking import Tracking
 
 
 class Scheduled:

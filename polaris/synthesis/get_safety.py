@@ -26,6 +26,9 @@ from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking, choose_feedback, lqr_gain
 
+SHARES = (0.5, 1.0)
+"""Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Safety:
@@ -131,7 +134,7 @@ def get_safety(
     problem, clock = as_problem(problem, given, options), Clock()
     gain = lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2: solveARE, Lambda
     feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
-    tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share)
+    tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share or SHARES[0])
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
     attempts = Attempts(problem, tracking, clock, along)
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs

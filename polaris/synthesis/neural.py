@@ -206,8 +206,7 @@ class NeuralController:
                 nodes.append(reduced(after.inflate(wider + self.booked) + push))
                 bows.append(bow + wider + within)
         except Unresolved as error:
-            q, n = self.feedback.nodes_per_cell, self.system.n
-            return TubeSegment(Zonotope.stack([start] * (q + 1)), np.zeros((q, n)), start, str(error))
+            return TubeSegment(*no_tube(start, self.feedback.nodes_per_cell), str(error))
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         end = reduced(nodes[-1].inflate(rounding))
         return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
@@ -244,6 +243,11 @@ def check_exact(system: LinearSystem) -> None:
         raise ScenarioError(
             field, None, "must be left out where a black box flies: its tube knows of no such error"
         )
+
+
+def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
+    """What stands in a refused `TubeSegment` of q parts: nodes, bow and end."""
+    return Zonotope.stack([start] * (q + 1)), np.zeros((q, start.dim)), start
 
 
 def reduced(z: Zonotope) -> Zonotope:

@@ -34,7 +34,7 @@ class PolytopeSets:
     guarantee: str = "proved"
 
     @cached_property
-    def _rows(self) -> tuple[Array, Array, Array, Array]:
+    def carried(self) -> tuple[Array, Array, Array, Array]:
         """Carried back ``row phi^l`` (L, r, n); disturbance and round-off (L + 1, r); curvature; rows."""
         tracking = self.clearance.tracking
         obstacle, _ = self.clearance.obstacle_rows
@@ -52,7 +52,7 @@ class PolytopeSets:
         return 1 if self.clearance.tracking.profile is None else 2
 
     @cached_property
-    def _index(self) -> NDArray[np.int_]:
+    def index(self) -> NDArray[np.int_]:
         """Row of every limit in every cell, shape (cells, limits): facets, then commands of either sign."""
         obstacle, index = self.clearance.obstacle_rows
         count = 2 * self.clearance.tracking.system.m * self._times
@@ -79,10 +79,15 @@ class PolytopeSets:
     @cached_property
     def _scheduled(self) -> Array:
         """What errors of scheduled commands have taken of `room`, shape (cells, q+1, limits)."""
-        found = self.clearance.scheduled(self._rows[3])
+        return np.take_along_axis(self._caused, self.index[:, None, :], axis=2)
+
+    @cached_property
+    def _caused(self) -> Array:
+        """The same along every distinct row, shape (cells, q+1, r)."""
+        found = self.clearance.scheduled(self.carried[3])
         if self._times > 1:
             found[:, :, -2 * self.clearance.tracking.system.m :] = 0.0  # they are booked apart
-        return np.take_along_axis(found, self._index[:, None, :], axis=2)
+        return found
 
     @cached_property
     def _taken(self) -> Array:
@@ -100,7 +105,7 @@ class PolytopeSets:
     def _reach(self) -> Array:
         """What each row needs of an error beyond the memory, per unit of ``norm(W e)`` now, shape (r,)."""
         tracking = self.clearance.tracking
-        _, _, curvature, rows = self._rows
+        _, _, curvature, rows = self.carried
         return np.asarray(
             (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
         )
@@ -108,12 +113,12 @@ class PolytopeSets:
     @cached_property
     def _ahead(self) -> Array:
         """Least room of every distinct row from a node on, shape (nodes + 1, r)."""
-        cells, q, r = self.clearance.cells, self.clearance.q, len(self._rows[3])
+        cells, q, r = self.clearance.cells, self.clearance.q, len(self.carried[3])
         least = np.full((cells, q, r), np.inf)
         both = np.minimum(self.room[:, :-1], self.room[:, 1:])
         at = np.arange(cells)[:, None], np.arange(q)[None, :]
         for limit in range(both.shape[-1]):
-            np.minimum.at(least, (*at, self._index[:, limit, None]), both[:, :, limit])
+            np.minimum.at(least, (*at, self.index[:, limit, None]), both[:, :, limit])
         ahead = np.vstack([least.reshape(-1, r), np.full((1, r), np.inf)])
         return np.asarray(np.minimum.accumulate(ahead[::-1])[::-1])
 
@@ -127,21 +132,21 @@ class PolytopeSets:
     @cached_property
     def _far(self) -> Array:
         """Ball that covers all limits beyond the memory: allowed norm at every node, (nodes + 1,)."""
-        spare = self._ahead[self._beyond] - self._rows[1][-1]
+        spare = self._ahead[self._beyond] - self.carried[1][-1]
         allowed = np.where(np.isposinf(spare), np.inf, spare / self._reach).min(axis=1, initial=np.inf)
         return np.asarray(np.where(np.isnan(allowed), -np.inf, allowed))
 
     def _far_margin(self, node: int, radius: float) -> Margin:
         """Tightest limit beyond the memory for errors up to a norm at a node."""
         start = self._beyond[min(node, len(self._beyond) - 1)]
-        jump = self.clearance.jump_need(self._rows[3])
+        jump = self.clearance.jump_need(self.carried[3]) + self._caused.max(axis=(0, 1))
         room = self._ahead[start] + jump
-        need = (self._rows[1][-1] + self._reach * radius) * (1 + ROUNDING) + jump
+        need = (self.carried[1][-1] + self._reach * radius) * (1 + ROUNDING) + jump
         share = self._physical(left(need, room))
         row = int(np.argmin(share))
         # Where that row has its least room: which of the limits it is, and when.
         cells = np.arange(start // self.clearance.q, self.clearance.cells)
-        found = np.where(self._index[cells] == row, self.room[cells].min(axis=1), np.inf)
+        found = np.where(self.index[cells] == row, self.room[cells].min(axis=1), np.inf)
         if not np.isfinite(room[row]):
             return Margin(np.inf, "", np.inf, 0.0, np.inf)
         at, limit = np.unravel_index(int(np.argmin(found)), found.shape)
@@ -172,10 +177,10 @@ class PolytopeSets:
     @cached_property
     def _floor(self) -> Array:
         """Least room of every distinct row from a cell on, shape (cells, r)."""
-        floor = np.full((self.clearance.cells, len(self._rows[3])), np.inf)
+        floor = np.full((self.clearance.cells, len(self.carried[3])), np.inf)
         least = self.room.min(axis=1)
         for limit in range(least.shape[1]):
-            np.minimum.at(floor, (np.arange(len(floor)), self._index[:, limit]), least[:, limit])
+            np.minimum.at(floor, (np.arange(len(floor)), self.index[:, limit]), least[:, limit])
         return np.asarray(np.minimum.accumulate(floor[::-1], axis=0)[::-1])
 
     def _need(self, cell: int, nodes: Zonotope, bow: Array, radius: float, spare: float) -> Array:
@@ -185,7 +190,7 @@ class PolytopeSets:
         that bound; only the others are worked out exactly.
         """
         tracking = self.clearance.tracking
-        carried, disturbance, curvature, _ = self._rows
+        carried, disturbance, curvature, _ = self.carried
         booked = curvature * tracking.decay_before[:, None] * radius + disturbance[: len(carried)]
         coarse = self._weights * radius + booked
         keep = coarse > spare * np.maximum(self._floor[cell], 0)
@@ -205,7 +210,7 @@ class PolytopeSets:
     @cached_property
     def _weights(self) -> Array:
         """``norm(row phi^l W^-1)``, and one period earlier if that is larger, shape (memory + 2, r)."""
-        norms = np.linalg.norm(self._rows[0] @ self.clearance.tracking.W_inverse, axis=-1) * (1 + ROUNDING)
+        norms = np.linalg.norm(self.carried[0] @ self.clearance.tracking.W_inverse, axis=-1) * (1 + ROUNDING)
         return np.asarray(np.maximum(norms, np.concatenate([norms[:1], norms[:-1]])))
 
     def _margins(self, first: int, nodes: Zonotope, bow: Array, radius: float) -> Margin:
@@ -220,7 +225,7 @@ class PolytopeSets:
     def _near_margin(self, first: int, nodes: Zonotope, bow: Array, radius: float, spare: float) -> Margin:
         """The same within the memory; see `_need` for `spare`."""
         q, cells = self.clearance.q, self.clearance.cells
-        count, lags = len(nodes), len(self._rows[0])
+        count, lags = len(nodes), len(self.carried[0])
         need = self._need(min(first // q, cells - 1), nodes, bow, radius, spare)
         # Every target lies in the cell to its right; those at a cell's end also in the one to their left.
         target = first + np.arange(count)[:, None] + np.arange(lags)
@@ -232,7 +237,7 @@ class PolytopeSets:
             at = cell[i, lag]
             taken = self._taken[at, target[i, lag] - at * q]
             room = self.room[at, target[i, lag] - at * q] + taken
-            needed = np.take_along_axis(need[i, lag], self._index[at], axis=1) + taken
+            needed = np.take_along_axis(need[i, lag], self.index[at], axis=1) + taken
             share = self._physical(left(needed, room))
             if share.size and share.min() < worst:
                 j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
@@ -270,13 +275,13 @@ class PolytopeSets:
         """Whether each error (runs, n) at a node is recoverable."""
         errors = np.atleast_2d(errors)
         tracking = self.clearance.tracking
-        carried, disturbance, curvature, _ = self._rows
+        carried, disturbance, curvature, _ = self.carried
         lags, cell, place = self._targets(node)
         radius = np.linalg.norm(errors @ tracking.W.T, axis=-1)
         weight = curvature * tracking.decay_before[:, None]
         # Only limits that the largest of the errors might touch are worked out.
         coarse = (self._weights + weight) * radius.max() + disturbance[: len(carried)]
-        index, room = self._index[cell], self.room[cell, place]
+        index, room = self.index[cell], self.room[cell, place]
         where = coarse[lags[:, None], index] > room
         lag, row, limit = np.broadcast_to(lags[:, None], index.shape)[where], index[where], room[where]
         need = errors @ carried[lag, row].T + radius[:, None] * weight[lag, row] + disturbance[lag, row]
@@ -287,12 +292,12 @@ class PolytopeSets:
     def radius(self, node: int) -> float:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         tracking = self.clearance.tracking
-        carried, disturbance, curvature, _ = self._rows
+        carried, disturbance, curvature, _ = self.carried
         lags, cell, place = self._targets(node)
         per_unit = (
             np.linalg.norm(carried @ tracking.W_inverse, axis=-1) + curvature * tracking.decay_before[:, None]
         )
-        index = self._index[cell]
+        index = self.index[cell]
         spare = self.room[cell, place] - np.take_along_axis(disturbance[lags], index, axis=1)
         near = np.min(spare / np.take_along_axis(per_unit[lags], index, axis=1), initial=np.inf)
         return float(max(min(near, self._far[min(node, len(self._far) - 1)]), 0.0))

@@ -63,9 +63,10 @@ class Problem:
         Clearance [m] wanted beyond what S's own tube needs: the room left to U.
     thrust_reserve : float
         Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
-    thrust_share : float
+    thrust_share : float, optional
         Share of the thrust limits, in (0, 1], that S's feedback may demand when it takes over: errors of
-        thrusters are booked for so much, and for less and less from there on.
+        thrusters are booked for so much, and for less and less from there on. Without it `synthesize` tries
+        some and keeps the best; `get_safety` takes the least of them.
     planner : PlannerOptions
         Solver, time limit, gap.
     gains : tuple of ndarray
@@ -95,7 +96,7 @@ class Problem:
     objective: Objective = "margin_then_fuel"
     extra_margin: float = 0.0
     thrust_reserve: float = 0.2
-    thrust_share: float = 0.5
+    thrust_share: float | None = None
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
     abort: Abort | None = None
@@ -131,8 +132,9 @@ class Problem:
         if not self.system.ideal and self.recoverable != "polytope":
             rule = "must be 'polytope' with [navigation], [thrusters] or [timing]"
             raise ScenarioError("recoverable.kind", self.recoverable, rule)
-        if not 0 < number("tracking.thrust_share", self.thrust_share) <= 1:
-            raise ScenarioError("tracking.thrust_share", self.thrust_share, "must be above 0 and at most 1")
+        share = self.thrust_share
+        if share is not None and not 0 < number("tracking.thrust_share", share) <= 1:
+            raise ScenarioError("tracking.thrust_share", share, "must be above 0 and at most 1")
         one_of("recourse", self.recourse, RECOURSE)
 
 

@@ -29,7 +29,7 @@ UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_rela
 def check_safety(safety: Safety, problem: Problem) -> None:
     """Refuse a `Safety` that is not what Algorithm 1 makes of a problem along the same plan.
 
-    Only its kind of recoverable set may be another than the problem asks for.
+    Its kind of recoverable set and its share of thrust may be others than the problem asks for.
 
     Raises
     ------
@@ -39,7 +39,8 @@ def check_safety(safety: Safety, problem: Problem) -> None:
     _same("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
     _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
     try:
-        made = get_safety(replace(problem, recoverable=safety.recoverable.kind), along=safety.plan)
+        kind, share = safety.recoverable.kind, safety.problem.thrust_share
+        made = get_safety(replace(problem, recoverable=kind, thrust_share=share), along=safety.plan)
     except SynthesisInfeasible as error:
         rule = "must hold the initial set at the start"
         raise ScenarioError("safety.recoverable", str(error), rule) from error

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
-from ..certificate.assumptions import assumptions
+from ..certificate.assumptions import Premises
 from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
@@ -137,7 +137,7 @@ class Schedule:
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
         prompt = problem.system.prompt
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
-        told = assumptions(
+        premises = Premises(
             problem.system.w_max,
             problem.delta / safety.clearance.q if safety.tracking.feedback.sampled else None,
             resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
@@ -151,7 +151,7 @@ class Schedule:
             allocated=problem.allocation is not None,
             sampled=None if self.statement is None else asdict(self.statement),
         )
-        return *told, "arithmetic: in double precision, its round-off covered by booked tolerances"
+        return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
 
     @cached_property
     def modes(self) -> NDArray[np.int_]:

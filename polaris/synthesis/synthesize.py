@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
-from .get_safety import Safety, get_safety
+from .get_safety import SHARES, Safety, get_safety
 from .in_view import views
 from .look_ahead import SAFETY
 from .neural import NeuralController
@@ -69,8 +70,30 @@ def synthesize(
     recourse = safety is None if recourse is None else recourse
     safety = get_safety(scenario) if safety is None else safety
     search = Search.over(scenario, safety, experimental, rules, progress)
+    in_view = recourse and safety.problem.recourse != "none"
+    found = most_worthy(search, in_view)
+    free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
+    return best_share(search, found, in_view) if free else found
+
+
+def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
+    """The most worthy of a schedule and those with other shares of thrust that errors of S are booked for."""
+    found, problem = [first], search.safety.problem
+    known = AffineController, AnyThrust, NeuralController
+    laws = [law for law in search.controllers[1:] if isinstance(law, known)]
+    for share in SHARES[1:] if len(laws) == len(search.controllers) - 1 else ():
+        with suppress(SynthesisInfeasible, NotCertified):
+            safety = get_safety(replace(problem, thrust_share=share))
+            turns = [law.along(safety.reference, safety.tracking) for law in laws]
+            along = replace(search, safety=safety, controllers=(safety.controller, *turns))
+            found.append(most_worthy(along, recourse))
+    return max(found, key=Worth.beside(first, search.rules))
+
+
+def most_worthy(search: Search, recourse: bool) -> Schedule:
+    """The schedule of one `Safety`, or with recourse the most worthy that it leads to."""
     printed = switching_logic(search)
-    found = with_recourse(search, printed) if recourse and safety.problem.recourse != "none" else printed
+    found = with_recourse(search, printed) if recourse else printed
     return found if search.rules.allow(found) else within_budget(search, [printed, found])
 
 
@@ -175,13 +198,19 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
 
 def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
     """What is told of a flight whose drift must stay clear and is not shown to."""
-    enters = witness["middle_m"] <= 0
-    does = "enters" if enters else "is not shown to stay clear of"
-    found = witness["middle_m"] if enters else witness["distance_m"]
     return SynthesisInfeasible(
-        f"passive safety is required, but if all thrust stops in step {witness['step']} (from "
-        f"{witness['t_s']:g} s) of S alone, the drift {does} {witness['unsafe_set']} by "
-        f"{witness['after_s']:.6g} s later: {directed(found, '.4g')} m are left.",
-        -found,
+        f"passive safety is required, but under S alone, if all thrust stops {in_words(witness)}.",
+        -witness["distance_m"],
         "shorten abort.drift_orbits (drift_s), raise planner.extra_margin_m, or lower the disturbance bound.",
+    )
+
+
+def in_words(witness: Mapping[str, Any]) -> str:
+    """Where a drift that is not clear goes."""
+    enters = witness["middle_m"] <= 0
+    does = "enters what is perceived of" if enters else "is not shown to stay clear of"
+    left = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")
+    return (
+        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {does} {witness['unsafe_set']} by"
+        f" {witness['after_s']:.6g} s later ({left} m are left)"
     )

@@ -14,7 +14,7 @@ from reach.tubes.flow import LinearFlow
 
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
-from .demand import profile, summed
+from .profile import profile, summed
 
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
@@ -121,7 +121,7 @@ class Tracking:
         Planning step [s].
     level : float, optional
         Share of the thrust limits from which what S's feedback commands after a hand-over falls, where errors
-        of thrusters grow with it (`polaris.synthesis.demand.profile`). Without it they are booked for all
+        of thrusters grow with it (`polaris.synthesis.profile.profile`). Without it they are booked for all
         that the thrusters have, at all times.
     """
 
@@ -145,7 +145,10 @@ class Tracking:
         """
         if self.level is None or not self.system.thrusters.proportional:
             return None
-        return profile(self, self.level)
+        gain, u_max = self.gain, self.system.u_max
+        norms = np.linalg.norm(gain @ self.transitions @ self.W_inverse, axis=-1)
+        left, noise = self.forgotten(gain, float(np.min(u_max / norms[0]))), self.system.command_error(gain)
+        return profile(norms, self.level * u_max, left, u_max, lambda found: self.pushed(gain, found) + noise)
 
     @property
     def most(self) -> Array:

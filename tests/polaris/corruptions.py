@@ -4,7 +4,7 @@ import copy
 import math
 from contextlib import suppress
 
-from polaris.certificate.assumptions import assumptions
+from polaris.certificate.assumptions import Premises
 from polaris.certificate.document import digest
 
 
@@ -27,14 +27,14 @@ def restate(data):
     """The assumptions that the format prescribes for changed data: whoever forges it can write them too."""
     end, sampling, offsets = data["end"], data["sampling"], [item["offsets"] for item in data["unsafe_sets"]]
     period = float.fromhex(sampling["step"]) / sampling["nodes_per_step"]
-    data["assumptions"] = assumptions(
+    data["assumptions"] = Premises(
         float.fromhex(data["system"]["disturbance_max"]),
         period if sampling["kind"] == "sampled" else None,
         resting=any(all(b == pairs[0][0] for pair in pairs for b in pair) for pairs in offsets),
         satellites=any(line.startswith("other satellites") for line in data["assumptions"]),
         horizon=end["horizon"],
         until=None if end["until"] is None else float.fromhex(end["until"]),
-    )
+    ).told()
 
 
 class Corruptor:

@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 from rich.console import Console
 
-from polaris.certificate.assumptions import assumptions
+from polaris.certificate.assumptions import Premises
 from polaris.certificate.document import Document, digest
 from polaris.certificate.verdict import Rejected
 from polaris.cli.show.schedule import show_summary
@@ -102,9 +102,8 @@ def test_satellites_that_are_none_need_no_assumption():
     scenario, schedule = scene("tiny")
     data = certificate(schedule, scenario.name)
     safety = schedule.safety
-    data["assumptions"] = assumptions(
-        0.02, None, satellites=True, horizon="one_period", until=safety.end.until
-    )
+    found = Premises(0.02, None, satellites=True, horizon="one_period", until=safety.end.until)
+    data["assumptions"] = found.told()
     data["digest"] = digest(data)
     rejected_beside(scenario, data)
 
@@ -119,5 +118,5 @@ def rejected_beside(scenario, data):
 
 
 def test_nothing_is_said_of_time_after_t_where_nothing_is_claimed():
-    assert assumptions(0.0, None)[-1] == "fuel: enough for every command up to T"
-    assert "until 5 s" in assumptions(0.0, None, horizon="one_period", until=5.0)[-1]
+    assert Premises(0.0, None).told()[-1] == "fuel: enough for every command up to T"
+    assert "until 5 s" in Premises(0.0, None, horizon="one_period", until=5.0).told()[-1]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polaris.certificate.assumptions import assumptions
+from polaris.certificate.assumptions import Premises
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "assurance.md").read_text(encoding="utf-8")
@@ -38,7 +38,7 @@ def claims_of_the_checker():
 
 def test_the_assumptions_are_those_that_runs_carry():
     listed = PAGE.split("## What the certificate rests on")[1].split("\n## ")[0]
-    words = assumptions(1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0)
+    words = Premises(1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0).told()
     assert re.findall(r"^- (.+)$", listed, re.M) == list(words)
 
 

@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+import tomllib
 from functools import cache
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.testing import assert_allclose
 from scipy.stats import binom
 
 import polaris
-from polaris.certificate.checker import verify
+from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
 from polaris.model.errors import ScenarioError
+from polaris.runs.certificate import certificate
 from polaris.runs.program import program
 from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
@@ -25,6 +27,7 @@ from polaris.synthesis.black_box import BlackBox
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
+from .random_scenarios import random_scenario
 from .tiny import TINY
 
 PERIOD = 0.25
@@ -113,6 +116,17 @@ def test_an_affine_box_is_fitted_to_rounding():
     tube = law.fly(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.0]), 1)
     assert_allclose(tube.fit[1, :, :3], -0.3 * np.eye(4)[:2, :3], atol=1e-9)
     assert np.all(tube.fit[..., 5] < 1e-7)
+
+
+def test_states_that_do_not_vary_are_not_fitted():
+    flat = Zonotope.box(np.zeros(4), [0.05, 0.0, 0.0, 1e-12])
+    tube = box().fly(flat, 0)
+    assert not tube.refused and np.all(tube.fit[0, :, 1:3] == 0.0) and np.abs(tube.fit).max() < 1e3
+
+
+def test_sets_without_bound_refuse_a_step():
+    wild = box(lambda t, x, xi: np.sign(np.sin(1e9 * x[:, :2])))
+    assert wild.fly(Zonotope.box(np.zeros(4), np.full(4, 1e61)), 0).refused
 
 
 def test_the_same_seed_gives_the_same_sets():
@@ -228,8 +242,6 @@ def forged(made, change):
     data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
     change(data)
     data["digest"] = digest(data)
-    from polaris.certificate.checker import verify_document
-
     return verify_document(data)
 
 
@@ -376,3 +388,33 @@ def test_statements_hold_of_other_boxes(seed):
     if found.schedule.sampled_steps:
         flown = simulate(found.schedule, 20_000, 10**8 + seed, initial="random", disturbance="random")
         assert np.mean(outside(flown) > 1) <= found.schedule.statement.probability
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2, 3, 7, 14, 20, 28, 35])
+def test_random_scenes(seed):
+    """A tracker with ripples as the box: what is said holds of fresh flights, and the checker follows it."""
+    scene = tomllib.loads(random_scenario(seed))
+    scene["feedback"] = {"kind": "sampled", "period_s": scene["horizon"]["step_s"] / 3}
+    for name in ("navigation", "thrusters", "timing"):
+        scene.pop(name, None)
+    scene["recoverable"] = {"kind": "polytope", "recourse": "none"}
+    scene.get("schedule", {}).pop("delta_v_max_m_s", None)
+    scene["experimental"] = [TABLE]
+    scenario = ScheduleScenario.from_dict(scene)
+    part = polaris.get_safety(scenario)
+    nu, top = part.reference.nu, part.problem.system.u_max
+    gain = part.tracking.gain * np.random.default_rng(seed).uniform(0.6, 1.1, part.tracking.gain.shape)
+
+    def ask(t, x, xi):
+        u = (xi - x) @ gain.T
+        return nu[min(int(t / part.problem.delta + 1e-9), len(nu) - 1)] + u + 0.02 * top * np.sin(5 * u / top)
+
+    laws = scenario.controllers(part, {"box": ask})
+    found = synthesize_sampled(scenario, part, laws, probability=0.05, confidence=0.99, attacks=100)
+    schedule = found.schedule
+    assert schedule.sampled_steps and found.worst.failure is None
+    verdict = verify_document(certificate(schedule, scenario.name))
+    assert verdict.outcome == "STATISTICAL", verdict.text()
+    flown = simulate(schedule, 2000, 10**9 + seed, initial="random", disturbance="random")
+    assert np.mean(outside(flown) > 1) <= schedule.statement.probability

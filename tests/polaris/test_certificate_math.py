@@ -239,10 +239,10 @@ def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
     assert 3000 < Memory.of(swinging(), column([1, 1]), 4).periods < 4000
     flint.ctx.prec = PRECISION
 
-    def of(motion, extent, multiple):
+    def of(motion, extent, multiple, *more):
         if flint.ctx.prec <= 2 * PRECISION:
             raise Imprecise("recoverable", "too few bits")
-        return Memory.of(motion, extent, multiple)
+        return Memory.of(motion, extent, multiple, *more)
 
     monkeypatch.setattr("polaris.certificate.argument.Memory", SimpleNamespace(of=of))
     verdict = verify_document(certificate(scene("clipped")[0], "tiny"))

@@ -7,9 +7,15 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import flint
 import numpy as np
 import pytest
 
+from polaris.certificate.argument import Argument
+from polaris.certificate.balls import PRECISION
+from polaris.certificate.document import Document
+from polaris.certificate.lemma import Stated
+from polaris.certificate.verdict import Record
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
@@ -227,6 +233,18 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
     assert np.all(reached < need) and np.all(need <= profile[-1])
 
 
+@pytest.mark.slow
+def test_a_certificate_with_errors_holds_far_beyond_the_memory_of_the_loop():
+    given = ["feedback.kind=sampled", "feedback.period_s=2.0", "thrusters.impulse_bit_N_s=0.005"]
+    given += ["thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"]
+    schedule = synthesize(load_scenario("static").with_assignments([*given, "tracking.thrust_share=0.5"]))
+    assert schedule.share() >= 0.8 and schedule.safety.end.horizon == "infinite"
+    told, record = Document(json.loads(json.dumps(certificate(schedule, "static")))), Record()
+    with flint.ctx.workprec(PRECISION):
+        Argument(told, record, Stated(schedule.safety.start_margin.value)).run()
+    assert ("guarantee", "proved") in record.checked
+
+
 def test_what_the_reference_commands_is_booked_where_it_acts():
     scenario = load_scenario(TINY).with_assignments(ERRORS[2:4])
     safety = synthesize(scenario).safety
@@ -247,9 +265,11 @@ def printed(seed, errors=True):
 
 @pytest.mark.parametrize("seed", [5001, 5024])
 def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
-    found, under = attack_monitor(monitored(seed, printed(seed)), 40, seed)
+    monitor = monitored(seed, printed(seed))
+    found, under = attack_monitor(monitor, 40, seed)
     judge(seed, found)
     assert under > 0.1
+    judge(seed, attack_monitor(Monitor(monitor.grid.profiled(), monitor.trust), 40, seed)[0])
 
 
 def test_delays_and_jitter_are_among_the_errors_of_a_monitor():

@@ -64,7 +64,8 @@ def test_summary_holds_the_promised_keys(folder):
         assert set(summary[who]) - {"controller", "drift_horizon_s"} <= set(summary["definitions"])
     assert {"bounds", "plan", "recoverable", "schedule", "total"} <= set(summary["synthesis"]["seconds"])
     assert {"status", "gap", "solver", "delta_v_m_s", "margin_m"} <= set(summary["synthesis"]["planner"])
-    assert set(summary["guarantee"]) == {"kind", "horizon", "until_s", "reason", "assumptions", "goal"}
+    told = {"kind", "horizon", "until_s", "reason", "assumptions", "goal", "upkeep"}
+    assert set(summary["guarantee"]) == told
     assert summary["guarantee"]["kind"] == "proved" and summary["seed"] == 0
     assert summary["experimental"]["collided"] and summary["experimental"]["min_distance_m"] < 0
     for who in ("safety", "polaris"):

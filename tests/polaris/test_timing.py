@@ -33,7 +33,7 @@ from .tiny import TINY
 SAMPLED = ("feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]")
 ERRORS = (
     "navigation.state_error=[0.005, 0.005, 0.002, 0.002]",
-    "thrusters.magnitude_error=0.01",
+    "thrusters.impulse_bit_N_s=0.001",
     "timing.delay_s=0.5",
     "timing.missed_periods=1",
     "timing.jitter_s=0.001",

@@ -44,6 +44,13 @@ def sampled():
 
 
 @cache
+def inexact():
+    """With errors of the estimates that S acts on as well, and of thrusters."""
+    navigation, thrusters = {"state_error": [0.004, 0.004, 0.001, 0.001]}, {"magnitude_error": 0.02}
+    return synthesize(load_scenario(TINY, SAMPLED | {"navigation": navigation, "thrusters": thrusters}))
+
+
+@cache
 def inspected():
     return load_scenario("inspection", INSPECTED)
 
@@ -74,8 +81,9 @@ def test_they_are_registered_under_names():
     assert made.reset(seed=1)[0] in made.observation_space
     made = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
     assert made.reset(seed=1)[0].shape == (3, 4)
-    made = gymnasium.make("polaris/Inspection-v0", scenario=inspected())
-    assert made.reset(seed=1)[0] in made.observation_space
+    made = gymnasium.make_vec("polaris/Inspection-v0", 2, wrappers=[Shield], scenario=inspected())
+    assert made.reset(seed=1)[0].shape == (2, 9)
+    assert made.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
 
 
 def flown(env, seed, steps):
@@ -245,6 +253,7 @@ SCENES = {
     "sampled": (sampled, {}),
     "estimated": (sampled, {"half_widths": 0.01}),
     "continuous": (lambda: tiny()[1], {"period_s": 0.125}),
+    "inexact": (inexact, {}),
 }
 
 
@@ -253,7 +262,7 @@ def test_adversaries_do_not_get_through(name):
     make, given = SCENES[name]
     policy, learned = colliding()
     assert learned > 20, "without the shield it hits something in most episodes"
-    policies = ("towards", "random", policy) if name != "continuous" else ("towards", "random")
+    policies = ("towards", "random", policy) if name in ("sampled", "estimated") else ("towards", "random")
     collided, intervened, periods, worst = attacked(make(), 2000, 1, policies, **given)
     assert collided == 0 and worst <= 1 + 1e-9
     assert 0.05 * periods < intervened < 0.98 * periods

@@ -118,10 +118,11 @@ class Monitor(Method):
         made, refused = [], None
         for i, schedule in enumerate((grid.schedule, *grid.schedule.library)):
             here = DecisionGrid.of(schedule, grid.period, grid.latency, grid.half_widths) if i else grid
-            try:
-                made.append(cls(here, **options))
-            except NotCertified as error:
-                refused = refused or error
+            for one in (here, here.profiled()) if grid.system.thrusters.proportional else (here,):
+                try:
+                    made.append(cls(one, **options))
+                except NotCertified as error:
+                    refused = refused or error
         if not made:
             raise refused or NotCertified("nothing is proven")
         best, everyone, worth = made[0], made[0].modes, grid.schedule.worth
@@ -130,7 +131,7 @@ class Monitor(Method):
         if worth and len(choices) > 1:
             best, modes = max(choices, key=lambda choice: choice[0].worth(worth, choice[1]))
             best.modes = modes
-        if best.grid is not grid:
+        if best.grid.schedule is not grid.schedule:
             best.chosen = ", along a safe reference of its own, proven like the schedule's"
         if best.modes != everyone:
             best.chosen += f"; only {grid.controllers[best.modes[0]].name} flies, which is worth more"
