@@ -14,6 +14,9 @@ from scipy.stats import binom
 import polaris
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
+from polaris.certificate.inputs import _check_asked
+from polaris.certificate.samples import check_statement
+from polaris.certificate.verdict import Rejected
 from polaris.model.errors import ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.runs.program import program
@@ -287,6 +290,26 @@ FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _wider, _anot
 def test_a_forged_certificate_is_refused(change, made):
     verdict = forged(made, change)
     assert verdict.outcome in ("REJECTED", "UNKNOWN"), verdict.text()
+
+
+def _less_sure(said):
+    said |= {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 10, "attempts": 1}
+
+
+def _other_seed(said):
+    said["seed"] = 3
+
+
+@pytest.mark.parametrize("change", [_less_sure, _other_seed], ids=lambda change: change.__name__)
+def test_a_statement_is_what_the_scenario_asks_for(change, made):
+    """True in itself, but of fewer flights than were asked for, or of a seed that was looked for."""
+    scenario = document()
+    said = dict(read_run(made).summary["guarantee"]["statement"])
+    _check_asked(said, scenario)
+    change(said)
+    assert check_statement(said)
+    with pytest.raises(Rejected, match="asked for|seed"):
+        _check_asked(said, scenario)
 
 
 # -- programs -------------------------------------------------------------------------------------------
