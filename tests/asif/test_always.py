@@ -403,7 +403,9 @@ def test_who_broke_an_assumption_says_so_until_it_has_a_new_plan(how):
     def go(t, heard):
         nonlocal x
         sent = [each.message(x[i], np.zeros(3)) for i, each in enumerate(f.members)]
-        u = [each.decide(t, sent if heard or i else [sent[0], *[None] * 4]) for i, each in enumerate(f.members)]
+        u = [
+            each.decide(t, sent if heard or i else [sent[0], *[None] * 4]) for i, each in enumerate(f.members)
+        ]
         x = x @ Phi.T + np.array(u) @ Gamma.T
         return one.unproven
 

@@ -56,7 +56,7 @@ class Member:
     Raises
     ------
     ScenarioError
-        If the planner is not mixed, the filter remembers whom it has latched, or no plan from there is proven.
+        If the planner is not mixed, the filter remembers whom it latched, or no plan from there is proven.
     """
 
     def __init__(self, me: int, rule: Explicit | Implicit, t: float, x: Array) -> None:
