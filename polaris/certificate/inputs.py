@@ -245,6 +245,19 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         else:
             check_gain(document, law, spec)
         check_own(document, law, scenario, spec, goal)
+    if document.statement:
+        _check_asked(document.statement, scenario)
+
+
+def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
+    """What is said of black boxes is what was asked for, with the scenario's seed."""
+    boxes = [spec for spec in scenario["experimental"] if spec["kind"] == "black_box"]
+    most = min(spec.get("probability", 0.01) for spec in boxes)
+    least = max(spec.get("confidence", 0.999) for spec in boxes)
+    if not (said["probability"] <= most and said["confidence"] >= least):
+        told = f"{said['probability']:g} with a confidence of {said['confidence']:g}"
+        raise Rejected("samples", f"{told} is less than was asked for: {most:g} with {least:g}")
+    _need("samples", "seed", said["seed"], scenario.get("simulation", {}).get("seed", 0))
 
 
 # -- goal -------------------------------------------------------------------------------------------

@@ -108,9 +108,10 @@ class SwitchingVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
 
     def step(self, actions: Numbers) -> tuple[Numbers, Array, Any, Any, Info]:
         """Fly one decision period of those episodes that are not over."""
-        moving, limit = ~self.over, self.flights.grid.system.u_max
+        moving, u = ~self.over, np.asarray(actions, dtype=float)
+        u = np.where(np.isfinite(u), np.clip(u, -1.0, 1.0), np.nan) * self.flights.grid.system.u_max
         self.flights.restart(self.over, self.np_random)
-        told = self.flights.advance(np.clip(np.asarray(actions, dtype=float) * limit, -limit, limit), moving)
+        told = self.flights.advance(u, moving)
         reward, collided, ended = told.pop("reward"), told["collided"], told.pop("ended")
         self.over = collided | ended
         info = told | {f"_{name}": moving for name in told}
@@ -269,7 +270,8 @@ class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, Info]:
         """Fly one period under the shield."""
         seen, reward, terminated, truncated, info = self.env.step(action)
-        return seen, float(reward) - self.penalty * info["intervened"], terminated, truncated, info
+        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
+        return seen, float(reward) - self.penalty * held, terminated, truncated, info
 
 
 class VectorShield(VectorWrapper):

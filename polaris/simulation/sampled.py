@@ -122,16 +122,16 @@ def synthesize_sampled(
             return Sampled(found if found.share() > proven.share() else proven, proven, None)
         flights, left = flights_needed(probability, doubt), 0
         for first in range(0, flights, BATCH):
-            drawn = seed + 1_000_000 * (attempt + 1) + first
+            drawn = seed + MOST * (attempt + 1) + first  # no two attempts share flights
             count = min(BATCH, flights - first)
             runs = simulate(found, count, drawn, initial="random", disturbance="random")
-            left += int(np.count_nonzero(outside(runs) > 1))
+            left += int(np.count_nonzero(~(outside(runs) <= 1)))
         most = at_most(left, flights, doubt)
         if most <= probability:
             said = Statement(most, confidence, flights, left, seed, attempt + 1)
             found = replace(found, statement=said)
             hostile = simulate(found, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
-            adverse = float(np.mean(outside(hostile) > 1))
+            adverse = float(np.mean(~(outside(hostile) <= 1)))
             return Sampled(found, proven, falsify(found, attacks, seed), adverse)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return Sampled(proven, proven, None)

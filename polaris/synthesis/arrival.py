@@ -23,6 +23,10 @@ SOON = 0.25
 """Share of the horizon in which a velocity error has become the length that it counts for."""
 
 
+SPARE = 0.03
+"""Share by which claims are loosened where errors of thrusters grow with commands."""
+
+
 @dataclass(frozen=True)
 class Arrival:
     """What is proven of the goal, S flying from T on.
@@ -160,20 +164,17 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     need = np.min(found, axis=0) + safety.clearance.tail_need(rows)
     need = need + np.abs(rows) @ tracking.system.displaced
-    return need + ROUNDING * np.abs(need), centre
+    return need + _spare(tracking) * np.abs(need), centre
+
+
+def _spare(tracking: Tracking) -> float:
+    """Share by which bounds are larger than found: a checker sums errors that fall with time its own way."""
+    return ROUNDING if tracking.profile is None else SPARE
 
 
 def _to_hold(tracking: Tracking, rows: Array) -> float:
-    """What S needs along the rows against the disturbance once it has forgotten where it came from [m].
-
-    A profile of commands counts with what holds for ever: what came before is forgotten later than the start.
-    """
-    count = tracking.memory + 1
-    need = tracking.flow.disturbance_support(rows, count)[-1]
-    if tracking.profile is not None:
-        gains = tracking.flow.input_gains(rows, tracking.system.B, count)
-        need = need + gains.sum(axis=0) @ tracking.system.thrusters.part(tracking.profile[-1])
-    return float(np.max(need, initial=0.0))
+    """What S needs along the rows against the disturbance once it has forgotten where it came from [m]."""
+    return float(np.max(tracking.responses(rows, tracking.memory + 1, settled=True)[-1], initial=0.0))
 
 
 def _correcting(safety: Safety, held: Held, nodes: int) -> float:
@@ -186,7 +187,8 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
-    return float(np.maximum(at[:-1], at[1:]).sum() * tracking.flow.h / system.mass)
+    spent = float(np.maximum(at[:-1], at[1:]).sum()) * tracking.flow.h / system.mass
+    return spent * (1 + _spare(tracking))
 
 
 def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
@@ -205,7 +207,7 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta
-    rate = float(system.spent(most).sum()) / system.mass * (1 + ROUNDING)
+    rate = float(system.spent(most).sum()) / system.mass * (1 + _spare(tracking))
     settled = T + nodes * tracking.flow.h
     until = (spent + _correcting(safety, held, nodes)) * (1 + ROUNDING)
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion

@@ -87,7 +87,8 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
             turns = [law.along(safety.reference, safety.tracking) for law in laws]
             along = replace(search, safety=safety, controllers=(safety.controller, *turns))
             found.append(most_worthy(along, recourse))
-    return max(found, key=Worth.beside(first, search.rules))
+    worth = Worth.beside(first, search.rules)
+    return max(found, key=lambda schedule: worth.alone(schedule, recourse))
 
 
 def most_worthy(search: Search, recourse: bool) -> Schedule:

@@ -250,12 +250,16 @@ class Tracking:
         """
         return self.pushed(rows, self.profile)
 
-    def responses(self, rows: Array, count: int) -> Array:
-        """What the disturbance adds along each row by node L = 0 ... count, count <= memory + 2."""
+    def responses(self, rows: Array, count: int, settled: bool = False) -> Array:
+        """What the disturbance adds along each row by node L = 0 ... count, count <= memory + 2.
+
+        Where S is settled, its feedback has commanded no more than the last of its profile all along.
+        """
         sums = self.flow.disturbance_support(rows, count)
         if self.profile is not None:
             gains = self.flow.input_gains(rows, self.system.B, count)
-            sums = sums + summed(gains, self.system.thrusters.part(self.profile))[: count + 1]
+            most = np.broadcast_to(self.profile[-1], self.profile.shape) if settled else self.profile
+            sums = sums + summed(gains, self.system.thrusters.part(most))[: count + 1]
         return np.asarray(sums)
 
     def pushed(self, rows: Array, profile: Array | None) -> Array:

@@ -67,6 +67,12 @@ class Worth:
         lasts = schedule.safety.end.until >= self.until
         return self.rules.allow(schedule), lasts, schedule.arrival.reached is True, value
 
+    def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
+        """The same, nothing being the printed one; without prices as the printed algorithms choose."""
+        shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
+        spent = (schedule.delta_v[0], schedule.switches) if priced else (0.0, 0)
+        return *self(schedule)[:3], self.plain(shares, *spent)
+
     def allows(self, mask: Mask) -> bool:
         """Whether S may fly just these steps, by the dwell time and the cap on switches."""
         edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]

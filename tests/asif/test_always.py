@@ -361,10 +361,72 @@ def test_a_deputy_that_is_cut_off_and_all_others_hold():
     assert all(len(one.message(x[0], x[0, 3:]).plan) <= 3 for one in f.members)  # they have come to rest
 
 
+def test_deputies_that_remember_different_things_answer_the_same_or_not_at_all():
+    """Who missed earlier messages has no estimate of a state that is none, the others have."""
+    f, x, sun = group("explicit", None, 1, 2.0)
+    Phi, Gamma = Q.held(2.0)
+    aim, members = Harsh(Q, "mixed", sun, 10.0), f.members
+    for k in range(6):
+        seen, wanted = x.copy(), aim(2.0 * k, x)
+        seen[2] = 1e30 if k == 5 else x[2]
+        sent = [one.message(seen[i], wanted[i]) for i, one in enumerate(members)]
+        deaf = [None if j == 1 and k < 5 else each for j, each in enumerate(sent)]
+        u = [one.decide(2.0 * k, sent if i else deaf) for i, one in enumerate(members)]
+        x = x @ Phi.T + np.array(u) @ Gamma.T
+        plans = [one.rule.plan.plan for one in members if one.moved]
+        assert len(plans) == (0 if k == 5 else 4)
+        assert all(np.array_equal(plan, plans[0]) for plan in plans)
+    assert not any(one.unproven for one in members)  # the plan of the third is flown exactly
+
+
+def test_messages_of_the_period_before_are_lost():
+    f, x, _ = group("implicit", None, 2, 2.0)
+    Phi, Gamma = Q.held(2.0)
+    old = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
+    u = [one.decide(0.0, old) for one in f.members]
+    x = x @ Phi.T + np.array(u) @ Gamma.T
+    sent = [one.message(x[i], np.zeros(3)) for i, one in enumerate(f.members)]
+    f.members[0].decide(2.0, [sent[0], old[1], *sent[2:]])
+    f.members[1].decide(2.0 + 1e-9, sent)  # by its clock
+    f.members[2].decide(2.0, sent)
+    assert [one.moved for one in f.members[:3]] == [False, True, True]
+    plans = [one.rule.plan.plan for one in f.members[1:3]]
+    assert np.array_equal(*plans)
+
+
+@pytest.mark.parametrize("how", ["late", "no number", "not known"])
+def test_who_broke_an_assumption_says_so_until_it_has_a_new_plan(how):
+    """A plan that was held too long is not the one that was proven, though the deputy may be near it."""
+    f, x, _ = group("implicit", None, 5, 2.0, BAD if how == "not known" else None)
+    one, Phi, Gamma = f.members[0], *Q.held(2.0)
+
+    def go(t, heard):
+        nonlocal x
+        sent = [each.message(x[i], np.zeros(3)) for i, each in enumerate(f.members)]
+        u = [
+            each.decide(t, sent if heard or i else [sent[0], *[None] * 4]) for i, each in enumerate(f.members)
+        ]
+        x = x @ Phi.T + np.array(u) @ Gamma.T
+        return one.unproven
+
+    assert not go(0.0, heard=False)
+    bad = np.full(6, np.nan) if how == "not known" else x[0]
+    t = {"late": 3.0, "no number": np.nan, "not known": 2.0}[how]
+    one.decide(t, [one.message(bad, np.zeros(3)), *[None] * 4])
+    assert one.unproven
+    x[0] = one.message(x[0], x[0, :3]).plan[0, 0]  # on its plan again
+    for each in f.members:  # the others' clocks and plans have gone on, too
+        each._due = one._due
+    assert go(one._due, heard=False)
+    assert not go(one._due, heard=True) and one.moved
+
+
 def test_without_mixed_plans_there_is_no_group():
     x = drawn(1)[0][0]
     with pytest.raises(ScenarioError, match="mixed"):
         Member(0, make("explicit"), 0.0, x)
+    with pytest.raises(ScenarioError, match="the same to the same messages"):
+        Member(0, SimplexImplicit(Planner(AllTime(Brake(Q)), mixed=True)), 0.0, x)
     with pytest.raises(ScenarioError, match="no plan is proven"):
         Member(0, make("explicit", mixed=True), 0.0, np.repeat(x[:1], 5, axis=0))
 

@@ -14,6 +14,9 @@ from scipy.stats import binom
 import polaris
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
+from polaris.certificate.inputs import _check_asked
+from polaris.certificate.samples import check_statement
+from polaris.certificate.verdict import Rejected
 from polaris.model.errors import ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.runs.program import program
@@ -179,6 +182,25 @@ def test_a_rare_fault_is_within_what_is_said_and_not_found():
     assert np.mean(started(schedule, 0.03) > 1) < 0.1
 
 
+def test_no_attempt_counts_flights_of_another(monkeypatch):
+    """Nor of the search for bands; however many flights an attempt needs."""
+    drawn = []
+
+    def flown(schedule, n, seed, **_):
+        drawn.append(range(seed, seed + n))
+        return np.full(n, np.nan)  # what cannot be worked out has left its bands
+
+    made = polaris.synthesize(ScheduleScenario.from_dict(document()), safety(), [box()])
+    monkeypatch.setattr("polaris.simulation.sampled.synthesize", lambda *_, **__: made)
+    monkeypatch.setattr("polaris.simulation.sampled.simulate", flown)
+    monkeypatch.setattr("polaris.simulation.sampled.outside", lambda runs: runs)
+    found = synthesize_sampled(None, safety(), [box()], probability=1e-5)
+    assert found.schedule is found.proven and found.worst is None
+    assert sum(map(len, drawn)) > 4_000_000 and min(map(min, drawn)) > 0
+    ends = sorted((part.start, part.stop) for part in drawn)
+    assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
+
+
 def test_a_frequent_fault_is_seen():
     """In 20 % of it: the sets of the first step hold the fault, or the box does not fly it."""
     found = sampled(faulty(0.01), probability=0.02)
@@ -215,6 +237,7 @@ def test_the_run_is_statistical_and_so_is_its_verdict(made):
     assert "VERIFIED" not in verdict.text()
     assert any("rest on samples" in told for _, told in verdict.checked)
     assert any(line.startswith("distribution") for line in verdict.trusted)
+    assert any("other seeds" in line for line in verdict.trusted)
     assert any(line.startswith("no drift") for line in verdict.trusted)
 
 
@@ -267,6 +290,26 @@ FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _wider, _anot
 def test_a_forged_certificate_is_refused(change, made):
     verdict = forged(made, change)
     assert verdict.outcome in ("REJECTED", "UNKNOWN"), verdict.text()
+
+
+def _less_sure(said):
+    said |= {"probability": 0.3, "confidence": 0.9, "flights": 100, "outside": 10, "attempts": 1}
+
+
+def _other_seed(said):
+    said["seed"] = 3
+
+
+@pytest.mark.parametrize("change", [_less_sure, _other_seed], ids=lambda change: change.__name__)
+def test_a_statement_is_what_the_scenario_asks_for(change, made):
+    """True in itself, but of fewer flights than were asked for, or of a seed that was looked for."""
+    scenario = document()
+    said = dict(read_run(made).summary["guarantee"]["statement"])
+    _check_asked(said, scenario)
+    change(said)
+    assert check_statement(said)
+    with pytest.raises(Rejected, match="asked for|seed"):
+        _check_asked(said, scenario)
 
 
 # -- programs -------------------------------------------------------------------------------------------

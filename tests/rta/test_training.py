@@ -9,7 +9,7 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.error import ResetNeeded  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.wrappers import ClipAction, TimeLimit  # noqa: E402
+from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit  # noqa: E402
 
 from benchmarks.training import commanded, train, unpacked  # noqa: E402
 from polaris.model.errors import PolarisError, ScenarioError  # noqa: E402
@@ -308,6 +308,31 @@ def test_other_wrappers_do_not_loosen_it_and_a_penalty_is_taken_off():
     assert 0 < held < 40
     with pytest.raises(TypeError):
         Shield(base, trust="declared")  # a policy obeys no declared law
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_an_input_that_is_no_number_is_none(wrong):
+    """S flies, and nothing thrusts where there is no S; the limits are those of any that is too large."""
+    env = SwitchingVectorEnv(sampled(), num_envs=3)
+    asked = np.ones((3, 2)) * [[wrong, 0.0], [1e300, 1.0], [1.0, 1.0]]
+    env.reset(seed=0)
+    spent = env.step(asked)[4]["delta_v_m_s"]
+    assert spent[0] == 0.0 and spent[1] == spent[2] > 0
+    env = VectorShield(env)
+    env.reset(seed=0)
+    while env.step(np.zeros((3, 2)))[4]["intervened"].any():
+        pass
+    assert env.step(asked)[4]["intervened"].tolist() == [True, False, False]
+
+
+def test_a_step_that_only_begins_anew_costs_nothing():
+    env = Shield(Autoreset(SwitchingEnv(sampled())), penalty=2.0)
+    env.reset(seed=0)
+    over = False
+    while not over:
+        _, _, over, ended, _ = env.step(np.zeros(2))
+        over |= ended
+    assert env.step(np.zeros(2))[1:3] == (0.0, False)
 
 
 def test_inspection_is_kept_by_an_assured_filter():

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...model.errors import ScenarioError
 from ...model.system import Array
+from ...model.tolerances import FARTHEST
 from ..backup.planner import Proven
 from .assured import Explicit, Implicit
 
@@ -20,9 +21,10 @@ from .assured import Explicit, Implicit
 class Message(NamedTuple):
     """What a deputy tells the others each period: estimated state (6,), wanted thrust (3,) [N], its plan.
 
-    The plan (L+1, 1, 6) is from now on; the tube about it is (L+1, 1, 2).
+    The plan (L+1, 1, 6) is from the period's start t [s] on; the tube about it is (L+1, 1, 2).
     """
 
+    t: float
     x: Array
     wanted: Array
     plan: Array
@@ -48,12 +50,13 @@ class Member:
     moved : bool
         Whether the last answer was the common one, and not the plan's.
     unproven : bool
-        Whether the state was not known, or not within the tube: the assumptions do not hold.
+        Whether the state was not known or not within the tube, or the call not in time, since the plan was
+        made: the assumptions do not hold, and what follows is unproven until there is a new plan.
 
     Raises
     ------
     ScenarioError
-        If the planner is not mixed, or no plan from there is proven.
+        If the planner is not mixed, the filter remembers whom it latched, or no plan from there is proven.
     """
 
     def __init__(self, me: int, rule: Explicit | Implicit, t: float, x: Array) -> None:
@@ -61,6 +64,8 @@ class Member:
         found = rule.planner.find(t, x)
         if not rule.planner.mixed:
             raise ScenarioError("rule", type(rule).__name__, "needs a planner that is mixed")
+        if not isinstance(rule, Explicit | Implicit):
+            raise ScenarioError("rule", type(rule).__name__, "must answer the same to the same messages")
         if not found.good:
             worst = int(found.margins.argmin())
             told = f"{rule.check.labels[worst]} would be {found.margins[worst]:.3g}"
@@ -72,32 +77,34 @@ class Member:
     def message(self, x: Array, wanted: Array) -> Message:
         """What to tell all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
         plan, tube, _ = self._flown
-        return Message(np.array(x, dtype=float), np.array(wanted, dtype=float), plan, tube)
+        return Message(self._due, np.array(x, dtype=float), np.array(wanted, dtype=float), plan, tube)
 
     def decide(self, t: float, told: Sequence[Message | None]) -> Array:
         """Thrust (3,) [N] of the period that begins at t [s]; messages of all, the own among them, by number.
 
-        None stands for one that has not arrived.
+        None stands for one that has not arrived; one of another period counts as such.
         """
-        own, heard = told[self.me], [message for message in told if message is not None]
+        own, D = told[self.me], self.brake.period
         if own is None:
             raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
-        on_time = abs(t - self._due) <= 1e-6 * self.brake.period
-        self._due = t + self.brake.period
-        if on_time and len(heard) == len(told) and all(np.isfinite(message.x).all() for message in heard):
+        heard = [message for message in told if message is not None and abs(message.t - t) <= 1e-6 * D]
+        on_time, self._due = abs(t - self._due) <= 1e-6 * D, (t if np.isfinite(t) else self._due) + D
+        if on_time and len(heard) == len(told) and all(_known(message.x) for message in heard):
             plans = [Proven(message.plan, message.tube, np.zeros(0)) for message in heard]
             count = max(len(each.plan) for each in plans)
             longer, tubes = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
-            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none), t)
+            now = heard[0].t  # clocks may differ by rounding; all who move go by the same
+            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none), now)
             x, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
-            decision = self.rule.filter(t, x, wanted)
+            decision = self.rule.filter(now, x, wanted)
             if self.rule.plan is not None:  # it has been proven
-                self.moved, self.unproven, self._flown = True, False, self._part(self.rule.plan)
+                self.moved, self._flown = True, self._part(self.rule.plan)
+                self.unproven &= bool(decision.on_backup[self.me])
                 return np.asarray(decision.u[self.me])
-        seen, flown = bool(np.isfinite(own.x).all()), self._flown
+        seen, flown = _known(own.x), self._flown
         x = np.where(seen, own.x, flown.plan[0])
         known = on_time and (seen or self.brake.uncertainty.exact)
-        self.moved, self.unproven = False, not (known and self.rule.near(x, flown).all())
+        self.moved, self.unproven = False, self.unproven or not (known and self.rule.near(x, flown).all())
         later = self.rule.planner.extended(flown, 3)
         self._flown = Proven(later[0][1:], later[1][1:], self._none)
         return np.asarray(self.brake.follow(x, flown.plan)[0])
@@ -106,3 +113,8 @@ class Member:
         """The part of the plans of all that is this deputy's."""
         mine = slice(self.me, self.me + 1)
         return Proven(found.plan[:, mine], found.tube[:, mine], self._none)
+
+
+def _known(x: Array) -> bool:
+    """Whether an estimated state (6,) is one."""
+    return bool((np.abs(x) <= FARTHEST).all())  # false for nan
