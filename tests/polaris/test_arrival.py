@@ -21,14 +21,15 @@ from polaris.certificate.verdict import Failed, Record, Rejected
 from polaris.certificate.zonotopes import Merging, widest
 from polaris.model.errors import PolarisError
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
-from polaris.synthesis.arrival import SOON, _correcting, _distance, _needs, _weights, arrival
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.arrival import SOON, _correcting, _distance, _needs, _to_hold, _weights, arrival
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
 from .forging import CERTIFICATE, Forger, Lie, make
 from .random_scenarios import synthesised as random_scene
 from .random_scenarios import written
-from .tiny import synthesised
+from .tiny import TINY, synthesised
 
 VARIANTS = {
     "reached": ["recoverable.recourse=in_view"],
@@ -52,6 +53,18 @@ def forgers(tmp_path_factory):
         return made[kind]
 
     return forger
+
+
+def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
+    """What counts as reached rests on the last commands of the profile: a longer memory gives the same."""
+    sampled = ["feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]"]
+    scenario = load_scenario(TINY).with_assignments([*sampled, "thrusters.magnitude_error=0.2"])
+    tracking, rows = get_safety(scenario.problem()).tracking, np.vstack([np.eye(4), -np.eye(4)])
+    count = 5 * tracking.memory
+    gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
+    always = tracking.flow.disturbance_support(rows, count)[-1]
+    always = always + gains @ tracking.system.thrusters.part(tracking.profile[-1])
+    assert 0.99 * always.max() <= _to_hold(tracking, rows) <= always.max() * (1 + 1e-9)
 
 
 # -- two derivations of the same rows ---------------------------------------------------------------
