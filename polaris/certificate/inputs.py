@@ -154,7 +154,11 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
     rounding = bit / (2 * arb(document.delta) / document.q)
-    wanted = most - 1, turned, rounding * (most + turned * arb(len(document.u_max)).sqrt())
+    wanted = (
+        (magnitude + mass) / (1 - mass),
+        turned,
+        rounding * (most + turned * arb(len(document.u_max)).sqrt()),
+    )
     names = ("along", "across", "of the bit")
     for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")

@@ -37,7 +37,7 @@ class Thrusters:
     def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> Thrusters:
         """From errors of magnitude, direction [rad], mass and rounding [N] of m inputs; rounded up."""
         most = (1 + magnitude) / (1 - mass)
-        along, across = most - 1, 2 * float(np.sin(misalignment / 2)) * most
+        along, across = (magnitude + mass) / (1 - mass), 2 * float(np.sin(misalignment / 2)) * most
         bounds = along, across, rounding * (1 + along + across * m**0.5)
         return cls(*(x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds))
 

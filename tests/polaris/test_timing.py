@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.certificate.argument import Argument
+from polaris.certificate.checker import verify
 from polaris.certificate.document import read
 from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
@@ -18,6 +19,7 @@ from polaris.model.prediction import jitter_error, prediction_error
 from polaris.model.satellite import SatelliteObstacle
 from polaris.model.timing import Timing
 from polaris.runs.certificate import certificate
+from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.delayed import Predicting
@@ -190,6 +192,13 @@ def test_proofs_of_random_scenes_hold_with_all_of_it():
         if period:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1), seed
     assert scenes >= 25
+
+
+def test_the_smallest_errors_are_confirmed(tmp_path):
+    """Errors below one unit of round-off are booked, and an honest run is not refused for them."""
+    tiny = ["thrusters.magnitude_error=1e-17"]
+    few = ["simulation.runs=2", "recoverable.recourse=none", *SAMPLED]
+    assert verify(run(TINY, tmp_path / "run", overrides=[*few, *tiny]).path).outcome == "VERIFIED"
 
 
 def test_forged_timing_is_refused(tmp_path):
