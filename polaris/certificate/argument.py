@@ -7,7 +7,7 @@ from dataclasses import replace
 from flint import arb, arb_mat
 
 from .arrival import Arrival
-from .balls import above, column, identity, largest, magnitude, matrix, plain, require, sums
+from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
 from .document import Document, UnsafeSet
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
@@ -164,14 +164,14 @@ class Argument:
             reach = z.support(above(identity(self.n), -identity(self.n)))
             for i in range(self.n):
                 middle, half = arb(doc.box_center[k][i]), arb(doc.box_half[k][i])
-                slack = half * BOX_SLACK + abs(middle) * TUBE_SLACK
+                slack = half * BOX_SLACK + abs(middle) * TUBE_SLACK - doc.displaced[i]
                 where = f"state {i} at the start of step {k}"
                 require("enclosures", middle + half + slack - reach[i], where)
                 require("enclosures", half - middle + slack - reach[self.n + i], where)
         for k, step in enumerate(flown):
             for i in range(self.n):
                 low, high = arb(doc.lower[k][i]), arb(doc.upper[k][i])
-                slack = (high - low) * BOX_SLACK
+                slack = (high - low) * BOX_SLACK - doc.displaced[i]
                 where = f"state {i} during step {k}"
                 require("enclosures", high + slack - step.upper[i], where)
                 require("enclosures", step.lower[i] - low + slack, where)
@@ -188,6 +188,7 @@ class Argument:
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
         d, error = 2 * C.nrows(), self.pilots[0].noise
+        apart = (absolute(above(C, -C)) * column(doc.displaced)).entries() + [arb(0)] * 2 * len(doc.u_max)
         taken = scheduled.along(needs.rows) if scheduled else []
         more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in taken]
         for k in range(self.K):
@@ -196,7 +197,7 @@ class Argument:
                 need = [largest(tube[lag][j] + disturbed[lag][j] for lag in lags) for j in range(len(names))]
             else:
                 need = disturbed[-2]
-            need = sums(need, more[k]) if more else need
+            need = sums(need, apart, *more[k : k + 1])
             for j, name in enumerate(names):
                 self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
             for i, top in enumerate(self.plant.u_max):
@@ -204,7 +205,7 @@ class Argument:
                 where = f"{doc.input_names[i]} in step {k}"
                 self._no_smaller("thrust", where, doc.peaks[k][i], largest((over + u, below - u)) + error[i])
                 require("thrust", top - doc.peaks[k][i], f"{where}, {doc.peaks[k][i]:.6g} claimed")
-        settled = sums(disturbed[-2], more[doc.cells - 1]) if more else disturbed[-2]
+        settled = sums(disturbed[-2], apart, *more[doc.cells - 1 : doc.cells])
         for name, stored, most in zip(names, doc.settled, settled, strict=True):
             self._no_smaller("error_bounds", f"{name} from rest, for ever", stored, most)
         self.record.holds("error_bounds", f"{self.K} steps of S from the initial set, and from rest for ever")

@@ -14,6 +14,7 @@ from .file_keys import SUMMARY as SUMMARY_KEYS
 from .files import LARGEST_SCENARIO, contents, found, sha256
 from .lemma import Stated
 from .onnx_file import check_file
+from .plants import plant_of
 from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
 from .scenario_keys import check_keys
 from .structure import conform, strict_json
@@ -165,6 +166,7 @@ def _close(what: str, derived: float, stored: float, size: float | None = None) 
 def _check_flown(document: Document, key: str, modes: list[int], found: dict[str, Any]) -> None:
     """Statistics of runs under known modes."""
     T, up = document.steps * document.delta, 1 + ROUNDING
+    plant, periods = plant_of(document), document.steps * document.q
     horizon = T if document.mean_motion is None else 2 * math.pi / document.mean_motion
     _close(f"experimental share of {key}", share(modes), found["experimental_share"], 1.0)
     _close(f"horizon of free drift of {key}", horizon, found["drift_horizon_s"])
@@ -185,7 +187,7 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
         "min_distance_m, of runs that did not collide": collided or least > 0,
         "min_ttc_free_drift_s": drift is None or drift <= horizon * up,
         "velocity changes in order": spent <= most_spent * up
-        and most_spent <= math.fsum(document.u_max) * T / document.mass * up,
+        and most_spent <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * up,
         "max_thrust_ratio of who flies": [ratio is not None for ratio in ratios] == flies,
         "max_thrust_ratio": found["max_thrust_ratio"]
         == max((r for r in ratios if r is not None), default=-1),

@@ -173,6 +173,7 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     C, gain = tracking.system.position, tracking.gain
     rows = np.vstack([C, -C, gain, -gain])
     scheduled = safety.clearance.scheduled(rows).max(axis=1)
+    scheduled[:, : 2 * len(C)] += np.abs(rows[: 2 * len(C)]) @ tracking.system.displaced  # commands are not
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q) + scheduled[:K]
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
@@ -190,6 +191,7 @@ def _enclosures(schedule: Schedule) -> dict[str, Any]:
     arcs = safety.reference.fine(safety.clearance.q)
     hulls = [_hull(step.tube, arcs[k], safety, k) for k, step in enumerate(schedule.steps)]
     center, half = np.array([z.c for z in sets]), np.array([z.half_widths for z in sets])
+    half = half + safety.problem.system.displaced
     lower, upper = np.array([low for low, _ in hulls]), np.array([high for _, high in hulls])
     # Errors are differences of states: they are rounded as the states are, however small they are.
     states = np.abs(safety.reference.chi).max(axis=0)
@@ -208,7 +210,7 @@ def _hull(flight: TubeSegment, arc: Array, safety: Safety, k: int) -> tuple[Arra
     """Lowest and highest of every state over one step: nodes, what happens between them, the arc's bow."""
     system, h = safety.problem.system, safety.tracking.flow.h
     rate = arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T
-    bow = flight.bow + h**2 / 8 * np.abs(rate) @ (np.abs(system.A) @ growth(system.A, h)).T
+    bow = flight.bow + system.displaced + h**2 / 8 * np.abs(rate) @ (np.abs(system.A) @ growth(system.A, h)).T
     centre, half = flight.nodes.c + arc, flight.nodes.half_widths
     low = np.minimum((centre - half)[:-1], (centre - half)[1:]) - bow
     high = np.maximum((centre + half)[:-1], (centre + half)[1:]) + bow

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from polaris.certificate.argument import Argument
+from polaris.certificate.document import read
+from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.model.obstacles import BallObstacle
 from polaris.model.prediction import jitter_error, prediction_error
@@ -213,6 +216,19 @@ def test_forged_timing_is_refused(tmp_path):
         (judged(timing={"missed": 0}), "assumptions"),
     ):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
+    certificate = read(forger.run / CERTIFICATE)
+    certificate.displaced = [0.5] * 4  # all that is said of states allows for what jitter displaces
+    with pytest.raises(Rejected) as refused:
+        Argument(certificate, Record()).run()
+    assert refused.value.claim == "enclosures"
+    told, top = forger.tree("summary.json"), [float.fromhex(x) for x in data["system"]["input_max"]]
+    duration, bit = (
+        float.fromhex(data["sampling"]["step"]) * certificate.steps,
+        float.fromhex(data["system"]["timing"]["bit"]),
+    )
+    for most, outcome in ((sum(top) + bit * len(top), "VERIFIED"), (sum(top) * 1.1, "REJECTED")):
+        told["experimental"]["delta_v_max_m_s"] = most * duration  # what is applied, not what is commanded
+        assert forger.judge({"summary.json": json.dumps(told)}).outcome == outcome
     for key, value in (("delay_s", 0.75), ("jitter_s", 0.01), ("missed_periods", 2), ("clock_error_s", 1.0)):
         scenario = forger.tree("scenario.toml")
         scenario["timing"][key] = value
