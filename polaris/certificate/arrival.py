@@ -161,6 +161,7 @@ class Arrival:
     spent: arb
     scheduled: Scheduled | None = None
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
+    _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
     _caused: dict[int, tuple[arb_mat, list[arb]]] = field(default_factory=dict, repr=False)
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
@@ -308,16 +309,12 @@ class Arrival:
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant, total = self.document, self.loop.plant, arb(0)
-        for node in range(nodes):
-            tops = [
-                smallest(pair)
-                for pair in zip(
-                    plant.u_max, self.tops(node, doc.inputs[doc.steps + node // doc.q]), strict=True
-                )
-            ]
-            total += plant.spent(tops)
-        return total / doc.mass
+        doc, plant = self.document, self.loop.plant
+        for node in range(len(self._summed) - 1, nodes):
+            most = self.tops(node, doc.inputs[doc.steps + node // doc.q])
+            tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
+            self._summed.append(self._summed[-1] + plant.spent(tops))
+        return self._summed[nodes] / doc.mass
 
     def tops(self, node: int, u: list[float]) -> list[arb]:
         """What S commands at most in the period after a node, about inputs u of the reference."""

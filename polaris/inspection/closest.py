@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..model.compiled import loops, plain
 from ..model.hill import free_flight
 from ..model.system import Array
-from .vectors import dot
+from .vectors import dot, length
 
 SEGMENT = 20.0
 """Largest spacing [s] of the instants at which every free flight is looked at first."""
@@ -146,8 +146,7 @@ class ClosestApproach:
         every = np.arange(len(z))
         found = Approach(np.sqrt(squares[every, nearest]), self.times[nearest], places[every, nearest])
         gain_p, gain_v = self.speed_gain
-        squared = z * z
-        speed = gain_p * np.sqrt(squared[:, :3].sum(axis=1)) + gain_v * np.sqrt(squared[:, 3:].sum(axis=1))
+        speed = gain_p * length(z[:, :3]) + gain_v * length(z[:, 3:])
         bound = found.distance - speed * (self.times[1] / 2)
         far = bound > beyond
         near = np.flatnonzero(~far)

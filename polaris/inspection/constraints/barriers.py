@@ -201,6 +201,11 @@ class SunCone(Barrier):
         return np.asarray(np.kron(np.eye(2), [[0.0, -n, 0.0], [n, 0.0, 0.0], [0.0, 0.0, 0.0]]), dtype=float)
 
     @cached_property
+    def _opening(self) -> tuple[float, float]:
+        """Cosine and sine of the half-angle."""
+        return float(np.cos(self.half_angle)), float(np.sin(self.half_angle))
+
+    @cached_property
     def _axes(self) -> tuple[Array, Array]:
         """What the cosine and the sine of the sun's angle multiply in the axis."""
         minus = -np.asarray(self.side, dtype=float)[..., None]
@@ -212,7 +217,7 @@ class SunCone(Barrier):
         axis = cosine * self._axes[0] + sine * self._axes[1]
         along = dot(p, axis)
         radius, outward = rounded_length(p - along[..., None] * axis, CENTRE)
-        c, s = np.cos(self.half_angle), np.sin(self.half_angle)
+        c, s = self._opening
         return c * radius - s * along, c * outward - s * axis, axis, outward, radius
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
@@ -224,7 +229,7 @@ class SunCone(Barrier):
         forward = dot(slip, axis)
         across = slip - forward[..., None] * axis
         away = dot(outward, across)
-        c, s = np.cos(self.half_angle), np.sin(self.half_angle)
+        c, s = self._opening
         by_position = slope[..., None] * normal + normal @ self._turn[:3, :3]
         gradient = join(by_position + c * turning(across, outward, away, radius), normal)
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))

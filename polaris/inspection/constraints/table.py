@@ -146,9 +146,11 @@ class Table:
 
     def stack(self, x: Array) -> Array:
         """What the deputies have, then each pair relative to each other: (..., N, d) to (..., N + P, d)."""
-        pairs = self.inspection.pairs
-        return np.concatenate([x, x[..., pairs[:, 0], :] - x[..., pairs[:, 1], :]], axis=-2)
+        if self.inspection.deputies == 1:
+            return x
+        first, second = self.inspection.pairs.T
+        return np.concatenate([x, x.take(first, axis=-2) - x.take(second, axis=-2)], axis=-2)
 
     def relative(self, x: Array) -> Array:
         """State or input that each row is about, shape (..., M, d), of those of the deputies (..., N, d)."""
-        return np.asarray(self.stack(x)[..., self.place, :])
+        return self.stack(x).take(self.place, axis=-2)

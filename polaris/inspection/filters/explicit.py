@@ -15,6 +15,7 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT, project, project_coupled
 from ..constraints.families import Families, Rows
+from ..vectors import dot
 
 CENTRALIZED = "centralized"
 SHARINGS = ("coasting", "half", "consensus")
@@ -67,8 +68,8 @@ class Centralized:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
         rows, wanted = self.families(x, sun), self.families.given(desired)
         u, status = self.project(rows, wanted)
-        runs = np.flatnonzero(status.max(axis=1) >= SHORT)
-        if self.families.sampled is not None and len(runs):
+        if self.families.sampled is not None and status.max() >= SHORT:
+            runs = np.flatnonzero(status.max(axis=1) >= SHORT)
             self._tighten(Filtered(u, status, rows), runs, x, sun, wanted)
         return Filtered(u, _clipped(status, u, desired), rows)
 
@@ -114,7 +115,7 @@ class Centralized:
         else:
             u = np.clip(desired, -limit, limit)
             status = _unchanged(u, desired)
-            broken = ~(np.einsum("rmv,rmv->rm", rows.G, families.relative(u)) >= rows.bound)  # nan: not met
+            broken = ~(dot(rows.G, families.relative(u)) >= rows.bound)  # nan: not met
             runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
@@ -167,7 +168,8 @@ class Decentralized:
         # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
         bound = np.where(self._as_second, bounds[1][:, self._mine], bounds[0][:, self._mine])
         if not self.loops:
-            met = np.einsum("rnmv,rnv->rnm", rows.G[:, self._mine], u) * self._sign
+            signed = rows.G[:, self._mine] * self._sign[..., None]
+            met = np.einsum("rnmv,rnv->rnm", signed, u)
             run, who = np.nonzero((~(met >= bound)).any(axis=2))  # nan: not met
         if len(run):
             signed = rows.G[run[:, None], self._mine[who]] * self._sign[who][..., None]
@@ -212,9 +214,10 @@ def make_filter(families: Families, sharing: str) -> Centralized | Decentralized
 
 
 def _unchanged(u: Array, desired: Array) -> Statuses:
-    return np.where((u == desired).all(axis=-1), DESIRED, FILTERED).astype(np.int8)
+    same = (u == desired).all(axis=-1)
+    return np.asarray(~same, dtype=np.int8)  # DESIRED is 0, FILTERED is 1
 
 
 def _clipped(status: Statuses, u: Array, desired: Array) -> Statuses:
     """The statuses of inputs (R, N, 3): also where nothing but the thrusters' limits was in the way."""
-    return np.where(status == DESIRED, _unchanged(u, desired), status).astype(np.int8)
+    return np.maximum(status, _unchanged(u, desired))  # DESIRED is the least
