@@ -117,7 +117,8 @@ def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
     most = _distance(goal, beyond + need + size)
     tolerance = problem.goal_tolerance
     if tolerance is None:
-        tolerance = max(GOAL_SHARE * goal.scale, _to_hold(tracking, rows) * (1 + GOAL_SHARE))
+        hold = _to_hold(tracking, rows) * (1 + GOAL_SHARE) / (1 + 3 * _spare(tracking))
+        tolerance = max(GOAL_SHARE * goal.scale, hold)
     within = np.flatnonzero(most <= tolerance) if safety.guarantee == "proved" else np.zeros(0, dtype=int)
     best = int(within[0]) if len(within) else int(np.argmin(most))
     near = bool(np.min(_distance(goal, beyond + centre)) <= tolerance)
