@@ -23,7 +23,7 @@ SOON = 0.25
 """Share of the horizon in which a velocity error has become the length that it counts for."""
 
 
-SPARE = 0.03
+SPARE = 0.1
 """Share by which claims are loosened where errors of thrusters grow with commands."""
 
 
@@ -117,7 +117,7 @@ def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
     most = _distance(goal, beyond + need + size)
     tolerance = problem.goal_tolerance
     if tolerance is None:
-        hold = _to_hold(tracking, rows) * (1 + GOAL_SHARE) / (1 + 3 * _spare(tracking))
+        hold = _to_hold(tracking, rows) * (1 + GOAL_SHARE) / (1 + _spare(tracking))
         tolerance = max(GOAL_SHARE * goal.scale, hold)
     within = np.flatnonzero(most <= tolerance) if safety.guarantee == "proved" else np.zeros(0, dtype=int)
     best = int(within[0]) if len(within) else int(np.argmin(most))
