@@ -176,7 +176,9 @@ def test_two_digits_round_up():
 # -- the bundled scenarios --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SPACECRAFT)
+@pytest.mark.parametrize(
+    "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
+)
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     found = model_error(*synthesised(name), samples=40_000)
     assert found.covered, found.summary()

@@ -52,11 +52,11 @@ def test_what_is_proved_keeps_clear_and_within_the_thrust_limits(setting):
         assert np.nanmax(np.append(asked, 0.0)) <= 1 + 1e-9, key
 
 
-def test_u_alone_does_collide():
-    for setting in ("continuous", "robot"):
-        (_, method, _, metrics), *_ = flights(setting, ["experimental"])
-        assert method.claim.kind == "none"
-        assert metrics.collided.all() and metrics.min_distance.max() < 0
+@pytest.mark.parametrize("setting", ["continuous", pytest.param("robot", marks=pytest.mark.slow)])
+def test_u_alone_does_collide(setting):
+    (_, method, _, metrics), *_ = flights(setting, ["experimental"])
+    assert method.claim.kind == "none"
+    assert metrics.collided.all() and metrics.min_distance.max() < 0
 
 
 def test_look_ahead_notices_too_late_where_the_monitor_does_not():
