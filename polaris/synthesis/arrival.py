@@ -128,7 +128,7 @@ def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
         distance=float(most[best]),
         tolerance=tolerance,
         drift=_drift(safety, held, states[best], best),
-        delta_v=(spent + _correcting(safety, held, best)) * (1 + ROUNDING),
+        delta_v=(spent * (1 + _spare(tracking)) + _correcting(safety, held, best)) * (1 + ROUNDING),
     )
 
 
@@ -210,7 +210,7 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     T = problem.K * problem.delta
     rate = float(system.spent(most).sum()) / system.mass * (1 + _spare(tracking))
     settled = T + nodes * tracking.flow.h
-    until = (spent + _correcting(safety, held, nodes)) * (1 + ROUNDING)
+    until = (spent * (1 + _spare(tracking)) + _correcting(safety, held, nodes)) * (1 + ROUNDING)
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion
     tank, lasts = problem.tank, None
     if tank is not None and rate > 0:
