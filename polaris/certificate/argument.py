@@ -8,12 +8,13 @@ from flint import arb, arb_mat
 
 from .arrival import Arrival
 from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
-from .document import Document, UnsafeSet
+from .document import Document
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
 from .motion import Arc, Path
+from .parts import UnsafeSet
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement

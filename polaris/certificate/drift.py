@@ -28,8 +28,9 @@ from .balls import (
     row_sums,
     smallest,
 )
-from .document import Abort, Departure, Document
+from .document import Document
 from .motion import Arc, Motion, Plant
+from .parts import Abort, Departure
 from .verdict import Rejected, Undecided
 from .zonotopes import Zonotope
 

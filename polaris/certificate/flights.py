@@ -9,10 +9,10 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
-from .document import Law, Matrix
 from .drift import Departures
 from .motion import Arc, Motion, Path, Plant, Push
 from .networks import Policy
+from .parts import Law, Matrix
 from .recovery import Barrier
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope

@@ -7,7 +7,8 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .balls import diagonal, identity, largest, magnitude, matrix, require, root
-from .document import Document, Law
+from .document import Document
+from .parts import Law
 from .verdict import Rejected, Undecided
 
 GAIN_SLACK = 1e-6

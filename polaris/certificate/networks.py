@@ -8,9 +8,9 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import above, beside, column, diagonal, identity, largest, matrix, row_sums, smallest, sums
-from .document import Law
 from .layers import Layer
 from .motion import Arc, Plant
+from .parts import Law
 from .zonotopes import Zonotope
 
 FLATTEST = 1e-30

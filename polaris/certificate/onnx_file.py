@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .document import Law
 from .files import contents
 from .layers import Layer
+from .parts import Law
 from .verdict import Rejected, Undecided
 
 LARGEST = 64 * 2**20  # most bytes of a file

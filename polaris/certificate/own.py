@@ -13,8 +13,9 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .balls import column, exponential, largest, magnitude, matrix, require
-from .document import Document, Law
+from .document import Document
 from .motion import Plant
+from .parts import Law
 from .plants import plant_of, within_limits
 from .verdict import Rejected
 

@@ -12,7 +12,8 @@ from typing import Any
 from flint import arb
 
 from .balls import absolute, absolute_dot, column, cross, dot, largest, matrix, norms, require
-from .document import Document, UnsafeSet
+from .document import Document
+from .parts import UnsafeSet
 from .satellites import Satellite
 from .verdict import Rejected
 

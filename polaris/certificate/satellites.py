@@ -7,7 +7,8 @@ from typing import Any
 from flint import arb, arb_mat, fmpq, fmpq_mat
 
 from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
-from .document import Document, UnsafeSet
+from .document import Document
+from .parts import UnsafeSet
 from .plants import plant_of
 from .verdict import Rejected
 

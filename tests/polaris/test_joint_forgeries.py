@@ -12,8 +12,9 @@ pytest.importorskip("flint")
 
 from polaris.certificate.artefacts import SUMMARY
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import UnsafeSet, canonical, digest
+from polaris.certificate.document import canonical, digest
 from polaris.certificate.inputs import _check_goal, _check_initial_set
+from polaris.certificate.parts import UnsafeSet
 from polaris.certificate.perception import _check_obstacle, _row_support
 from polaris.certificate.repeated import _check_reason
 from polaris.certificate.structure import number, strict_json

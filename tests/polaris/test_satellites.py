@@ -225,7 +225,7 @@ def checked(system, sat, delta, cells, thrust):
     import flint
 
     from polaris.certificate.balls import PRECISION
-    from polaris.certificate.document import UnsafeSet
+    from polaris.certificate.parts import UnsafeSet
     from polaris.certificate.satellites import Satellite
     from polaris.certificate.verdict import Rejected
 

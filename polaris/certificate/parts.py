@@ -1,0 +1,103 @@
+"""What a certificate is made of: unsafe sets, controllers, and what is said of drifts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from .layers import Layer
+from .verdict import Rejected
+
+UNIT = 4e-9
+"""How far the square of a unit normal may be off 1."""
+
+Vector = list[float]
+Matrix = list[list[float]]
+
+
+@dataclass(frozen=True)
+class UnsafeSet:
+    """One timed polytope: ``normals p <= b(t)``, b linear within each cell."""
+
+    name: str
+    keep_in: bool  # whether it is the outside of one facet of a keep-in set
+    normals: Matrix
+    start: Matrix  # b at the start of every cell, shape (cells, F)
+    end: Matrix  # and at its end
+
+    @property
+    def resting(self) -> bool:
+        """Whether the offsets are the same at all times."""
+        return all(b == self.start[0] for b in (*self.start, *self.end))
+
+
+@dataclass(frozen=True)
+class Law:
+    """One controller; gain and own reference are None for ``any_thrust``, the latter also for S.
+
+    A network has no gain, but what it reads, its layers, and what its inputs and outputs are multiplied by.
+    """
+
+    name: str
+    kind: str  # safety, affine, saturated_affine, any_thrust, neural or black_box
+    gain: Matrix | None = None
+    states: Matrix | None = None
+    inputs: Matrix | None = None
+    reads: list[str] = field(default_factory=list)
+    input_scale: Vector = field(default_factory=list)
+    output_scale: Vector = field(default_factory=list)
+    layers: list[Layer] = field(default_factory=list)
+
+    @property
+    def work(self) -> int:
+        """Products of two numbers that one enclosure of the network takes, roughly."""
+        found, width = 0, len(self.input_scale)
+        for layer in self.layers:
+            if layer.kind == "affine":
+                found += len(layer.W) * len(layer.W[0]) * width
+            else:
+                width += len(layer.b)
+        return found
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A parallelotope around where thrust may stop in some periods of a step, as of the start of the step."""
+
+    periods: int
+    center: Vector
+    axes: Matrix  # one generator after another
+    facets: list[list[list[int]]]  # of every unsafe set: for how many parts of a step, and which
+
+
+@dataclass(frozen=True)
+class Abort:
+    """What is claimed of the drift after all thrust stops."""
+
+    horizon: float  # [s]
+    keep_in: bool  # whether keep-in sets count
+    parts: int  # of a step
+    steps: list[list[Departure] | None]  # None of those from which nothing is claimed
+
+
+def unsafe_set(item: dict[str, Any]) -> UnsafeSet:
+    """A timed polytope from its item; normals must be unit vectors."""
+    normals, offsets = item["normals"], item["offsets"]
+    for normal in normals:
+        # Everything measures distances along normals, and slacks are relative to them.
+        if not abs(math.fsum(x * x for x in normal) - 1) <= UNIT:
+            raise Rejected("unsafe_sets", f"a normal of {item['name']!r} is no unit vector")
+    if any(len(row) != len(normals) for pair in offsets for row in pair):
+        raise ValueError(f"offsets of {item['name']} must have one number for every normal")
+    first, last = ([pair[place] for pair in offsets] for place in (0, 1))
+    return UnsafeSet(item["name"], item["keep_in"], normals, first, last)
+
+
+def abort_of(drift: dict[str, Any], q: int) -> Abort:
+    """What is said of drifts, from its item and the number of periods in a step."""
+    found = [None if parts is None else [Departure(**part) for part in parts] for parts in drift["steps"]]
+    covered = {sum(part.periods for part in parts) for parts in found if parts is not None}
+    if not drift["horizon"] > 0 or not covered <= {q}:
+        raise ValueError("a drift must have a horizon, and departures in every period of a step")
+    return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
