@@ -157,14 +157,20 @@ def test_a_method_that_does_not_exist_is_refused_before_the_synthesis(monkeypatc
         assert failed.exit_code == 2 and "must be one of" in failed.output, failed.output
 
 
+NOT_FLOWN = (0, 14, 15, 16, 18)
+"""Random scenes without a schedule, without U, or too long."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
 def test_random_scenes_keep_the_promise_along_every_reference(seed, tmp_path):
     try:
         _, schedule = synthesised(seed, tmp_path)
-    except PolarisError:
+    except PolarisError as error:
+        assert seed in NOT_FLOWN, error
         pytest.skip("refused")
     if len(schedule.controllers) < 2 or DecisionGrid.of(schedule).decisions > 2500:
+        assert seed in NOT_FLOWN
         pytest.skip("no U, or too long")
     for monitor in members(schedule):
         kept(monitor, 6, seed)

@@ -281,6 +281,10 @@ def test_a_hundred_thousand_shielded_periods_without_a_violation(name):
     assert unshielded(scene, 16 * DecisionGrid.of(scene).decisions) > 0
 
 
+UNCERTIFIED = (20, 24, 27, 29, 30, 33, 35, 37, 39)
+"""Random scenes that no monitor holds from the start."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20, 40))
 def test_random_scenes_are_held_too(seed):
@@ -291,6 +295,7 @@ def test_random_scenes_are_held_too(seed):
         schedule = synthesize(scenario)
         collided, _, _, worst = attacked(schedule, 600, seed)
     except PolarisError as error:
+        assert seed in UNCERTIFIED, error
         pytest.skip(str(error))
     assert collided == 0 and worst <= 1 + 1e-9
 
