@@ -235,8 +235,6 @@ class Document:
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
-            if law.kind == "black_box" and (self.estimate or self.thrusters):
-                raise Undecided("controllers", f"{law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]

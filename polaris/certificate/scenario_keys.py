@@ -130,7 +130,7 @@ SCENARIO = {
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
         "black_box": {"name": NAME, "weight?": WORTH, "probability?": Real(least=1e-5, most=0.5),
-                      "confidence?": Real(least=0.5, most=1 - 1e-9)},
+                      "confidence?": Real(least=0.5, most=1 - 1e-9), "memory?": bool},
         "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
                    "inputs?": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
                    "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},

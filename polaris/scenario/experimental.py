@@ -21,7 +21,7 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy, check_exact
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, Neural, hill_rate
@@ -48,7 +48,7 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 def read_policies(
     model: ScenarioModel, system: LinearSystem, folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
-    """Networks of a scenario and their files, by the name of their controller; black boxes are checked too.
+    """Networks of a scenario and their files, by the name of their controller.
 
     Raises
     ------
@@ -62,7 +62,6 @@ def read_policies(
         if not isinstance(model.feedback, SampledFeedback):
             raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
         if isinstance(spec, BlackBoxTable):
-            check_exact(system)
             continue
         file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
@@ -101,9 +100,8 @@ def build_controllers(
         if spec.name not in boxes:
             rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
             raise ScenarioError(path, spec.name, rule)
-        seed = model.simulation.seed
-        system, reference = safety.problem.system, safety.reference
-        found.append(BlackBox(spec.name, system, reference, safety.tracking, boxes[spec.name], seed=seed))
+        known = safety.problem.system, safety.reference, safety.tracking, boxes[spec.name]
+        found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
     return tuple(found)
 
 

@@ -155,6 +155,7 @@ class Integrator:
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
         states[0] = x0
+        boxes = self._boxes()
         for k, number in enumerate(self.modes.tolist()):
             first, last = k * q, (k + 1) * q
             pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
@@ -169,9 +170,17 @@ class Integrator:
             else:
                 states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
             delta_v += spent * self.dt / self.system.mass
+            for box in (box for box, end in boxes.items() if box != number and k < end):
+                for place in range(q):  # asked all along, whoever flies
+                    self.command(box, k, 2 * place * self.substeps, states[first + place])
         times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
         return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes)
+
+    def _boxes(self) -> dict[int, int]:
+        """Numbers of the black boxes that fly, and the last cell of each."""
+        flying = [i for i, law in enumerate(self.schedule.controllers) if isinstance(law, BlackBox)]
+        return {i: int(np.flatnonzero(self.modes == i)[-1]) for i in flying if i in self.modes}
 
     def _unclipped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array] | None:
         """Fly a cell under a linear law that nothing clips in it: one product per step; else None.
