@@ -7,13 +7,24 @@ import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Assignments, Json, Quiet, drawing, finish, print_json, verb
+from .shell import (
+    AnswerWithin,
+    Assignments,
+    BlackBoxes,
+    Json,
+    Quiet,
+    drawing,
+    finish,
+    print_json,
+    programs,
+    verb,
+)
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
@@ -42,12 +53,14 @@ class Options:
     resume: bool = Option(
         True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."
     )
+    black_box: BlackBoxes = None
+    answer_within: AnswerWithin = 10.0
     figures: bool = Option(True, help="Draw the figures (inspection only).")
     as_json: Json = False
     quiet: Quiet = False
 
 
-SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
+SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance", "black_box")
 """Options that scenarios of the inspection problem do not have: they say so themselves."""
 
 
@@ -68,6 +81,9 @@ def campaign_command(
     if options.workers is not None and options.scheduler is not None:
         rule = "must not be given with --scheduler: the cluster has its own"
         raise ScenarioError("--workers", options.workers, rule)
+    if options.black_box and ((options.workers or 1) > 1 or options.scheduler):
+        given = options.scheduler or options.workers
+        raise ScenarioError("--workers, --scheduler", given, "must be left out: one process asks black boxes")
     stages = ShownStages(options.quiet or options.as_json)
     scheduler = options.scheduler
     crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
@@ -82,12 +98,12 @@ def campaign_command(
     plan = _plan(loaded, options, stages)
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
-    with crew as executor, stages.stage("runs"):
+    asked = programs(options.black_box, options.answer_within)
+    with crew as executor, asked as boxes, stages.stage("runs"):
         stages.note("waiting for the first batch")
-        progress, fresh = stages.counting("{:,} of {:,} runs"), not options.resume
-        folder = run_campaign(
-            plan, out, executor=executor, fresh=fresh, worst=options.worst, progress=progress
-        )
+        flying: dict[str, Any] = {"executor": None if boxes else executor, "black_boxes": boxes}
+        flying |= {"progress": stages.counting("{:,} of {:,} runs"), "fresh": not options.resume}
+        folder = run_campaign(plan, out, worst=options.worst, **flying)
     return _finish(folder, options)
 
 
@@ -102,6 +118,8 @@ def replay_command(
     ),
     mode: str | None = Option(None, help="Who flies; default the first that flew."),
     out: str | None = Option(None, metavar="FILE", help="Trajectory, as .csv or .npz."),
+    black_box: BlackBoxes = None,
+    answer_within: AnswerWithin = 10.0,
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
@@ -121,7 +139,8 @@ def replay_command(
         raise ScenarioError("campaign-replay", None, "needs --case, --batch and --run, or --worst")
     else:
         chosen = case, batch, run
-    found = replay_run(folder, *chosen, mode)
+    with programs(black_box, answer_within) as boxes:
+        found = replay_run(folder, *chosen, mode, boxes)
     if as_json:
         print_json(found.row)
     else:
@@ -161,7 +180,7 @@ def _fly_inspection(
         value = getattr(options, name)
         if value is not None and value != []:
             rule = f"is for switching schedules; {one.name} says so itself, see --set"
-            raise ScenarioError(f"--{name}", value, rule)
+            raise ScenarioError(f"--{name.replace('_', '-')}", value, rule)
     if not isinstance(one, MonteCarloScenario):
         raise ScenarioError("scenario", one.name, "is one flight: polaris run flies it")
     overrides = list(options.assignments or [])

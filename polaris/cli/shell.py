@@ -9,7 +9,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -20,10 +20,11 @@ import typer
 
 from reach.numerics.errors import ReachError
 
-from ..model.errors import ClockWarning, PolarisError
+from ..model.errors import ClockWarning, PolarisError, ScenarioError
 
 if TYPE_CHECKING:
     from ..runs.folder import RunFolder
+    from ..synthesis.black_box import Ask
 
 app = typer.Typer(
     name="polaris",
@@ -69,11 +70,39 @@ Assignments = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."),
 ]
+BlackBoxes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--black-box", metavar="NAME=COMMAND", help="Program that a black box of the scenario is; repeatable."
+    ),
+]
+AnswerWithin = Annotated[float, typer.Option(help="Time that a black box has for each answer [s].")]
 Figures = Annotated[
     bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+@contextmanager
+def programs(black_boxes: list[str] | None, seconds: float) -> Iterator[dict[str, Ask]]:
+    """What is asked of black boxes, by their names: programs that run as long as the ``with`` statement."""
+    from ..runs.program import program
+
+    with ExitStack() as running:
+        found: dict[str, Ask] = {}
+        for text in black_boxes or ():
+            name, equals, command = text.partition("=")
+            if not equals or name in found:
+                raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
+            try:
+                words = shlex.split(command)
+            except ValueError as error:
+                raise ScenarioError(
+                    "--black-box", text, f"must be a command as for a shell: {error}"
+                ) from error
+            found[name] = running.enter_context(program(words, seconds))
+        yield found
 
 
 def _version(wanted: bool) -> None:

@@ -16,6 +16,7 @@ from ..model.checks import non_negative, of_kind, positive
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
+from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import Clearance
 from ..synthesis.controllers import AffineController, Controller
 from ..synthesis.neural import NeuralController
@@ -218,8 +219,10 @@ class DecisionGrid:
         """Command of a controller at a node, before clipping, shape (..., m)."""
         cells = self.clearance.cells if mode == 0 else self.clearance.planned
         k = min(node // self.clearance.q, cells - 1)
-        own = self.own[mode][node] if mode in self.own else self.xi[node]
-        return self.controllers[mode].command(k, self.xi[node], own, x)
+        law, own = self.controllers[mode], self.own[mode][node] if mode in self.own else self.xi[node]
+        if isinstance(law, BlackBox):
+            return law.command(k, self.xi[node], own, x, (node - k * self.clearance.q) * self.h)
+        return law.command(k, self.xi[node], own, x)
 
     def clipped(self, mode: int, node: int, x: Array) -> Array:
         """The same as the thrusters apply it."""

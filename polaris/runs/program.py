@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from ..model.checks import positive
-from ..model.errors import ScenarioError
+from ..model.errors import NoAnswer, ScenarioError
 from ..model.system import Array
 from ..synthesis.black_box import Ask
 
@@ -26,20 +26,18 @@ LONGEST = 100_000_000  # most bytes of an answer
 def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
     """A black box to ask for as long as the ``with`` statement lasts; no shell reads the command.
 
-    `ScenarioError` where it cannot be started, ends, needs more than so many seconds for an answer, or
-    answers something else than JSON with "u".
+    `ScenarioError` where it cannot be started, `NoAnswer` where it ends, needs more than so many seconds for
+    an answer, or answers something else than JSON with "u".
     """
     shown, pipe = " ".join(command)[:100], subprocess.PIPE
     positive("seconds", seconds, "s")
 
-    def refused(rule: str) -> ScenarioError:
+    def refused(rule: str) -> NoAnswer:
         process.kill()
         process.wait()
         heard.seek(0)
         words = heard.read().decode(errors="replace").strip().splitlines()[-1:]
-        return ScenarioError(
-            "black box", shown, rule + "".join(f" (its last words: {w[:100]!r})" for w in words)
-        )
+        return NoAnswer("black box", shown, rule + "".join(f" (its last words: {w[:100]!r})" for w in words))
 
     def exchange(question: bytes, found: list[bytes]) -> None:
         assert process.stdin is not None and process.stdout is not None

@@ -30,9 +30,9 @@ from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
-from ..simulation.sampled import Sampled, synthesize_sampled
+from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis import get_safety, synthesize
-from ..synthesis.black_box import Ask
+from ..synthesis.black_box import Ask, FittedSegment
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.same_system import check_safety
@@ -80,6 +80,11 @@ def digest(schedule: Schedule) -> str:
         elif isinstance(law, NeuralController):
             found.update(canonical(hexadecimal(described(law))).encode())
             arrays += [law.own.chi, law.own.nu]
+    arrays += [
+        step.tube.fit
+        for step in schedule.steps
+        if isinstance(step.tube, FittedSegment) and step.tube.fit is not None
+    ]
     for array in arrays:
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
@@ -99,16 +104,7 @@ def fly_schedule(
     with stages.stage("schedule"):
         counting, sampled = stages.counting("schedule: step {} of {}"), None
         if boxes:
-            probability, confidence = scenario.asked
-            sampled = synthesize_sampled(
-                scenario,
-                safety,
-                experimental,
-                probability=probability,
-                confidence=confidence,
-                seed=scenario.simulation.seed,
-                progress=counting,
-            )
+            sampled = with_boxes(scenario, boxes, safety, counting)
             schedule = sampled.schedule
         else:
             schedule = synthesize.synthesize(scenario, safety, experimental, progress=counting, recourse=True)
@@ -229,6 +225,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
             "failure": None if worst.failure is None else str(worst.failure),
             "least_m": files.finite(float(min(sets, default=np.inf))),
             "leave_sets": sampled.adverse,
+            "repeats": sampled.repeats,
         }
     return {"proven_share": sampled.proven.share(), "worst_found": told}
 

@@ -83,7 +83,7 @@ def build_controllers(
     model: ScenarioModel,
     safety: Safety,
     policies: Mapping[str, tuple[Path, Policy]],
-    boxes: Mapping[str, Ask],
+    boxes: Mapping[str, Ask | None],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
     named = [spec.name for _, spec in model.controllers() if isinstance(spec, BlackBoxTable)]
@@ -97,10 +97,11 @@ def build_controllers(
         if not isinstance(spec, BlackBoxTable):
             found.append(_build(spec, path, safety, policies))
             continue
-        if spec.name not in boxes:
+        ask = boxes.get(spec.name)
+        if ask is None:
             rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
             raise ScenarioError(path, spec.name, rule)
-        known = safety.problem.system, safety.reference, safety.tracking, boxes[spec.name]
+        known = safety.problem.system, safety.reference, safety.tracking, ask
         found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
     return tuple(found)
 

@@ -129,7 +129,9 @@ class ScheduleScenario(Scenario):
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def controllers(self, safety: Safety, boxes: Mapping[str, Ask] | None = None) -> tuple[Controller, ...]:
+    def controllers(
+        self, safety: Safety, boxes: Mapping[str, Ask | None] | None = None
+    ) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
 
         Parameters

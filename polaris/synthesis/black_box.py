@@ -19,7 +19,7 @@ from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
-from ..model.errors import ScenarioError
+from ..model.errors import NoAnswer, PolarisError, ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
@@ -97,7 +97,7 @@ class BlackBox:
     Raises
     ------
     ScenarioError
-        If feedback is not sampled; on flying, if an answer is none.
+        If feedback is not sampled; `NoAnswer` on flying, if an answer is none.
     """
 
     name: str
@@ -125,15 +125,21 @@ class BlackBox:
         flat, t = x.reshape(-1, self.system.n), k * self.reference.delta + later
         if t == 0 and hasattr(self.ask, "reset"):
             self.ask.reset(len(flat))
-        answer = self.ask(t, flat.copy(), xi.copy())
         shape = (len(flat), self.system.m)
         try:
+            answer = self.ask(t, flat.copy(), xi.copy())
+        except PolarisError:
+            raise
+        except Exception as error:  # whatever it is
+            rule = "must answer; it raised an error"
+            raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
+        try:
             found = np.array(answer, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             found = np.zeros(0)
         if found.shape != shape or not np.all(np.isfinite(found)):
             rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"
-            raise ScenarioError(f"black box {self.name}", str(answer)[:60], rule)
+            raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule)
         return found.reshape(*x.shape[:-1], self.system.m)
 
     @cached_property
