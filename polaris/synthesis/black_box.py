@@ -134,13 +134,13 @@ class BlackBox:
             rule = "must answer; it raised an error"
             raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
         try:
-            found = np.array(answer, dtype=float)
-        except (TypeError, ValueError, OverflowError):
+            found = np.array(answer)
+        except (TypeError, ValueError):
             found = np.zeros(0)
-        if found.shape != shape or not np.all(np.isfinite(found)):
+        if found.shape != shape or found.dtype.kind not in "fiu" or not np.all(np.isfinite(found)):
             rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"
             raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule)
-        return found.reshape(*x.shape[:-1], self.system.m)
+        return found.astype(float).reshape(*x.shape[:-1], self.system.m)
 
     @cached_property
     def flow(self) -> LinearFlow:

@@ -83,7 +83,7 @@ class Driver:
             label = self.folder.plan.cases[task.case].label
             raise PolarisError(
                 f"{label}: workers (or an earlier part of this campaign) found different schedules: other"
-                " processors, or other versions of the solver"
+                " processors, other versions of the solver, or another black box"
             )
 
     def _tell(self) -> None:
@@ -134,11 +134,11 @@ def run_campaign(
         If workers are lost again and again, stay away or disagree; what was finished is kept.
         Black boxes that are others than those of an earlier part show in their bands.
     """
-    if executor is not None and getattr(plan.kind, "boxes", None) is not None:
+    if black_boxes and executor is not None:
         raise ScenarioError(
             "executor", type(executor).__name__, "must be left out: black boxes are asked here"
         )
-    folder = open_campaign(out, plan, fresh)
+    folder = open_campaign(out, plan.asking(black_boxes), fresh)
     Driver(folder, workers_of(executor), progress).fly()
     folder.write_summary(worst)
     return folder
