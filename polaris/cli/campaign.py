@@ -6,25 +6,14 @@ import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import (
-    AnswerWithin,
-    Assignments,
-    BlackBoxes,
-    Json,
-    Quiet,
-    drawing,
-    finish,
-    print_json,
-    programs,
-    verb,
-)
+from .shell import Assignments, BlackBoxes, Json, Quiet, drawing, finish, print_json, verb
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
@@ -53,20 +42,19 @@ class Options:
     resume: bool = Option(
         True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."
     )
-    black_box: BlackBoxes = None
-    answer_within: AnswerWithin = 10.0
     figures: bool = Option(True, help="Draw the figures (inspection only).")
     as_json: Json = False
     quiet: Quiet = False
 
 
-SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance", "black_box")
+SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
 """Options that scenarios of the inspection problem do not have: they say so themselves."""
 
 
 @verb("campaign")
 def campaign_command(
     options: Options,
+    asked: BlackBoxes,
     scenarios: list[str] = Argument(..., metavar="NAME_OR_FILE...", help="Bundled scenarios, or files."),
 ) -> int | None:
     """Fly many runs over scenarios and grids of values, and count the violations.
@@ -81,34 +69,39 @@ def campaign_command(
     if options.workers is not None and options.scheduler is not None:
         rule = "must not be given with --scheduler: the cluster has its own"
         raise ScenarioError("--workers", options.workers, rule)
-    if options.black_box and ((options.workers or 1) > 1 or options.scheduler):
-        given = options.scheduler or options.workers
-        raise ScenarioError("--workers, --scheduler", given, "must be left out: one process asks black boxes")
     stages = ShownStages(options.quiet or options.as_json)
     scheduler = options.scheduler
     crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
     with stages.stage("load"):
         loaded = [load_scenario(name) for name in scenarios]
     inspected = [one for one in loaded if not isinstance(one, ScheduleScenario)]
+    if inspected and asked.black_box:
+        raise ScenarioError("--black-box", asked.black_box, "is for switching schedules")
     if inspected:
         _fly_inspection(loaded, inspected[0], options, crew, stages)
         return None
     from ..runs.campaign import run_campaign
 
     plan = _plan(loaded, options, stages)
+    if asked.black_box:
+        if options.workers or scheduler:
+            rule = "must be left out: black boxes are asked by one process"
+            raise ScenarioError("--workers, --scheduler", scheduler or options.workers, rule)
+        crew = nullcontext(local(1))
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
-    asked = programs(options.black_box, options.answer_within)
-    with crew as executor, asked as boxes, stages.stage("runs"):
+    with crew as executor, asked.running() as boxes, stages.stage("runs"):
         stages.note("waiting for the first batch")
-        flying: dict[str, Any] = {"executor": None if boxes else executor, "black_boxes": boxes}
-        flying |= {"progress": stages.counting("{:,} of {:,} runs"), "fresh": not options.resume}
-        folder = run_campaign(plan, out, worst=options.worst, **flying)
+        progress, plan = stages.counting("{:,} of {:,} runs"), plan.asking(boxes)
+        folder = run_campaign(
+            plan, out, executor=executor, fresh=not options.resume, worst=options.worst, progress=progress
+        )
     return _finish(folder, options)
 
 
 @verb("campaign-replay")
 def replay_command(
+    asked: BlackBoxes,
     campaign: str = Argument(..., metavar="DIR", help="Folder of a campaign."),
     case: int | None = Option(None, min=0, help="Number of the case."),
     batch: int | None = Option(None, min=0, help="Number of the batch."),
@@ -118,8 +111,6 @@ def replay_command(
     ),
     mode: str | None = Option(None, help="Who flies; default the first that flew."),
     out: str | None = Option(None, metavar="FILE", help="Trajectory, as .csv or .npz."),
-    black_box: BlackBoxes = None,
-    answer_within: AnswerWithin = 10.0,
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
@@ -139,8 +130,8 @@ def replay_command(
         raise ScenarioError("campaign-replay", None, "needs --case, --batch and --run, or --worst")
     else:
         chosen = case, batch, run
-    with programs(black_box, answer_within) as boxes:
-        found = replay_run(folder, *chosen, mode, boxes)
+    with asked.running() as boxes:
+        found = replay_run(replace(folder, plan=folder.plan.asking(boxes)), *chosen, mode)
     if as_json:
         print_json(found.row)
     else:
@@ -180,7 +171,7 @@ def _fly_inspection(
         value = getattr(options, name)
         if value is not None and value != []:
             rule = f"is for switching schedules; {one.name} says so itself, see --set"
-            raise ScenarioError(f"--{name.replace('_', '-')}", value, rule)
+            raise ScenarioError(f"--{name}", value, rule)
     if not isinstance(one, MonteCarloScenario):
         raise ScenarioError("scenario", one.name, "is one flight: polaris run flies it")
     overrides = list(options.assignments or [])

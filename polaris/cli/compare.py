@@ -11,19 +11,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ClockWarning, ScenarioError
-from .shell import (
-    AnswerWithin,
-    Assignments,
-    BlackBoxes,
-    Figures,
-    Json,
-    Name,
-    Quiet,
-    drawing,
-    finish,
-    programs,
-    verb,
-)
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
 class _Compare(TyperCommand):
@@ -60,15 +48,13 @@ class Options:
     tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Tune a method; repeatable.")
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-comparison.")
     assignments: Assignments = None
-    black_box: BlackBoxes = None
-    answer_within: AnswerWithin = 10.0
     figures: Figures = True
     as_json: Json = False
     quiet: Quiet = False
 
 
 @verb("compare", cls=_Compare)
-def compare_command(scenario: Name, options: Options) -> None:
+def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None:
     """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
     from .console import ShownStages
 
@@ -90,7 +76,7 @@ def compare_command(scenario: Name, options: Options) -> None:
         half = None if given is None else np.squeeze(_numbers("--estimate-error", given))
         named = None if options.methods is None else options.methods.replace(" ", "").split(",")
         selected(named, tuning)  # what does not exist is refused before the synthesis
-    with programs(options.black_box, options.answer_within) as boxes:
+    with asked.running() as boxes:
         with stages.stage("schedule"):
             schedule = with_boxes(loaded, boxes).schedule if boxes else synthesize(loaded)
         with stages.stage("flights"):
@@ -144,15 +130,13 @@ class TradeoffOptions:
     share: float = Option(0.9, help="Share of U for which it is said how far a value of --sweep may go.")
     workers: int | None = Option(None, min=1, help="Processes; default one per processor.")
     assignments: Assignments = None
-    black_box: BlackBoxes = None
-    answer_within: AnswerWithin = 10.0
     figures: Figures = True
     as_json: Json = False
     quiet: Quiet = False
 
 
 @verb("tradeoff")
-def tradeoff_command(scenario: Name, options: TradeoffOptions) -> None:
+def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes) -> None:
     """Find the front of share of U against velocity change against switches: a run folder for each price.
 
     Or how both change with any number of the scenario. What was stopped goes on where it was.
@@ -164,7 +148,7 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions) -> None:
     if options.sweep and options.prices is not None:
         raise ScenarioError("--prices", options.prices, "must be left out with --sweep")
     prices = PRICES if options.prices is None else _numbers("--prices", options.prices)
-    with programs(options.black_box, options.answer_within) as boxes:
+    with asked.running() as boxes:
         folder = tradeoff(
             scenario,
             options.out,

@@ -7,24 +7,13 @@ from typing import Any, Literal
 import typer
 from typer import Argument, Option
 
-from .shell import (
-    AnswerWithin,
-    Assignments,
-    BlackBoxes,
-    Figures,
-    Json,
-    Name,
-    Quiet,
-    drawing,
-    finish,
-    programs,
-    verb,
-)
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
 @verb("run")
 def run(
     scenario: Name,
+    asked: BlackBoxes,
     out: str | None = Option(None, metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     assignments: Assignments = None,
     solver: Literal["facets", "highs", "gurobi"] | None = Option(
@@ -36,8 +25,6 @@ def run(
     figures: Figures = True,
     as_json: Json = False,
     quiet: Quiet = False,
-    black_box: BlackBoxes = None,
-    answer_within: AnswerWithin = 10.0,
 ) -> None:
     """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
 
@@ -56,7 +43,7 @@ def run(
         loaded = load_scenario(scenario, overrides)
         if not quiet:
             _tell_doubts(loaded, err=True)
-    with programs(black_box, answer_within) as boxes:
+    with asked.running() as boxes:
         flying: dict[str, Any] = {"draw": drawing(figures), "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule":

@@ -10,7 +10,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -70,13 +70,6 @@ Assignments = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."),
 ]
-BlackBoxes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--black-box", metavar="NAME=COMMAND", help="Program that a black box of the scenario is; repeatable."
-    ),
-]
-AnswerWithin = Annotated[float, typer.Option(help="Time that a black box has for each answer [s].")]
 Figures = Annotated[
     bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
 ]
@@ -84,25 +77,32 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, an
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
-@contextmanager
-def programs(black_boxes: list[str] | None, seconds: float) -> Iterator[dict[str, Ask]]:
-    """What is asked of black boxes, by their names: programs that run as long as the ``with`` statement."""
-    from ..runs.program import program
+@dataclass
+class BlackBoxes:
+    """Programs that are black boxes: a group of options of its own."""
 
-    with ExitStack() as running:
-        found: dict[str, Ask] = {}
-        for text in black_boxes or ():
-            name, equals, command = text.partition("=")
-            if not equals or name in found:
-                raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
-            try:
-                words = shlex.split(command)
-            except ValueError as error:
-                raise ScenarioError(
-                    "--black-box", text, f"must be a command as for a shell: {error}"
-                ) from error
-            found[name] = running.enter_context(program(words, seconds))
-        yield found
+    black_box: list[str] | None = typer.Option(
+        None, metavar="NAME=COMMAND", help="Program that a black box of the scenario is; repeatable."
+    )
+    answer_within: float = typer.Option(10.0, help="Time that it has for each answer [s].")
+
+    @contextmanager
+    def running(self) -> Iterator[dict[str, Ask]]:
+        """What is asked of them, by their names, for as long as the ``with`` statement lasts."""
+        from ..runs.program import program
+
+        with ExitStack() as programs:
+            found: dict[str, Ask] = {}
+            for text in self.black_box or ():
+                name, equals, command = text.partition("=")
+                if not equals or name in found:
+                    raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
+                try:
+                    words = shlex.split(command)
+                except ValueError as error:
+                    raise ScenarioError("--black-box", text, f"has no command: {error}") from error
+                found[name] = programs.enter_context(program(words, self.answer_within))
+            yield found
 
 
 def _version(wanted: bool) -> None:

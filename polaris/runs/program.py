@@ -39,13 +39,11 @@ def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
     lines, heard = Queue[bytes](2), bytearray()
 
     def listen() -> None:
-        assert process.stderr is not None
         with process.stderr as stream:
-            while more := stream.read1(HEARD):  # type: ignore[attr-defined]
+            while more := stream.read1(HEARD):
                 heard[:] = (heard + more)[-HEARD:]
 
     def read() -> None:
-        assert process.stdout is not None
         with process.stdout as stream:
             line = b"\n"
             while line.endswith(b"\n"):
@@ -53,7 +51,6 @@ def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
                 lines.put(line)  # whoever writes without being asked waits here
 
     def write(question: bytes) -> None:
-        assert process.stdin is not None
         with suppress(OSError, ValueError):  # it has ended; whoever asked says so
             process.stdin.write(question)
             process.stdin.flush()
@@ -88,7 +85,7 @@ def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
             raise refused(f'must answer {{"u": [[...], ...]}}; answered {found[:60]!r}') from None
 
     try:
-        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
+        process: Any = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
     except (OSError, ValueError, IndexError) as error:
         raise ScenarioError("black box", shown, f"cannot be started: {error}") from error
     listening = threading.Thread(target=listen, daemon=True)
@@ -99,5 +96,4 @@ def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
     finally:
         end()
         with suppress(OSError):
-            assert process.stdin is not None
             process.stdin.close()

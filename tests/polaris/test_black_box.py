@@ -344,25 +344,26 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document())]), 4, batch=2)
     plan = replace(plan, kind=ScheduleRuns(("polaris", "safety", "experimental")))
     boxes = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}
-    folder = run_campaign(plan, tmp_path / "runs", black_boxes=boxes)
+    folder = run_campaign(plan.asking(boxes), tmp_path / "runs")
     told = folder.summary["cases"][0]["modes"]
     assert [told[mode]["guarantee"] for mode in plan.kind.modes] == ["statistical", "proved", "none"]
     assert read_campaign(folder.path).plan.data()["boxes"] == ["box"], "its name, and nothing to run"
     more = replace(plan, runs=6)
     with pytest.raises(PolarisError, match="different schedules"):
-        run_campaign(more, folder.path, black_boxes={"box": lambda t, x, xi: 0.8 * follower(t, x, xi)})
+        run_campaign(more.asking({"box": lambda t, x, xi: 0.8 * follower(t, x, xi)}), folder.path)
     with pytest.raises(ScenarioError, match="boxes"):
         run_campaign(more, folder.path)
-    with pytest.raises(ScenarioError, match="executor"):
-        run_campaign(more, folder.path, black_boxes=boxes, executor=local(2))
+    with pytest.raises(PolarisError, match="this process"):
+        run_campaign(more.asking(boxes), folder.path, executor=local(2))
     silent = {"box": lambda t, x, xi: None}
     with pytest.raises(PolarisError, match="goes on from there"):
-        run_campaign(more, folder.path, black_boxes=silent)
-    assert run_campaign(more, folder.path, black_boxes=boxes).summary["flown"] == 18
+        run_campaign(more.asking(silent), folder.path)
+    assert run_campaign(more.asking(boxes), folder.path).summary["flown"] == 18
     read = read_campaign(folder.path)
     with pytest.raises(ScenarioError, match="must be given where it is run"):
         replay_run(read, 0, 0, 1)
-    assert replay_run(read, 0, 0, 1, black_boxes=boxes).row["guarantee"] == "statistical"
+    again = replace(read, plan=read.plan.asking(boxes))
+    assert replay_run(again, 0, 0, 1).row["guarantee"] == "statistical"
 
 
 def test_points_of_a_trade_off_are_statistical_and_nothing_needed_is_read_from_them(tmp_path):

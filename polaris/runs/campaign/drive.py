@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from ...model.errors import PolarisError, ScenarioError
-from ...synthesis.black_box import Ask
 from .batch import Batch, Replayed, Task, fly_batch
 from .folder import CampaignFolder, open_campaign
 from .plan import CampaignPlan
@@ -99,7 +98,6 @@ def run_campaign(
     fresh: bool = False,
     worst: int = 5,
     progress: Progress = lambda done, total: None,
-    black_boxes: Mapping[str, Ask] | None = None,
 ) -> CampaignFolder:
     """Fly many runs of every case, and write them to a folder as they come.
 
@@ -118,8 +116,6 @@ def run_campaign(
         Worst runs told per case and mode in the summary.
     progress : callable
         Told the runs done and all of them, per mode.
-    black_boxes : mapping, optional
-        As for `polaris.run`; then this process flies. No manifest knows more of them than their names.
 
     Returns
     -------
@@ -132,13 +128,8 @@ def run_campaign(
         If the folder holds something else, or its tables need a package that is not there.
     PolarisError
         If workers are lost again and again, stay away or disagree; what was finished is kept.
-        Black boxes that are others than those of an earlier part show in their bands.
     """
-    if black_boxes and executor is not None:
-        raise ScenarioError(
-            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
-        )
-    folder = open_campaign(out, plan.asking(black_boxes), fresh)
+    folder = open_campaign(out, plan, fresh)
     Driver(folder, workers_of(executor), progress).fly()
     folder.write_summary(worst)
     return folder
@@ -172,14 +163,7 @@ def find_worst(
     return sorted(found)[rank - 1][1:]
 
 
-def replay_run(
-    folder: CampaignFolder,
-    case: int,
-    batch: int,
-    run: int,
-    mode: str | None = None,
-    black_boxes: Mapping[str, Ask] | None = None,
-) -> Replayed:
+def replay_run(folder: CampaignFolder, case: int, batch: int, run: int, mode: str | None = None) -> Replayed:
     """Fly one run again, bit for bit: its batch is flown as it was, and this run taken out of it.
 
     Parameters
@@ -189,8 +173,6 @@ def replay_run(
         As in the table.
     mode : str, optional
         Who flies; by default the first that flew.
-    black_boxes : mapping, optional
-        As for `run_campaign`.
 
     Raises
     ------
@@ -199,7 +181,6 @@ def replay_run(
     PolarisError
         If what flies here is another schedule, or the run gives other numbers than the table has.
     """
-    folder = replace(folder, plan=folder.plan.asking(black_boxes))
     task = folder.plan.task(case, batch)
     mode = mode or folder.plan.kind.modes[0]
     _check(folder, task, mode)

@@ -78,7 +78,10 @@ class CampaignPlan:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def asking(self, boxes: Mapping[str, Ask] | None) -> CampaignPlan:
-        """The same with what is asked of black boxes, by their names."""
+        """The same with what is asked of black boxes, by their names: to be flown by this process alone.
+
+        No manifest knows more of them than that; to go on, or to fly a run again, give them again.
+        """
         if not boxes:
             return self
         if not isinstance(self.kind, ScheduleRuns):
