@@ -53,7 +53,7 @@ def computed(folder, monkeypatch):
     """Names of the points that are computed, which are copied from those that are known."""
     names = []
 
-    def run(scenario, place):
+    def run(scenario, place, **_):
         names.append(place.name)
         shutil.rmtree(place, ignore_errors=True)
         shutil.copytree(folder.path / place.name, place)
