@@ -187,14 +187,10 @@ class Engine(Integrator):
         """
         eta = w[:, self.parts[1]]
         seen = x + eta if eta.size else x
-        boxes = [i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox)]
+        boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
         self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
-        limit = self.system.u_max
-        return (
-            np.clip(self._asked[mode], -limit, limit)
-            if mode in boxes
-            else self.grid.clipped(mode, node, seen)
-        )
+        told = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
+        return np.asarray(np.clip(told, -self.system.u_max, self.system.u_max))
 
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         """As `Integrator.command`; black boxes have answered in `desired`."""

@@ -32,7 +32,7 @@ from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
 from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis import get_safety, synthesize
-from ..synthesis.black_box import Ask, FittedSegment
+from ..synthesis.black_box import Ask
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.same_system import check_safety
@@ -80,11 +80,8 @@ def digest(schedule: Schedule) -> str:
         elif isinstance(law, NeuralController):
             found.update(canonical(hexadecimal(described(law))).encode())
             arrays += [law.own.chi, law.own.nu]
-    arrays += [
-        step.tube.fit
-        for step in schedule.steps
-        if isinstance(step.tube, FittedSegment) and step.tube.fit is not None
-    ]
+    fits = (getattr(step.tube, "fit", None) for step in schedule.steps)
+    arrays += [fit for fit in fits if fit is not None]
     for array in arrays:
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
@@ -100,7 +97,7 @@ def fly_schedule(
             replace(problem, planner=replace(problem.planner, progress=stages.planner))
         )
     with stages.stage("experimental controllers"):
-        experimental = scenario.controllers(safety, boxes)
+        experimental = () if boxes else scenario.controllers(safety)
     with stages.stage("schedule"):
         counting, sampled = stages.counting("schedule: step {} of {}"), None
         if boxes:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -153,10 +153,11 @@ class ScheduleScenario(Scenario):
         return build_controllers(self.model, safety, self.policies(), boxes or {})
 
     @property
-    def asked(self) -> tuple[float, float]:
-        """Probability and confidence of the statement about its black boxes."""
+    def asked(self) -> dict[str, Any]:
+        """Probability, confidence and seed of the statement about its black boxes."""
         specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
-        return min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        said = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        return {"probability": said[0], "confidence": said[1], "seed": self.simulation.seed}
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:

@@ -99,11 +99,8 @@ def with_boxes(
 ) -> Sampled:
     """`synthesize_sampled` as a scenario wants it, with what is asked of its black boxes by their names."""
     safety = get_safety(scenario) if safety is None else safety
-    laws, (probability, confidence) = scenario.controllers(safety, boxes), scenario.asked
-    asked: dict[str, Any] = {"probability": probability, "confidence": confidence}
-    return synthesize_sampled(
-        scenario, safety, laws, **asked, seed=scenario.simulation.seed, progress=progress
-    )
+    laws = scenario.controllers(safety, boxes)
+    return synthesize_sampled(scenario, safety, laws, **scenario.asked, progress=progress)
 
 
 def synthesize_sampled(
@@ -139,26 +136,26 @@ def synthesize_sampled(
     """
     known = [law.anything if isinstance(law, BlackBox) else law for law in experimental]
     proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
-    doubt, laws, begun = 1 - confidence, list(experimental), list[Runs]()
+    doubt, laws = 1 - confidence, list(experimental)
     for attempt in range(ATTEMPTS):
         found, doubt = synthesize(scenario, safety, laws, progress=progress), doubt / 2
         if not found.sampled_steps:
             return Sampled(found if found.share() > proven.share() else proven, proven, None)
         flights, left = flights_needed(probability, doubt), 0
-        begun.clear()
         for first in range(0, flights, BATCH):
             drawn = seed + MOST * (attempt + 1) + first  # no two attempts share flights
             runs = _drawn(found, min(BATCH, flights - first), drawn)
             left += int(np.count_nonzero(~(outside(runs) <= 1)))
-            begun = begun or [runs]  # of the first flights
+            if not first:
+                begun = runs
         most = at_most(left, flights, doubt)
         if most <= probability:
             said = Statement(most, confidence, flights, left, seed, attempt + 1)
             found = replace(found, statement=said)
             hostile = simulate(found, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
             adverse = float(np.mean(~(outside(hostile) <= 1)))
-            again = _drawn(found, len(begun[0].states), seed + MOST * (attempt + 1))
-            repeats = np.array_equal(begun[0].inputs, again.inputs)
+            again = _drawn(found, len(begun.states), seed + MOST * (attempt + 1))
+            repeats = np.array_equal(begun.inputs, again.inputs)
             return Sampled(found, proven, falsify(found, attacks, seed), adverse, repeats)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return Sampled(proven, proven, None)

@@ -86,9 +86,7 @@ def _worst(found: Mapping[str, Any] | None) -> str:
     near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
     leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
     told = f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
-    return (
-        told if found["repeats"] else f"{told} Asked again, they answer otherwise: by chance, or they drift."
-    )
+    return told + ("" if found["repeats"] else " Asked again, they answer otherwise: by chance, or drifting.")
 
 
 def _claim(claim: Mapping[str, Any]) -> str:

@@ -15,14 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...model.distances import signed_distances
-from ...model.errors import (
-    ClockWarning,
-    NoAnswer,
-    OutOfTime,
-    PolarisError,
-    ScenarioError,
-    SynthesisInfeasible,
-)
+from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError, SynthesisInfeasible
 from ...model.satellite import true_states
 from ...model.system import Array
 from ...scenario.scenario import ScheduleScenario
@@ -102,8 +95,6 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
             warnings.simplefilter("ignore", ClockWarning)  # told below
             scenario = ScheduleScenario.from_dict(tomllib.loads(text))
             schedule = with_boxes(scenario, boxes.asks).schedule if boxes else synthesize(scenario)
-    except NoAnswer:
-        raise  # no property of the case
     except PolarisError as error:
         return error
     except np.linalg.LinAlgError as error:
@@ -169,9 +160,8 @@ class ScheduleRuns(Kind):
         number = MODES[mode]
         name = mode if number is None else schedule.controllers[number].name
         seed, seed_truth = batch_seeds(task)
-        with (
-            nullcontext() if self.boxes is None else self.boxes.busy
-        ):  # it answers one flight after the other
+        busy: Any = self.boxes.busy if self.boxes else nullcontext()
+        with busy:
             runs = simulate(
                 schedule, task.runs, seed, mode=number, initial=self.initial, disturbance=self.disturbance
             )
