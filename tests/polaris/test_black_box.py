@@ -72,6 +72,14 @@ ERRORS = {
     "thrusters": {"thrusters": {"magnitude_error": 0.05}},
     "timing": {"timing": {"delay_s": 0.02, "jitter_s": 0.002}},
 }
+ERRORS["all"] = {
+    "navigation": {"state_error": [0.001, 0.001, 0.0005, 0.0005]},
+    "thrusters": {"magnitude_error": 0.01},
+    "timing": {"delay_s": 0.01, "jitter_s": 0.0005},
+}
+
+
+APART = ("navigation", "thrusters", "timing")
 
 
 @cache
@@ -106,7 +114,7 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
 # -- sets -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("errors", ERRORS)
+@pytest.mark.parametrize("errors", ["exact", "all"])
 def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
     law, rng = box(part=safety(errors)), np.random.default_rng(0)
     start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
@@ -226,6 +234,7 @@ def test_no_attempt_counts_flights_of_another(monkeypatch):
     assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_becomes_of_a_fault():
     """A frequent one is seen: the sets of the first step hold it, or the box does not fly that step."""
     page = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
@@ -243,14 +252,16 @@ def test_the_page_shows_what_becomes_of_a_fault():
         assert np.mean(started(schedule, 0.02) > 1) == (by == "box")
 
 
-@pytest.mark.parametrize("errors", [name for name in ERRORS if name != "exact"])
+@pytest.mark.parametrize("errors", ["all", *(pytest.param(x, marks=pytest.mark.slow) for x in APART)])
 def test_errors_are_flown_and_covered(errors):
     def ask(t, x, xi):
         return follower(t, x, xi, safety(errors)) + 0.02 * np.sin(40 * (x - xi)[:, :2])
 
     found = sampled(ask, errors, probability=0.02)
-    assert found.schedule.guarantee == "statistical" and found.schedule.share() > 0.3
-    assert leaving(found.schedule) <= found.schedule.statement.probability and found.worst.failure is None
+    assert found.schedule.guarantee == "statistical" and found.schedule.share() > 0.2
+    assert (
+        leaving(found.schedule, 2000) <= found.schedule.statement.probability and found.worst.failure is None
+    )
     verdict = verify_document(certificate(found.schedule, "tiny"))
     assert verdict.outcome == "STATISTICAL", verdict.text()
 
@@ -296,11 +307,11 @@ def test_what_a_box_recalls_is_part_of_its_bands():
         and not any(schedule.modes[:2])
         and schedule.modes[2]
     )
-    assert leaving(schedule) <= schedule.statement.probability
+    assert leaving(schedule, 2000) <= schedule.statement.probability
     last = PERIOD * 4 * (np.flatnonzero(schedule.modes)[-1] + 1)
     assert_allclose(ask.asked[-1], np.arange(0, last, PERIOD), atol=1e-12)
     unaware = sampled(Forgetful(), probability=0.02).schedule
-    assert leaving(unaware) <= 0.02 and unaware.share() < schedule.share()
+    assert leaving(unaware, 2000) <= 0.02 and unaware.share() < schedule.share()
     assert any("asked once in every control period" in told for told in schedule.assumptions)
 
 
@@ -636,6 +647,12 @@ def test_random_scenes(seed):
     scene.get("schedule", {}).pop("delta_v_max_m_s", None)
     scene["experimental"] = [TABLE]
     scenario = ScheduleScenario.from_dict(scene)
+    if seed % 2:
+        half = (0.02 * scenario.initial_set().half_widths).tolist()
+        error = {"position_error_m": half[0], "velocity_error_m_s": half[-1]}
+        error = error if scenario.system().mean_motion else {"state_error": half}
+        scene |= {"navigation": error, "thrusters": {"magnitude_error": 0.005}}
+        scenario = ScheduleScenario.from_dict(scene)
     part = polaris.get_safety(scenario)
     nu, top = part.reference.nu, part.problem.system.u_max
     gain = part.tracking.gain * np.random.default_rng(seed).uniform(0.6, 1.1, part.tracking.gain.shape)
