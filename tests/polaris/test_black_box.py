@@ -618,6 +618,14 @@ def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, ca
     assert "proven for anything within the thrust limits" in " ".join(given.output.split())
     wrong = CliRunner().invoke(app, ["run", *place, "--black-box", "other=true"])
     assert wrong.exit_code == 2 and "must be one of the scenario" in wrong.output
+    for arguments, told in (
+        (["run", place[0], "--black-box", "box"], "NAME=COMMAND"),
+        (["run", place[0], "--black-box", "box='open"], "has no command"),
+        (["campaign", place[0], "--black-box", "box=true", "--workers", "2"], "asked by one process"),
+        (["campaign", "inspection-monte-carlo", "--black-box", "box=true"], "for switching schedules"),
+    ):
+        refused = CliRunner().invoke(app, arguments)
+        assert refused.exit_code == 2 and told in " ".join(refused.output.split()), refused.output
 
 
 @pytest.mark.slow
