@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from queue import Empty, Queue
@@ -25,6 +26,81 @@ from ..synthesis.black_box import Ask
 LONGEST = 10_000_000  # most bytes of an answer
 HEARD = 4096  # bytes of complaints that are kept
 PATIENCE = 1.0  # seconds that the rest of them may take
+GRACE = 0.05  # seconds before new flights in which nothing may be answered
+
+
+class _Program:
+    """A running program that is asked; see `program`."""
+
+    def __init__(self, command: Sequence[str], seconds: float) -> None:
+        self.shown, self.seconds, pipe = (
+            " ".join(command)[:100],
+            positive("seconds", seconds, "s"),
+            subprocess.PIPE,
+        )
+        self.lines, self.heard = Queue[bytes](2), bytearray()
+        try:
+            self.process: Any = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
+            )
+        except (OSError, ValueError, IndexError) as error:
+            raise ScenarioError("black box", self.shown, f"cannot be started: {error}") from error
+        self.listening = threading.Thread(target=self._listen, daemon=True)
+        self.listening.start()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def __call__(self, t: float, x: Array, xi: Array) -> Any:
+        question = json.dumps({"t": t, "x": x.tolist(), "reference": xi.tolist()}) + "\n"
+        if t == 0:  # time to show what else it has to say
+            time.sleep(GRACE)
+        early = not self.lines.empty()
+        if not early:
+            threading.Thread(target=self._write, args=(question.encode(),), daemon=True).start()
+        try:
+            found = self.lines.get(timeout=self.seconds)
+        except Empty:
+            raise self._refused(f"must answer within {self.seconds:g} s") from None
+        if not found.endswith(b"\n"):
+            raise self._refused("must answer each line; it ended, or wrote too much")
+        if early:
+            raise self._refused("must answer each line by one; it wrote more")
+        try:
+            return json.loads(found)["u"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            raise self._refused(f'must answer {{"u": [[...], ...]}}; answered {found[:60]!r}') from None
+
+    def end(self) -> None:
+        """End it, and what it has started."""
+        if self.process.returncode is None:
+            with suppress(OSError):
+                os.killpg(self.process.pid, signal.SIGKILL) if hasattr(os, "killpg") else self.process.kill()
+            self.process.wait()
+        with suppress(OSError):
+            self.process.stdin.close()
+
+    def _refused(self, rule: str) -> NoAnswer:
+        self.end()
+        self.listening.join(PATIENCE)
+        words = self.heard.decode(errors="replace").strip().splitlines()[-1:]
+        told = "".join(f" (its last words: {word[:100]!r})" for word in words)
+        return NoAnswer("black box", self.shown, rule + told)
+
+    def _listen(self) -> None:
+        with self.process.stderr as stream:
+            while more := stream.read1(HEARD):
+                self.heard[:] = (self.heard + more)[-HEARD:]
+
+    def _read(self) -> None:
+        with self.process.stdout as stream:
+            line = b"\n"
+            while line.endswith(b"\n"):
+                line = stream.readline(LONGEST)
+                self.lines.put(line)  # whoever writes without being asked waits here
+
+    def _write(self, question: bytes) -> None:
+        with suppress(OSError, ValueError):  # it has ended; whoever asked says so
+            self.process.stdin.write(question)
+            self.process.stdin.flush()
 
 
 @contextmanager
@@ -34,66 +110,8 @@ def program(command: Sequence[str], seconds: float = 10.0) -> Iterator[Ask]:
     What it has started ends with it. `ScenarioError` where it cannot be started, `NoAnswer` where it ends,
     needs more than so many seconds for an answer, or answers something else than a line of JSON with "u".
     """
-    shown, pipe = " ".join(command)[:100], subprocess.PIPE
-    positive("seconds", seconds, "s")
-    lines, heard = Queue[bytes](2), bytearray()
-
-    def listen() -> None:
-        with process.stderr as stream:
-            while more := stream.read1(HEARD):
-                heard[:] = (heard + more)[-HEARD:]
-
-    def read() -> None:
-        with process.stdout as stream:
-            line = b"\n"
-            while line.endswith(b"\n"):
-                line = stream.readline(LONGEST)
-                lines.put(line)  # whoever writes without being asked waits here
-
-    def write(question: bytes) -> None:
-        with suppress(OSError, ValueError):  # it has ended; whoever asked says so
-            process.stdin.write(question)
-            process.stdin.flush()
-
-    def end() -> None:
-        with suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
-        process.wait()
-
-    def refused(rule: str) -> NoAnswer:
-        end()
-        listening.join(PATIENCE)
-        words = heard.decode(errors="replace").strip().splitlines()[-1:]
-        return NoAnswer("black box", shown, rule + "".join(f" (its last words: {w[:100]!r})" for w in words))
-
-    def ask(t: float, x: Array, xi: Array) -> Any:
-        question = json.dumps({"t": t, "x": x.tolist(), "reference": xi.tolist()}) + "\n"
-        early = not lines.empty()
-        if not early:
-            threading.Thread(target=write, args=(question.encode(),), daemon=True).start()
-        try:
-            found = lines.get(timeout=seconds)
-        except Empty:
-            raise refused(f"must answer within {seconds:g} s") from None
-        if not found.endswith(b"\n"):
-            raise refused("must answer each line; it ended, or wrote too much")
-        if early:
-            raise refused("must answer each line by one; it wrote more")
-        try:
-            return json.loads(found)["u"]
-        except (ValueError, TypeError, KeyError, RecursionError):
-            raise refused(f'must answer {{"u": [[...], ...]}}; answered {found[:60]!r}') from None
-
+    running = _Program(command, seconds)
     try:
-        process: Any = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
-    except (OSError, ValueError, IndexError) as error:
-        raise ScenarioError("black box", shown, f"cannot be started: {error}") from error
-    listening = threading.Thread(target=listen, daemon=True)
-    for thread in (listening, threading.Thread(target=read, daemon=True)):
-        thread.start()
-    try:
-        yield ask
+        yield running
     finally:
-        end()
-        with suppress(OSError):
-            process.stdin.close()
+        running.end()
