@@ -33,7 +33,11 @@ _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inpu
 # fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
 _NETWORK = {
-    "name": NAME, "inputs": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+    "name": NAME, "inputs": Rows(NAME, 1, 100),
+    "bodies?": Rows(Kinds({
+        "rigid": {"name": NAME, "position": grid("d"), "velocity": grid("d")},
+        "satellite": {"name": NAME, "state": grid("n"), "half_widths": grid("n"), "acceleration": HEX},
+    }), 1, 64),
     "input_scale": grid("*"), "output_scale": grid("m"),
     "own_states?": grid("* n"), "own_inputs?": grid("* m"),
     "layers": Rows(Kinds({

@@ -21,7 +21,8 @@ from polaris.simulation.integration import Integrator, columns
 from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.controllers import AnyThrust
 from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.neural import NeuralController, Policy
+from polaris.synthesis.neural import NeuralController
+from polaris.synthesis.policy import Policy
 from polaris.synthesis.synthesize import synthesize
 from reach.networks.bands import Activation
 from reach.networks.network import Affine, Network

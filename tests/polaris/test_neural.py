@@ -35,7 +35,8 @@ from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.neural import NeuralController, Policy
+from polaris.synthesis.neural import NeuralController
+from polaris.synthesis.policy import Policy
 from polaris.synthesis.synthesize import synthesize
 from reach.networks.bands import Activation
 from reach.networks.network import Affine, Network

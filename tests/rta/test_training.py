@@ -22,7 +22,8 @@ from polaris.runs.training import (  # noqa: E402
     VectorShield,
 )
 from polaris.scenario.scenario import load_scenario  # noqa: E402
-from polaris.synthesis.neural import NeuralController, Policy  # noqa: E402
+from polaris.synthesis.neural import NeuralController  # noqa: E402
+from polaris.synthesis.policy import Policy  # noqa: E402
 from polaris.synthesis.synthesize import synthesize  # noqa: E402
 from reach.networks.network import Affine, Network  # noqa: E402
 
