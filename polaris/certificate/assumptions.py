@@ -20,13 +20,6 @@ ALLOCATED = (
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
-TOLD = (
-    "bodies: what a network is told of an obstacle is a position and a velocity that its declared motion allows"
-    " at the start of the period, less those of the estimate of the chaser's own state where it is relative"
-)
-"""Assumed where a network reads other bodies."""
-
-
 @dataclass(frozen=True)
 class Premises:
     """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
@@ -55,8 +48,6 @@ class Premises:
         Radius of the chaser [m]; 0 for a point.
     allocated : bool
         Whether inputs are made by thrusters of which one may have failed.
-    bodies : bool
-        Whether a network is told of other bodies.
     sampled : mapping, optional
         What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
     """
@@ -72,7 +63,6 @@ class Premises:
     thrusters: Iterable[float] = ()
     chaser: float = 0.0
     allocated: bool = False
-    bodies: bool = False
     sampled: Mapping[str, Any] | None = None
 
     def told(self) -> list[str]:
@@ -89,8 +79,7 @@ class Premises:
             *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
             *([SATELLITES] if self.satellites else []),
             *self._of_hardware(),
-            "experimental controllers: each obeys its declared model",
-            *([TOLD] if self.bodies else []),
+            "experimental controllers: each obeys its declared model, told of obstacles what theirs allow",
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),
         ]

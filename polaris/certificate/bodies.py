@@ -13,21 +13,17 @@ from .motion import Plant, Push
 from .parts import Law
 from .satellites import acceleration_input
 
+MOVES = dict.fromkeys(("center_m", "velocity_m_s", "state", "state_half_widths")) | {
+    "thrust_accel_max_m_s2": 0.0
+}
+"""Keys of an obstacle that say how it moves, and what stands for those that it has not."""
 
-def bodies_of(reads: list[str], scenario: dict[str, Any], d: int) -> list[dict[str, Any]]:
-    """How those of a scenario move that some inputs name, in that order, as a certificate must say."""
+
+def bodies_of(reads: list[str], scenario: dict[str, Any]) -> list[dict[str, Any]]:
+    """What a certificate must say of the obstacles of a scenario that some inputs name, in that order."""
     known = {spec["name"]: spec for spec in scenario.get("obstacles", ())}
-    found = []
-    for name in dict.fromkeys(name.partition(":")[2] for name in reads if ":" in name):
-        spec = known[name]
-        if spec["kind"] == "satellite":
-            state = {"state": spec["state"], "half_widths": spec["state_half_widths"]}
-            own = {"kind": "satellite", **state, "acceleration": spec.get("thrust_accel_max_m_s2", 0.0)}
-        else:
-            at, velocity = (spec.get(key) or [0.0] * d for key in ("center_m", "velocity_m_s"))
-            own = {"kind": "rigid", "position": at, "velocity": velocity}
-        found.append({"name": name, **own})
-    return found
+    named = dict.fromkeys(name.partition(":")[2] for name in reads if ":" in name)
+    return [{"name": x, **{key: known[x].get(key, none) for key, none in MOVES.items()}} for x in named]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +39,10 @@ class Whereabouts:
     @classmethod
     def of(cls, document: Document, law: Law, plant: Plant) -> Whereabouts:
         """Of those that a network of a certificate reads."""
-        pushes: dict[str, list[Push]] = {}
-        for body in law.bodies:
-            thrust = arb(body.get("acceleration", 0.0))
-            own = Push.in_ball(acceleration_input(document, body["name"]), thrust) if thrust else None
-            pushes[body["name"]] = [plant.disturbance, *([own] if own else [])]
+        pushes = {body["name"]: [plant.disturbance] for body in law.bodies}
+        for body in (body for body in law.bodies if body["thrust_accel_max_m_s2"]):
+            enters = acceleration_input(document, body["name"])
+            pushes[body["name"]].append(Push.in_ball(enters, arb(body["thrust_accel_max_m_s2"])))
         clock = arb(document.timing.get("clock", 0.0))
         return cls(plant, {body["name"]: body for body in law.bodies}, clock, pushes)
 
@@ -78,9 +73,9 @@ class Whereabouts:
         Of a satellite: the support of all its states along rows C and C A, which `push_gain` adds to.
         """
         body, plant, C = self.bodies[name], self.plant, self.plant.C
-        if body["kind"] == "rigid":
-            v = [arb(x) for x in body["velocity"]]
-            place = [x + y * (plant.h * node) for x, y in zip(body["position"], v, strict=True)]
+        if body["state"] is None:
+            at, v = ([*map(arb, body[key] or [0.0] * C.nrows())] for key in ("center_m", "velocity_m_s"))
+            place = [x + y * (plant.h * node) for x, y in zip(at, v, strict=True)]
             return [*place, *v], [*(self.clock * abs(x) for x in v), *(0 * x for x in v)]
         start = above(C, C * plant.A), [arb(0)] * (2 * C.nrows())
         carried = self._carried.setdefault(name, [start])
@@ -89,5 +84,5 @@ class Whereabouts:
             more = (plant.open.push_gain(rows, push) for push in self.pushes[name])
             carried.append((rows * plant.open.phi, sums(gained, *more)))
         rows, gained = carried[node]
-        known = absolute(rows) * column(body["half_widths"])
+        known = absolute(rows) * column(body["state_half_widths"])
         return (rows * column(body["state"])).entries(), sums(gained, known.entries())

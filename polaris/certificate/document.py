@@ -12,7 +12,7 @@ from typing import Any
 from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
-from .layers import network_of, sizes_of
+from .layers import network_of
 from .parts import Law, Matrix, Vector, abort_of, unsafe_set
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
@@ -207,7 +207,6 @@ class Document:
             thrusters=self.prompt_thrusters,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
-            bodies=any(law.bodies for law in self.laws),
             sampled=self.statement or None,
         ).told()
         if read["assumptions"] != self.assumptions:
@@ -229,9 +228,9 @@ class Document:
                 raise ValueError(f"the reference of {law.name} must cover every step")
         if max(self.modes) >= len(self.laws):
             raise ValueError("modes must be known")
+        sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
-            sizes = sizes_of(law.bodies, len(self.A), len(self.u_max), len(self.C))
-            if sum(sizes.get(name, math.inf) for name in law.reads) != len(law.input_scale):
+            if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:

@@ -17,13 +17,6 @@ class Layer:
     high: float = 0.0
 
 
-def sizes_of(bodies: list[dict[str, Any]], n: int, m: int, d: int) -> dict[str, int]:
-    """How many numbers each input of a network is that may read some bodies."""
-    kinds = ("position", "velocity", "relative_position", "relative_velocity")
-    read = {f"{kind}:{body['name']}": d for body in bodies for kind in kinds}
-    return {"error": n, "state": n, "time": 1, "reference_input": m, **read}
-
-
 def network_of(law: dict[str, Any]) -> dict[str, Any]:
     """Fields of a law that is a network, its layers of sizes that fit."""
     if law["kind"] != "neural":

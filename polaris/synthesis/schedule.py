@@ -150,7 +150,6 @@ class Schedule:
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
             sampled=None if self.statement is None else asdict(self.statement),
-            bodies=any(isinstance(law, NeuralController) and law.senses.bodies for law in self.controllers),
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
 

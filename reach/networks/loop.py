@@ -13,16 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import (
-    Array,
-    as_count,
-    as_directions,
-    as_shaped,
-    check_fields,
-    checked,
-    per_row,
-    require_single,
-)
+from ..numerics.checks import Array, as_count, as_directions, check_fields, checked, per_row, require_single
 from ..numerics.errors import ReachError
 from ..numerics.linear import require_square
 from ..numerics.rounding import gamma
@@ -152,9 +143,7 @@ class NetworkLoop:
             seen = Zonotope(seen.c, np.hstack([seen.G, self.C * self.error]))
             extent = extent + self.error
         if spread is not None:
-            wanted, r = f"{self.network.inputs} finite rows", self.network.inputs
-            more = as_shaped("the spread", spread, wanted, lambda s: len(s) == 2 and s[0] == r)
-            seen = Zonotope(seen.c, np.hstack([seen.G, more]))
+            seen = seen + Zonotope(np.zeros(seen.dim), spread)
         rounding = gamma(states.dim) * (np.abs(self.C) @ extent + np.abs(s)) + off
         out = self.network.enclose(seen, rounding)
         g = states.order_count
