@@ -96,9 +96,13 @@ class NeuralController:
     @cached_property
     def sight(self) -> Array:
         """How what it reads depends on what it is told, shape (r, 2d per body)."""
-        n, m, bodies = self.system.n, self.system.m, self.told[0].shape[-1]
-        still = np.zeros((bodies, n))
-        return self._stack(np.zeros(n), still, np.zeros(1), np.zeros(m), np.eye(bodies)).T
+        told = np.eye(self.told[0].shape[-1])
+        return self._slopes(np.zeros((len(told), self.system.n)), told)
+
+    def _slopes(self, x: Array, told: Array) -> Array:
+        """What rows of states and of what is told add to what is read, shape (r, rows)."""
+        other = (np.zeros((len(x), size)) for size in (1, self.system.m))
+        return self._stack(0 * x, x, *other, told).T
 
     def _stack(self, *given: Array) -> Array:
         return self.policy.stack(self.senses.parts(*given))
@@ -113,8 +117,7 @@ class NeuralController:
     def loop(self) -> NetworkLoop:
         """The closed loop in error coordinates, limits and scales included."""
         system, policy, zeros = self.system, self.policy, np.zeros(self.system.m)
-        none = np.zeros(system.n), np.zeros(1), zeros, np.zeros(self.told[0].shape[-1])
-        reads = self._stack(none[0], np.eye(system.n), *none[1:]).T
+        reads = self._slopes(np.eye(system.n), np.zeros((system.n, self.told[0].shape[-1])))
         limited = (
             Affine(np.diag(policy.output_scale / system.u_max), zeros),
             Activation("clip", -1.0, 1.0),
@@ -128,14 +131,14 @@ class NeuralController:
     @cached_property
     def known(self) -> tuple[Array, Array]:
         """What is read where the error is 0, at every node, and by how much it may be off: (K, q+1, r)."""
-        cells, q, none = len(self.offset), self.feedback.nodes_per_cell, np.zeros(1)
-        times: Array = np.arange(cells, dtype=float)[:, None, None] * np.float64(self.reference.delta)
-        nu = self.own.nu[:cells, None]
+        cells, q = len(self.offset), self.feedback.nodes_per_cell
+        times = np.repeat(np.arange(cells)[:, None, None] * np.float64(self.reference.delta), q + 1, axis=1)
+        nu = np.repeat(self.own.nu[:cells, None], q + 1, axis=1)
         own, safe = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
         told, C = self.told[0], np.abs(self.loop.C)
         read = self._stack(own, safe, times, nu, told)
         # The two references are stored states: what is made of them is known up to their round-off.
-        off = self._stack(self.own.rounding[:cells, None], 0 * safe, none, 0 * nu, 0 * told)
+        off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * told)
         off = np.abs(off) + self.reference.rounding[:cells, None] @ C.T
         return read, off + gamma(self.system.n + 4) * (np.abs(read) + np.abs(safe) @ C.T)
 
@@ -168,7 +171,8 @@ class NeuralController:
 
     def _read(self, k: int, own: Array, x: Array, later: float, told: Array | None = None) -> Array:
         told = self.told[0][k, self.node(later)] if told is None else told
-        return self._stack(own, x, np.array([k * self.reference.delta]), self.own.nu[k], told)
+        read = self._stack(own, x, np.array([k * self.reference.delta]), self.own.nu[k], told)
+        return np.broadcast_to(read, (*x.shape[:-1], read.shape[-1]))
 
     def node(self, later: float) -> int:
         """Number of the node of a step some seconds after its start."""

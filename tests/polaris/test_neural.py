@@ -15,6 +15,7 @@ pytest.importorskip("flint")
 from flint import arb, arb_mat
 
 from polaris.certificate.balls import matrix
+from polaris.certificate.bodies import Whereabouts
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
 from polaris.certificate.layers import Layer
@@ -57,7 +58,7 @@ KINDS = {
     "sigmoid": Activation("sigmoid"),
     "clip": Activation("clip", -0.4, 0.7),
 }
-READS = (("error",), ("state", "time"), ("reference_input", "error", "time"), ("error", "state"))
+READS = (("error",), ("state", "time"), ("reference_input", "error", "time"), ("error", "state"), ("time",))
 
 
 def random_network(rng, inputs, outputs, depth=2, width=12):
@@ -190,7 +191,7 @@ def test_the_checker_encloses_what_a_network_commands(error):
         d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
         plant = {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))}
         plant = type("Plant", (), plant | {"estimate": (error,) * 4 if error else ()})
-        checked = CheckedPolicy(law, plant)
+        checked = CheckedPolicy(law, plant, Whereabouts(plant, {}, arb(0), {}))
         known = policy.stack(
             {
                 "error": np.zeros(4),
@@ -199,7 +200,7 @@ def test_the_checker_encloses_what_a_network_commands(error):
                 "reference_input": np.array([0.1, -0.2]),
             }
         )
-        found = checked.command(d, matrix([[x] for x in known]))
+        found = checked.command(d, matrix([[x] for x in known]), arb_mat(len(known), 0))
         for signs in rng.choice([-1.0, 1.0], (60, 5)):
             e = G @ signs
             told = e + rng.choice([-error, error], 4)
