@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import replace
 from functools import cache
 from hashlib import sha256
+from time import process_time
 
 import numpy as np
 import pytest
@@ -493,6 +494,34 @@ def test_the_slope_of_an_affine_network_is_the_network():
     policy = Policy(Network((Affine(W, np.zeros(2)),)), ("error",), np.full(4, 0.5), np.array([0.1, 0.3]))
     slope = replace(controller, policy=policy).slope
     assert slope.clips and slope.gain == pytest.approx(np.array([[0.1], [0.3]]) * W * 0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["static", "dynamic"])
+def test_an_imitation_gets_nearly_the_share_of_the_law_that_it_imitates(name, tmp_path):
+    pytest.importorskip("onnx")
+    sampled = {"feedback": {"kind": "sampled", "period_s": 2.0}, "recoverable.recourse": "none"}
+    law = load_scenario(name, sampled)
+    found, file = law.to_dict(), scenario_folder() / "policies" / "fuel_saver.onnx"
+    table = {"kind": "neural", "name": "net", "path": str(file), "output_scale_N": 0.2}
+    table |= {"input_scale": [1 / 60] * 3 + [1.0] * 3, "reference": {"kind": "unaware"}}
+    net = type(law).from_dict(found | {"experimental": [table]})
+    assert synthesize(net).share() >= 0.95 * synthesize(law).share()
+
+
+@pytest.mark.slow
+def test_a_flight_under_two_layers_of_64_takes_seconds():
+    """The tube of 60 steps of 15 periods."""
+    file = scenario_folder() / "policies" / "shortcut.onnx"
+    pytest.importorskip("onnx")
+    from reach.networks.loop import NetworkLoop
+    from reach.networks.onnx_file import read_onnx
+
+    begun, A, B = process_time(), np.eye(4, k=2), np.eye(4)[:, 2:]
+    limited = Network((*read_onnx(file).layers, Activation("clip", -1.0, 1.0)))
+    loop = NetworkLoop(A, B, B, 0.02, 0.125, limited, -np.eye(4))
+    tube = loop.tube(Zonotope.box(np.zeros(4), [0.05, 0.05, 0.01, 0.01]), 900)
+    assert process_time() - begun < 5.0 and tube.nodes[-1].half_widths.max() < 1.0
 
 
 @pytest.mark.slow
