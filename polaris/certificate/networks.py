@@ -72,9 +72,9 @@ class Policy:
         read, rest = (scale * above(*(found[name] for name in self.law.reads)) for found in (parts, spread))
         return read, rest
 
-    def command(self, d: Zonotope, known: arb_mat, spread: arb_mat) -> Command:
+    def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> Command:
         """What it commands over a set of states relative to its reference."""
-        M, c, V = self.reads, known, spread
+        M, c, V = self.reads, known, rest
         if self.plant.estimate:
             V = beside(V, M * diagonal(self.plant.estimate))
         for layer in self.layers:

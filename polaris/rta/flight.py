@@ -201,7 +201,7 @@ class Engine(Integrator):
         w, *errors = (w[:, part] for part in self.columns)
         # The same at every step of the period.
         held = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
-        self.eta, self.thrust, self.told = held
+        self.eta, self.thrust, self.shares = held
         if mode != FILTERED:
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w] * self.substeps)

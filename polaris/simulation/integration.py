@@ -46,7 +46,7 @@ class Integrator:
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
     of the largest that what is commanded allows, `thrust` (steps, R, m). What networks are told of bodies is
-    off by `told` (steps, R, ...), as shares of what is not known; where `bodies` has true states of
+    off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of
     satellites at the nodes, by name (R, N+1, n), it is the truth.
     """
 
@@ -55,7 +55,7 @@ class Integrator:
         self.free: Array | None = None
         self.eta: Array | None = None
         self.thrust: Array | None = None
-        self.told: Array | None = None
+        self.shares: Array | None = None
         self.bodies: dict[str, Array] = {}
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
@@ -113,10 +113,10 @@ class Integrator:
         if self.bodies:
             seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
             return law.senses.seen(k * law.reference.delta + passed, seen, runs)
-        if self.told is None:
+        if self.shares is None:
             return None
         middle, half = (part[k, law.node(passed)] for part in law.told)
-        return np.asarray(middle + half * self.told[step][:, : len(half)])
+        return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
@@ -174,7 +174,7 @@ class Integrator:
         """
         q, nodes = self.q, len(self.modes) * self.q
         w, *errors = (w[..., part] for part in self.columns)
-        self.eta, self.thrust, self.told = (part if part.shape[2] else None for part in errors)
+        self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))

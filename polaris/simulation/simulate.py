@@ -80,7 +80,7 @@ def simulate(
     if flight.columns[-1].start < flight.columns[-1].stop and disturbance != "none":
         # Networks that read where others are read the truth.
         problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
-        times = np.arange(len(flight.modes) * flight.q + 1) * h
+        times = np.asarray(np.arange(len(flight.modes) * flight.q + 1) * h, dtype=float)
         flight.bodies = true_states(problem.unsafe, problem.system, times, n, rng)
     return flight.run(x0, w)
 
