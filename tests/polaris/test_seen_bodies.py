@@ -219,23 +219,19 @@ def test_a_run_verifies_flies_and_holds_under_attack(made):
     assert falsify(schedule, 400).failure is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "more"),
     [
-        pytest.param(
-            2, {"inputs": ("error", "position:visitor", "relative_velocity:visitor")}, marks=pytest.mark.slow
-        ),
+        (2, {"inputs": ("error", "position:visitor", "relative_velocity:visitor")}),
         (3, {"navigation": {"state_error": [0.004, 0.004, 0.001, 0.001]}}),
-        pytest.param(
-            *(
-                4,
-                {
-                    "inputs": ("error", "relative_position:trolley"),
-                    "timing": {"clock_error_s": 0.2},
-                    "obstacles": 2,
-                },
-            ),
-            marks=pytest.mark.slow,
+        (
+            4,
+            {
+                "inputs": ("error", "relative_position:trolley"),
+                "timing": {"clock_error_s": 0.2},
+                "obstacles": 2,
+            },
         ),
     ],
 )
