@@ -35,7 +35,7 @@ from reach.numerics.linear import discretize
 
 from ..kept import ROOT, kept
 from .closed_loops import attack, attack_monitor
-from .forging import CERTIFICATE, Forger, make
+from .forging import CERTIFICATE, COARSE, Forger, make
 from .random_scenarios import random_scenario
 from .test_closed_loops import PRINTED, judge, monitored
 from .tiny import TINY
@@ -375,7 +375,7 @@ def test_every_place_where_the_docs_say_an_error_enters_is_there():
 
 def test_forged_errors_are_refused(tmp_path):
     """The scenario's bounds are the certificate's: no smaller ones pass, wherever they are written."""
-    forger = Forger(make(ERRORS, tmp_path), tmp_path)
+    forger = Forger(make([COARSE.replace("0.5", "0.25"), *ERRORS], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     names = forger.honest["assumptions"]
     data = forger.tree(CERTIFICATE)

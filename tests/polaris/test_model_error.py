@@ -22,7 +22,7 @@ from polaris.simulation.orbit.truth import declared, fly_true
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from .conftest import synthesised
+from ..kept import printed
 
 SPACECRAFT = ["static", "dynamic", "keep_out", "hold_point"]
 ETA = 0.0012
@@ -102,7 +102,7 @@ def test_near_circular_orbits_ripple_as_little_as_j2_lets_them():
 
 
 def test_without_j2_drag_and_distance_the_linear_model_is_left():
-    schedule = synthesised("static")[1]
+    schedule = printed("static")[1]
     far = fly_true(schedule, BARE, 2, initial="center", substeps=1)
     linear = simulate(schedule, 2, initial="center", disturbance="none", substeps=1)
     assert np.abs(far.runs.states - linear.states)[..., :3].max() < 0.5
@@ -180,7 +180,7 @@ def test_two_digits_round_up():
     "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
 )
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
-    found = model_error(*synthesised(name), samples=40_000)
+    found = model_error(*printed(name), samples=40_000)
     assert found.covered, found.summary()
     assert 0.5 * found.bound < found.sampled <= found.bound
     assert found.bound > 0.7 * found.declared, "the declared bound is not idle either"
@@ -192,7 +192,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
-    scenario, schedule = synthesised(name)
+    scenario, schedule = printed(name)
     env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max
     flown = fly_true(schedule, env, 40, substeps=1)
     metrics = flown.runs.metrics()
@@ -249,7 +249,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
 
 
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
-    scenario, schedule = synthesised("static")
+    scenario, schedule = printed("static")
     region = visited(schedule)
     flown = fly_true(schedule, Environment.of(scenario), 20, tail=True, substeps=1)
     K, q = schedule.safety.problem.K, schedule.safety.clearance.q
@@ -261,7 +261,7 @@ def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
 
 
 def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is_covered():
-    scenario, schedule = synthesised("dynamic")
+    scenario, schedule = printed("dynamic")
     safety, env = schedule.safety, Environment.of(scenario)
     satellite = next(o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle))
     rng = np.random.default_rng(2)
