@@ -22,6 +22,7 @@ def synthesised(name):
     """(scenario, schedule) of a bundled scenario."""
     return scheduled(name)
 
+
 @cache
 def small_problem(period=None, w_max=1e-5, recoverable="polytope"):
     """A short transfer past one box: the smallest scene that has everything."""

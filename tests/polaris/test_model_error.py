@@ -237,7 +237,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     scenario = load_scenario("static", ERRORS)
     env, schedule = Environment.of(scenario), synthesize(scenario)
     system = schedule.safety.problem.system
-    flown = fly_true(schedule, env, 12, substeps=1)
+    flown = fly_true(schedule, env, 8, substeps=1)
     metrics = flown.runs.metrics()
     assert flown.within.all() and flown.residual.max() < system.w_max and not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1 and farthest(schedule, flown) <= 1 + 1e-6
@@ -245,7 +245,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     plain = synthesize(load_scenario("static", ERRORS[:4]))
     for name in ("estimate_error", "thrusters"):
         object.__setattr__(plain.safety.problem.system, name, getattr(system, name))
-    assert farthest(plain, fly_true(plain, env, 12, substeps=1)) > 1.1
+    assert farthest(plain, fly_true(plain, env, 8, substeps=1)) > 1.1
 
 
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():

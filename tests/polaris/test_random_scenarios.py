@@ -10,10 +10,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-pytest.importorskip("flint")
+flint = pytest.importorskip("flint")
 
+from polaris.certificate.argument import Argument
+from polaris.certificate.balls import PRECISION
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import digest
+from polaris.certificate.document import Document, digest
+from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import PolarisError
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
@@ -21,7 +24,7 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
-from ..kept import scheduled
+from ..kept import printed
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 
@@ -122,7 +125,7 @@ def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest(
 
 
 def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
-    scenario, schedule = scheduled("static")
+    scenario, schedule = printed("static")
     assert schedule.safety.end.horizon == "infinite"
 
     def change(copy):
@@ -132,8 +135,19 @@ def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
         for item in copy["unsafe_sets"]:
             item["offsets"] = item["offsets"][:-1]
 
-    verdict = changed(certificate(schedule, scenario.name), change)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "end")
+    told = certificate(schedule, scenario.name)
+    with flint.ctx.workprec(PRECISION):
+        for cut in (lambda copy: None, change):
+            change_to = json.loads(json.dumps(told))
+            cut(change_to)
+            change_to["digest"] = digest(change_to)
+            argument = Argument(Document(change_to), Record())
+            if cut is change:
+                with pytest.raises(Rejected, match="less than one turn") as refused:
+                    argument.end(argument.reference())
+                assert refused.value.claim == "end"
+            else:
+                argument.end(argument.reference())
 
 
 def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
