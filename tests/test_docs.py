@@ -185,9 +185,7 @@ def test_page_does_what_it_shows(path, shell, monkeypatch):
     import matplotlib.pyplot as plt
 
     plt.switch_backend("agg")
-    if (
-        path.name == "README.md"
-    ):  # its scene is that of other tests, and of its own command in another process
+    if path.name == "README.md":  # its own command makes the same in another process
         monkeypatch.setattr("polaris.synthesize", lambda scenario: scheduled(scenario.name)[1])
     namespace, printed = {"__name__": path.stem}, None
     for block in blocks(path):

@@ -10,7 +10,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-flint = pytest.importorskip("flint")
+pytest.importorskip("flint")
+
+import flint
 
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import PRECISION
