@@ -150,7 +150,7 @@ def pulses(modes):
         ("greedy", 3, 2),
         ("greedy", 2, None),
         ("greedy", 5, None),
-        ("look_ahead", 1, 2),
+        pytest.param("look_ahead", 1, 2, marks=pytest.mark.slow),
         ("look_ahead", 3, 2),
     ],
 )
