@@ -29,6 +29,7 @@ from polaris.synthesis.synthesize import synthesize
 from ..kept import printed
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
+from .tiny import synthesised as tiny
 
 FEW = (2, 26, 43, 2001, 3015)
 """Among them: a tail shorter than the memory, clipped laws, balls; nothing is claimed after T in 36, below.
@@ -156,6 +157,15 @@ def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
     with pytest.raises(Rejected, match="less than one turn") as refused:
         end_of(altered(told, change))
     assert refused.value.claim == "end"
+
+
+def test_nothing_is_safe_for_ever_where_a_set_moves():
+    scenario, schedule = tiny()
+    told = certificate(schedule, scenario.name)
+    assert told["end"]["horizon"] == "one_period"
+    end_of(told)
+    with pytest.raises(Rejected, match="unsafe sets move: trolley"):
+        end_of(altered(told, lambda copy: copy["end"].update(horizon="infinite", until=None)))
 
 
 def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit(monkeypatch):
