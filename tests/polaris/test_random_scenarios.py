@@ -27,6 +27,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.synthesize import synthesize
 
 from ..kept import printed
+from .corruptions import restate
 from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 from .tiny import synthesised as tiny
@@ -164,8 +165,13 @@ def test_nothing_is_safe_for_ever_where_a_set_moves():
     told = certificate(schedule, scenario.name)
     assert told["end"]["horizon"] == "one_period"
     end_of(told)
+
+    def change(copy):
+        copy["end"] |= {"horizon": "infinite", "until": None}
+        restate(copy)
+
     with pytest.raises(Rejected, match="unsafe sets move: trolley"):
-        end_of(altered(told, lambda copy: copy["end"].update(horizon="infinite", until=None)))
+        end_of(altered(told, change))
 
 
 def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit(monkeypatch):
