@@ -96,7 +96,7 @@ def test_a_few_proofs_hold_with_errors_at_their_worst():
     tight = []
     for seed in FEW:
         _, schedule = made(seed)
-        found = attack(schedule, 40, seed)
+        found = attack(schedule, 60, seed)
         judge(seed, found)
         tight.append(found.tight)
         assert falsify(schedule, 150, seed).failure is None
