@@ -333,6 +333,11 @@ def test_version_is_the_same_everywhere():
 # -- the built pages ---------------------------------------------------------------------------------
 
 
+def on_built_pages(test):
+    """A test of the built pages: `.ci/run` runs it beside the quick tests, for building takes long."""
+    return pytest.mark.slow(pytest.mark.built(test))
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The documentation, built as `make docs` builds it."""
@@ -346,6 +351,7 @@ def site(tmp_path_factory):
     return place
 
 
+@on_built_pages
 @pytest.mark.parametrize("page", INTERFACES.values())
 def test_interface_page_shows_docstrings_as_tables(page, site):
     """Each name has a heading; sections of docstrings are tables, none a heading of the page."""
@@ -366,6 +372,7 @@ def formulas(text, kind):
     return [found[2] for found in FORMULA.finditer(UNREAD.sub("", text)) if found[1] == kind]
 
 
+@on_built_pages
 @pytest.mark.parametrize("path", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
 def test_every_formula_is_one(path, site):
     """No dollar and no command of TeX is left outside of what MathJax sets; display stays on display."""
@@ -377,6 +384,7 @@ def test_every_formula_is_one(path, site):
     assert not stray
 
 
+@on_built_pages
 def test_pages_need_no_network(site):
     """Scripts and styles come with the pages; links may lead elsewhere."""
     for page in site.glob("*.html"):
