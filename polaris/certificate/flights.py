@@ -84,7 +84,7 @@ class Pilot:
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
-            most = d.support(self.commands)
+            most = d.through(self.commands).tops()
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
             tops = self.clipped(_ranges(u, most))
@@ -116,7 +116,7 @@ class Pilot:
             K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
             push = Push.in_box(plant.B, [arb(row[n + 1]) for row in rows])
             return Period(plant.loop(-K), plant.B * (c - u), push)
-        found = self.clipped(_ranges(u, d.support(self.commands)))
+        found = self.clipped(_ranges(u, d.through(self.commands).tops()))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [
                 smallest((top, 1.02 * x.upper() + 1e-3 * top))
@@ -132,7 +132,7 @@ class Pilot:
         kind, plant = self.law.kind, self.plant
         error = plant.push(sums(self.noise, plant.thruster_error(most)))
         linear = Period(self.loop(), arb_mat(d.c.nrows(), 1), None, error)
-        reach = d.support(self.commands)
+        reach = d.through(self.commands).tops()
         if not plant.sampled:
             reach = linear.within(self.commands, d, reach)
         ranges = _ranges(u, reach)
@@ -162,7 +162,7 @@ class Period:
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""
-        return d.image(self.motion.phi).moved(self.motion.gamma * self.g)
+        return d.through(self.motion.phi).moved(self.motion.gamma * self.g)
 
     def after(self, end: Zonotope) -> Zonotope:
         """The set at the next node, from `ends`."""
@@ -182,7 +182,7 @@ class Period:
         """
         motion = self.motion
         bend, last = motion.disturbance_along(rows)
-        first = sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
+        first = sums(motion.bow(rows, d.through(motion.closed).moved(self.g)), bend)
         for push in (self.push, self.error):
             if push is not None:
                 first = sums(first, motion.push_bend(rows, push))
@@ -192,7 +192,7 @@ class Period:
     def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
         """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
         first, last = self.extra(rows, d)
-        ends = sums(self.ends(d).support(rows), last)
+        ends = sums(self.ends(d).through(rows).tops(), last)
         return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
 
 
@@ -276,7 +276,7 @@ def _clipped(
     """
     plant, rows = pilot.plant, pilot.commands
     commands = list(zip(plant.u_max, u.entries(), strict=True))
-    at_node = d.support(rows)
+    at_node = d.through(rows).tops()
     ranges = _ranges(u, at_node)
     if not plant.sampled:
         pushes = [(-top - x, top - x) for top, x in commands]

@@ -27,7 +27,8 @@ from polaris.synthesis.synthesize import synthesize
 from reach.networks.bands import Activation
 from reach.networks.network import Affine, Network
 
-from .conftest import printed, synthesised
+from ..kept import printed
+from .conftest import synthesised
 from .tiny import TINY
 from .tiny import flown as tiny_flown
 from .tiny import synthesised as tiny

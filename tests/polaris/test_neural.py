@@ -260,7 +260,8 @@ def test_a_run_of_a_network_verifies_and_stands_alone(made, tmp_path):
     assert isinstance(controller, NeuralController)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 6))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
 def test_runs_of_other_networks_verify(seed, tmp_path):
     pytest.importorskip("onnx")
     from benchmarks.policies import write_onnx
