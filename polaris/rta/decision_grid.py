@@ -219,10 +219,11 @@ class DecisionGrid:
         """Command of a controller at a node, before clipping, shape (..., m)."""
         cells = self.clearance.cells if mode == 0 else self.clearance.planned
         k = min(node // self.clearance.q, cells - 1)
-        law, own = self.controllers[mode], self.own[mode][node] if mode in self.own else self.xi[node]
-        if isinstance(law, BlackBox):
-            return law.command(k, self.xi[node], own, x, (node - k * self.clearance.q) * self.h)
-        return law.command(k, self.xi[node], own, x)
+        own = self.own[mode][node] if mode in self.own else self.xi[node]
+        law, at = self.controllers[mode], (k, self.xi[node], own, x)
+        if isinstance(law, BlackBox | NeuralController):
+            return law.command(*at, (node - k * self.clearance.q) * self.h)
+        return law.command(*at)
 
     def clipped(self, mode: int, node: int, x: Array) -> Array:
         """The same as the thrusters apply it."""

@@ -24,7 +24,7 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .controllers import AnyThrust, Controller, TubeSegment
-from .neural import NEEDS_SAMPLES, WIDER, misapplied, no_tube, reduced
+from .neural import NEEDS_SAMPLES, WIDER, NeuralController, misapplied, no_tube, reduced
 from .tracking import Tracking
 
 Ask = Callable[[float, Array, Array], Any]
@@ -76,14 +76,8 @@ class BlackBox:
 
     Parameters
     ----------
-    name : str
-        Name in tables and figures.
-    system : LinearSystem
-        What it controls.
-    reference : Reference
-        The safe reference.
-    tracking : Tracking
-        The safety tracker, whose feedback must be sampled.
+    name, system, reference, tracking
+        As those of a `NeuralController`.
     ask : callable
         See `Ask`. If it has a ``reset``, that is called with the number of flights whenever they begin.
     wider : float
@@ -200,7 +194,8 @@ class BlackBox:
             if id(law) in asked:
                 u = asked[id(law)]
             else:
-                u = law.command(past, xi, own[id(law)][past, i] if id(law) in own else xi, seen)
+                at = past, xi, own[id(law)][past, i] if id(law) in own else xi, seen
+                u = law.command(*at, *([i * self.flow.h] if isinstance(law, NeuralController) else []))
             u = np.clip(u, -system.u_max, system.u_max)
             if node >= len(nodes) - q:
                 fit.append(self._line(e, u, xi))
