@@ -11,8 +11,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
-from .bands import Activation
-from .network import Affine, Network
+from .network import Activation, Affine, Network
 
 LARGEST = 64 * 2**20
 """Bytes of a file beyond which it is refused: a controller is small."""

@@ -23,8 +23,7 @@ from polaris.synthesis.controllers import AnyThrust
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.neural import NeuralController, Policy
 from polaris.synthesis.synthesize import synthesize
-from reach.networks.bands import Activation
-from reach.networks.network import Affine, Network
+from reach.networks.network import Activation, Affine, Network
 
 from .conftest import printed, synthesised
 from .tiny import TINY
