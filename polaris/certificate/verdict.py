@@ -14,16 +14,9 @@ LONGEST = 1000
 
 
 class Failed(Exception):
-    """A claim of the certificate is not confirmed.
+    """A claim, by its name in docs/certificate.md, is not confirmed: where, how, and perhaps by how much.
 
-    Parameters
-    ----------
-    claim : str
-        Which claim: one of the names in docs/certificate.md.
-    witness : str
-        Where and how it fails.
-    excess : float or None
-        By how much, in the unit that the witness names.
+    The excess is in the unit that the witness names.
     """
 
     outcome = UNKNOWN

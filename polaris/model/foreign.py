@@ -26,15 +26,9 @@ BUFFERS = (memoryview, array)
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """Stands for a value that is no numbers.
+    """Stands for a value that is no numbers."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of its type.
-    """
-
-    kind: str
+    kind: str  # name of its type
 
 
 def kind_of(value: object) -> str:

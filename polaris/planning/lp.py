@@ -19,12 +19,7 @@ FAR = 1e6
 
 
 class GrowingLP:
-    """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high`` with rows added and taken back.
-
-    Parameters
-    ----------
-    cost, low, high : ndarray, shape (n,)
-    """
+    """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high`` with rows added and taken back."""
 
     def __init__(self, cost: Array, low: Array, high: Array) -> None:
         import highspy

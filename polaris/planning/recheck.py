@@ -84,13 +84,7 @@ def certified(
     status: str,
     **found: Any,
 ) -> Plan:
-    """Re-check inputs and make a `Plan` of them, with `found` for its remaining fields.
-
-    Raises
-    ------
-    NotCertified
-        If a clearance, a limit or the goal does not hold.
-    """
+    """Re-check inputs and make a `Plan` of them, with `found` for the rest; `NotCertified` if one fails."""
     K = problem.K
     check = recheck(problem, nu)
     shape = (len(problem.unsafe), problem.cells)

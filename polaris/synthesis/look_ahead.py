@@ -53,26 +53,14 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class LookAhead:
-    """The search, for K steps from a set.
-
-    Parameters
-    ----------
-    prove : callable
-        See `Prove`.
-    size : callable
-        How far a set reaches from the reference: of two schedules of equal worth, the nearer one is kept.
-    worth : tuple of float
-        Of one step under each mode; 0 for S.
-    beam : int
-        Schedules kept at each step for each number of switches and mode.
-    """
+    """The search, for K steps from a set."""
 
     start: Zonotope
     K: int
-    prove: Prove
-    size: Callable[[Zonotope], float]
-    worth: tuple[float, ...]
-    beam: int
+    prove: Prove  # see `Prove`
+    size: Callable[[Zonotope], float]  # reach from the reference: of two of equal worth, the nearer is kept
+    worth: tuple[float, ...]  # of one step under each mode; 0 for S
+    beam: int  # schedules kept at each step for each number of switches and mode
 
     def best(
         self, dwell: int, cap: int | None, progress: Callable[[int, int], None] | None = None

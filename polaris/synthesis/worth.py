@@ -21,24 +21,15 @@ WORSE = 10.0
 class Worth:
     """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
 
-    Parameters
-    ----------
-    rules : SwitchingRules
-        Weights, prices and budget.
-    scale : float
-        Velocity change of S alone [m/s], the unit of the price of velocity change.
-    share, delta_v : float
-        Share of the time under U and velocity change [m/s] of the printed algorithms' schedule. Less of the
-        one or more of the other is worth `WORSE` times as much less: it is hardly ever preferred.
-    until : float
-        Instant [s] until which the printed one is proven safe.
+    Less share or more velocity change than the printed algorithms' schedule is worth `WORSE` times as much
+    less: it is hardly ever preferred.
     """
 
-    rules: SwitchingRules
-    scale: float
-    share: float
-    delta_v: float
-    until: float
+    rules: SwitchingRules  # weights, prices and budget
+    scale: float  # velocity change of S alone [m/s], the unit of the price of velocity change
+    share: float  # time under U of the printed algorithms' schedule
+    delta_v: float  # its velocity change [m/s]
+    until: float  # instant [s] until which it is proven safe
 
     @classmethod
     def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:

@@ -97,14 +97,10 @@ class Activation:
         return [y, -y]
 
 
-def _sigmoid(_: Activation, y: Array) -> Array:
-    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * y))
-
-
 _FUNCTIONS: dict[str, Callable[[Activation, Array], Array]] = {
     "relu": lambda f, y: np.where(y < 0, f.low * y, y),
     "tanh": lambda _, y: np.tanh(y),
-    "sigmoid": _sigmoid,
+    "sigmoid": lambda _, y: np.asarray(0.5 + 0.5 * np.tanh(0.5 * y)),
     "clip": lambda f, y: np.clip(y, f.low, f.high),
 }
 

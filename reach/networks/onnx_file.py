@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +144,7 @@ class _Reader:
         if more.get("to") not in (1, 11):
             raise ReachError("a Cast must be to float or double: others change values")
 
-    def _combine(self, kind: str, inputs: list[Any]) -> None:
+    def _combine(self, inputs: list[Any], _: dict[str, Any], kind: str) -> None:
         first = inputs[0] is None
         value = inputs[1] if first else inputs[0]
         if kind == "Div" and (not first or np.any(value == 0)):
@@ -186,10 +187,6 @@ def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any]
     return lambda reader, _, more: reader.layers.append(Activation(kind, more.get("alpha", default)))
 
 
-def _combining(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
-    return lambda reader, inputs, _: reader._combine(kind, inputs)
-
-
 _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
     "Gemm": _Reader._gemm,
     "MatMul": _Reader._matmul,
@@ -200,6 +197,6 @@ _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
     "LeakyRelu": _activation("relu", 0.01),
     "Tanh": _activation("tanh"),
     "Sigmoid": _activation("sigmoid"),
-    **{kind: _combining(kind) for kind in ("Add", "Sub", "Mul", "Div")},
+    **{kind: partial(_Reader._combine, kind=kind) for kind in ("Add", "Sub", "Mul", "Div")},
     **dict.fromkeys(("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout"), lambda *_: None),
 }

@@ -31,22 +31,11 @@ UNLIMITED = 1e200
 
 
 class ImplicitASIF(Method):
-    """The filter.
+    """The filter; `NotCertified` if the initial set is not inside the first recoverable set.
 
-    Parameters
-    ----------
-    grid : DecisionGrid
-    slope : float
-        Share of the room of a row that one decision may use up, above 0 and at most 1: the slope of a linear
-        class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less; where
-        that leaves none, all of the room counts.
-
-    Raises
-    ------
-    NotCertified
-        If the initial set is not inside the first recoverable set.
-    ScenarioError
-        If the slope is out of range.
+    `slope`, above 0 and at most 1, is the share of the room of a row that one decision may use up: the slope
+    of a linear class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less;
+    where that leaves none, all of the room counts.
     """
 
     key, name, place, proven = "asif_implicit", "Implicit ASIF", 8, True
