@@ -16,8 +16,7 @@ from .inputs import check_inputs
 from .plants import MOST_BITS, precision_for
 from .verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
 
-NAME = "certificate.json"
-"""The certificate's name in a run folder."""
+NAME = "certificate.json"  # the certificate's name in a run folder
 
 FAILURES = (
     *(ArithmeticError, ValueError, TypeError, LookupError, AttributeError),

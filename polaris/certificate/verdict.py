@@ -9,8 +9,7 @@ VERIFIED, STATISTICAL, REJECTED, UNKNOWN = "VERIFIED", "STATISTICAL", "REJECTED"
 EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6, STATISTICAL: 7}
 """Exit codes by outcome; 2 means that there was nothing to check (no such file, python-flint missing)."""
 
-LONGEST = 1000
-"""Most characters of a witness: it may quote what it found."""
+LONGEST = 1000  # most characters of a witness: it may quote what it found
 
 
 class Failed(Exception):

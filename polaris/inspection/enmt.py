@@ -16,8 +16,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from .inspection import Inspection
 
-DEEPER = 0.1
-"""A third of the room that there must be between the limits, as a share of them."""
+DEEPER = 0.1  # a third of the room that there must be between the limits, as a share of them
 
 
 def velocity_error(x: Array, n: float) -> Array:

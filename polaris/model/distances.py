@@ -17,11 +17,8 @@ from .errors import ScenarioError
 from .obstacle import Obstacle
 from .system import Array, LinearSystem
 
-UNKNOWN = -1
-"""Mode number of samples whose mode is not known."""
-
-TOGETHER = 4000
-"""Points of whose rays the entries are worked out at a time: what fits into fast memory."""
+UNKNOWN = -1  # mode number of samples whose mode is not known
+TOGETHER = 4000  # points of whose rays the entries are worked out at a time: what fits into fast memory
 
 States = Mapping[str, ArrayLike]
 
@@ -52,17 +49,10 @@ def ray_ttc(
     system: LinearSystem | None = None,
     states: States | None = None,
 ) -> Array:
-    """Seconds until a straight ray enters each obstacle, both keeping their velocity of time t.
+    """Seconds (O, ...) until straight rays enter each obstacle, both keeping their velocity of time t.
 
-    Parameters
-    ----------
-    v : array_like, shape (..., d)
-        Velocity of the chaser [m/s]. Others as in `signed_distances`.
-
-    Returns
-    -------
-    ndarray, shape (O, ...)
-        0 if inside, inf if it never enters (moving away, a miss, no relative speed).
+    Velocities v of the chaser are (..., d) [m/s], all else is as in `signed_distances`. 0 if inside, inf if
+    never.
     """
     shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1], np.shape(v)[:-1])
     out = np.empty((len(obstacles), *shape))

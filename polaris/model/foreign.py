@@ -17,8 +17,7 @@ import numpy as np
 
 from .system import Array
 
-LONGEST = 1000
-"""Entries of one value that are kept; more are no measurement of anything."""
+LONGEST = 1000  # entries of one value that are kept; more are no measurement of anything
 
 LISTS = (list, tuple, deque, range)
 BUFFERS = (memoryview, array)

@@ -16,11 +16,8 @@ from .errors import ScenarioError
 from .shapes import Shape
 from .system import Array, LinearSystem
 
-CHUNK = 2_000_000
-"""Numbers held at once."""
-
-MOST_HALVINGS = 12
-"""Most halvings of a coarse interval."""
+CHUNK = 2_000_000  # numbers held at once
+MOST_HALVINGS = 12  # most halvings of a coarse interval
 
 
 class Drifting(Protocol):

@@ -14,8 +14,7 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import SOLVER_FEASIBILITY
 
-FAR = 1e6
-"""Range of what is unlimited: no row of the planner gets as many lengths away from its bound."""
+FAR = 1e6  # range of what is unlimited: no row of the planner gets as many lengths away from its bound
 
 
 class GrowingLP:

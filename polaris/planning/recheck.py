@@ -20,8 +20,7 @@ from ..model.tolerances import ROUNDING
 from .problem import Plan, PlanProblem, relative_gap
 from .reference import Reference
 
-ARCS = 8
-"""Parts of a cell."""
+ARCS = 8  # parts of a cell
 
 
 @dataclass(frozen=True, eq=False)

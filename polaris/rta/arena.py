@@ -22,13 +22,11 @@ from .method import Method
 from .method_result import MethodResult, flown, measure
 from .methods import METHODS
 
-BATCH = 100
-"""Runs flown at a time, to bound the memory used."""
+BATCH = 100  # runs flown at a time, to bound the memory used
 
 Tuning = Mapping[str, float]
 
-SHOWN = 3
-"""Runs per method kept for pictures."""
+SHOWN = 3  # runs per method kept for pictures
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,9 @@ from dataclasses import dataclass, field
 
 from reach.sets.zonotope import Zonotope
 
-SAFETY = 0
-"""Mode number of S."""
-
-APART = 12
-"""Schedules with as many switches or more are kept together."""
-
-EACH = 8
-"""Greedy schedules are made under every dwell time up to here."""
+SAFETY = 0  # mode number of S
+APART = 12  # schedules with as many switches or more are kept together
+EACH = 8  # greedy schedules are made under every dwell time up to here
 
 Prove = Callable[[Zonotope, int, int], Zonotope | None]
 """The set that a mode reaches from a set over a step, or None if it is not proven there."""

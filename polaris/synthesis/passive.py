@@ -22,10 +22,8 @@ from ..model.tolerances import ROUNDING
 
 SPARE = 0.03
 """Share by which starts of the drift are enclosed wider than found: others merge generators otherwise."""
-GROUPS = 6
-"""Groups of periods whose starts are enclosed one by one where the step as a whole is not clear."""
-FINE = 0.1
-"""Largest angle [rad] by which the fastest mode turns in one part of a step."""
+GROUPS = 6  # groups of periods whose starts are enclosed one by one where the step as a whole is not clear
+FINE = 0.1  # largest angle [rad] by which the fastest mode turns in one part of a step
 
 
 @dataclass(frozen=True)

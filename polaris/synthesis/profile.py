@@ -9,14 +9,11 @@ from scipy.signal import oaconvolve
 
 from ..model.system import Array
 
-ROUNDS = 60
-"""Most rounds of a bound that grows with the errors which it allows."""
-SETTLED, SPARE = 1e-4, 2e-3
-"""Relative change at which it counts as settled, and what is added to it then."""
+ROUNDS = 60  # most rounds of a bound that grows with the errors which it allows
+SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and what is added to it then
 SLOWER = 1.5
 """By how much slower the demand of sets that an experimental controller leaves falls than that of a ball."""
-FFT = 1e-13
-"""Round-off of sums of products by fast transforms, relative to the largest of them."""
+FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
 
 
 def summed(gains: Array, errors: Array) -> Array:

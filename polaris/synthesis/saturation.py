@@ -11,8 +11,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.system import Array
 from .affine_law import AffineLaw
 
-SLOPES = 8
-"""Different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept."""
+SLOPES = 8  # different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept
 
 
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:

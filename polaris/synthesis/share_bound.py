@@ -22,10 +22,8 @@ from .schedule import Schedule
 from .search import SwitchingRules
 from .undisturbed import FREE, Flights, Held
 
-NODES = 2000
-"""Most nodes of an integer program; what it has proven until then is used."""
-SLACK = 1e-4
-"""Steps by which its bound is lowered, for its tolerances."""
+NODES = 2000  # most nodes of an integer program; what it has proven until then is used
+SLACK = 1e-4  # steps by which its bound is lowered, for its tolerances
 ROWS, STEPS = 20_000, 500
 """Most rows that state the dwell time, and most steps of a schedule, for which an integer program is made."""
 

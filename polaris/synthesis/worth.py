@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from .schedule import Schedule
 from .search import SwitchingRules
 
-Mask = NDArray[np.bool_]
-"""Steps that S is meant to fly, shape (K,)."""
-WORSE = 10.0
-"""How much more a step counts by which a schedule is worse than the printed one."""
+Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
+WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
 
 
 @dataclass(frozen=True)

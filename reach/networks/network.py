@@ -19,8 +19,7 @@ from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
 from ..sets.zonotope import Zonotope
 
-SLACK = 16 * float(np.finfo(float).eps)
-"""Relative rounding booked on the values a band is made from."""
+SLACK = 16 * float(np.finfo(float).eps)  # relative rounding booked on the values a band is made from
 
 
 @dataclass(frozen=True)

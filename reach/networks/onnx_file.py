@@ -14,10 +14,8 @@ from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from .network import Activation, Affine, Network
 
-LARGEST = 64 * 2**20
-"""Bytes of a file beyond which it is refused: a controller is small."""
-WIDEST = 4096
-"""Most components of an input or a layer."""
+LARGEST = 64 * 2**20  # bytes of a file beyond which it is refused: a controller is small
+WIDEST = 4096  # most components of an input or a layer
 
 
 def read_onnx(path: str | Path) -> Network:

@@ -14,8 +14,7 @@ from ..constraints.families import Families
 from ..constraints.table import Index
 from .simulation import InspectionRun
 
-CHUNK = 256
-"""States judged at a time."""
+CHUNK = 256  # states judged at a time
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,10 @@ from ..projection import project
 from ..prospect import Leg, Prospect
 from ..recovery import Recovery, extended
 
-SLACK = 1e-6
-"""Share of the room kept free for what the solver leaves unsatisfied."""
+SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
 
 
-UNLIMITED = 1e200
-"""Room of a row that nothing limits."""
+UNLIMITED = 1e200  # room of a row that nothing limits
 
 
 class ImplicitASIF(Method):

@@ -13,8 +13,7 @@ from ...model.timed_polytope import TimedPolytope
 from ...synthesis.passive import PassiveSafety
 from ..run_metrics import Runs
 
-STOPS = 64
-"""Instants at which thrust stops that are looked at in each batch of runs."""
+STOPS = 64  # instants at which thrust stops that are looked at in each batch of runs
 
 
 def least_distances(

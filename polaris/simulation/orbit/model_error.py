@@ -18,8 +18,7 @@ from .frame import relative_rate
 from .region import Region, satellite_region, visited
 from .residual import Residual, residual_bound
 
-MOST_ROUNDS = 8
-"""Times a bound is raised before it is given up: it feeds back through the tubes, but weakly."""
+MOST_ROUNDS = 8  # times a bound is raised before it is given up: it feeds back through the tubes, but weakly
 
 
 @dataclass(frozen=True, eq=False)
