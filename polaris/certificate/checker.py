@@ -33,10 +33,6 @@ def verify(path: str | Path) -> Verdict:
     path : path
         If other files of the run folder lie beside the certificate, it is compared with them too.
 
-    Returns
-    -------
-    Verdict
-
     Raises
     ------
     OSError

@@ -56,10 +56,6 @@ def synthesize(
         Whether another reference than that of `safety` may be flown, if the problem asks for recourse; by
         default where no `safety` is given.
 
-    Returns
-    -------
-    Schedule
-
     Raises
     ------
     ScenarioError, SynthesisInfeasible, NotCertified
