@@ -34,18 +34,11 @@ FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a t
 class Assured(CallByCall):
     """What the four filters share: the plan that is proven, and that nothing is applied before its rest is.
 
-    Attributes
-    ----------
-    log : list of Switch
-        Of filters that latch.
-
-    Notes
-    -----
     ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins``
     are lower bounds, over all time, of the constraints along what will be flown if the backup takes over
     after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a
     plan has been proven, as long as the states are known within their bounds and calls come each period;
-    without errors of any kind states may be missing, too.
+    without errors of any kind states may be missing, too. ``log`` holds the switches of filters that latch.
     """
 
     def __init__(self, planner: Planner) -> None:
