@@ -44,6 +44,8 @@ class Premises:
         Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
+    pulses : iterable of float
+        Thrust of the pulses of every input; empty where inputs are held.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
     allocated : bool
@@ -61,6 +63,7 @@ class Premises:
     estimate: Iterable[float] = ()
     timing: Iterable[float] = ()
     thrusters: Iterable[float] = ()
+    pulses: Iterable[float] = ()
     chaser: float = 0.0
     allocated: bool = False
     sampled: Mapping[str, Any] | None = None
@@ -104,6 +107,9 @@ class Premises:
             parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
             yield f"thrusters: what is applied to an input is within {off} of its command u_i"
+        if fired := ", ".join(f"{x:g}" for x in self.pulses):
+            made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
+            yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
         if self.allocated:
             yield ALLOCATED
         if predicted or jitter > 0:

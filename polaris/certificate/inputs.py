@@ -41,7 +41,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_navigation(document, scenario.get("navigation", {}))
         _check_thrusters(document, scenario)
         check_allocation(document, scenario)
-        check_timing(document, scenario.get("timing", {}))
+        check_timing(document, scenario)
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")

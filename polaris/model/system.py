@@ -149,8 +149,13 @@ class LinearSystem:
 
     @property
     def displaced(self) -> Array:
-        """How far each state may be, because of jitter, from where all sets say it is, shape (n,)."""
+        """How far jitter or pulses take each state from where all sets say it is, shape (n,)."""
         return np.array(self.timing.displaced or np.zeros(self.n))
+
+    @property
+    def displaced_at_nodes(self) -> Array:
+        """The same at nodes, where pulses displace nothing, shape (n,)."""
+        return np.zeros(self.n) if self.timing.fired else self.displaced
 
     @property
     def prompt(self) -> LinearSystem:

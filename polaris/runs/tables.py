@@ -139,10 +139,11 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
+    timing = {key: value for key, value in asdict(system.timing).items() if key != "fired" or value}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
-        **({} if system.timing == Timing() else {"timing": asdict(system.timing)}),
+        **({} if system.timing == Timing() else {"timing": timing}),
     }
 
 

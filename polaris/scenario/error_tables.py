@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -57,7 +58,11 @@ class Thrusters(ScenarioPart):
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
-    feedback. The thrust counts as constant over the period."""
+    feedback."""
+    pulse: Literal["held", "centred"] = unit("-", default="held")
+    """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
+    the full `system.thrust_max_N` (`input_max`) and as long as it takes. Pulses need sampled feedback; errors
+    of the thrusters are constant in a period then."""
     directions: f.Matrix | None = unit("-", default=None)
     """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
     thrust). Without it there is one either way along every input."""
@@ -73,6 +78,9 @@ class Thrusters(ScenarioPart):
         if self.impulse_bit_N_s > 0 and period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        if self.pulse != "held" and (period is None or self.directions is not None):
+            rule = "needs sampled feedback (feedback.kind = 'sampled'), and thrusters without directions"
+            raise ScenarioError("thrusters.pulse", self.pulse, rule)
         if self.directions is not None and (self.magnitude_error > 0 or self.impulse_bit_N_s > 0):
             given, rule = (self.magnitude_error, self.impulse_bit_N_s), "is not covered with directions"
             raise ScenarioError("thrusters.magnitude_error, impulse_bit_N_s", given, rule)
@@ -100,8 +108,10 @@ class Timing(ScenarioPart):
     """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
     obstacles of kind `satellite`."""
 
-    def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
-        """The system, its controllers acting on predictions."""
+    def build(
+        self, system: LinearSystem, period: float | None, fired: tuple[float, ...] = ()
+    ) -> LinearSystem:
+        """The system, its controllers acting on predictions; thrust of the pulses of every input, if any."""
         for name in ("jitter_s", "missed_periods"):
             if (value := getattr(self, name)) and period is None:
                 raise ScenarioError(
@@ -110,7 +120,9 @@ class Timing(ScenarioPart):
         if period is not None and self.jitter_s > period / 2:
             rule = f"must be at most half of the period of {period:g} s"
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
-        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
+        if fired and self.jitter_s > 0:
+            raise ScenarioError("timing.jitter_s", self.jitter_s, "is not covered with pulses")
+        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s, fired=fired)
         return system if given == Delays() else predicting(system, given, period)
 
 

@@ -18,7 +18,7 @@ from ..synthesis.schedule import Schedule
 from .run_metrics import Runs
 
 
-def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first: Array) -> Array:
+def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float | Array, first: Array) -> Array:
     """State a step of dt [s] later by the classical scheme of fourth order.
 
     `rate` is given how many half-steps have passed and the state there; `first` is its value at the start.
@@ -41,8 +41,11 @@ class Integrator:
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
-    of the largest that what is commanded allows, `thrust` (steps, R, m).
+    of the largest that what is commanded allows, `thrust` (steps, R, m). Where a period has several steps,
+    pulses of the thrust `fired` (m,) are flown, each step with its mean; else as what is held in their place.
     """
+
+    resolves = False  # instants within a step at which thrusters switch
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
@@ -51,7 +54,8 @@ class Integrator:
         self.thrust: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
-        self.thrusters = self.system.thrusters
+        self.fired = np.array(self.system.timing.fired if self.resolves or substeps > 1 else ())
+        self.thrusters = (self.system.prompt if len(self.fired) else self.system).thrusters
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
         self.dt = self.tracking.flow.h / substeps
         self.steps_per_cell = self.q * substeps
@@ -100,8 +104,15 @@ class Integrator:
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
-        u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        self.asked = u = np.clip(raw, -self.system.u_max, self.system.u_max)
         return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(u)
+
+    def pulsed(self, start: Array | float, end: Array | float) -> Array:
+        """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
+        on = np.abs(self.asked) / self.fired / 2
+        within = np.maximum(np.minimum(0.5 + on, end) - np.maximum(0.5 - on, start), 0)
+        mean = np.sign(self.asked) * self.fired * within / np.maximum(end - start, 1e-300)
+        return np.asarray(mean - self.asked)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
@@ -113,6 +124,8 @@ class Integrator:
         """States (R, n) a step later; u is what is held, or what a continuous law applies at first."""
         if self.sampled:
             Ad, Bd, Dd = self.held
+            sub = step % self.substeps
+            u = u + self.pulsed(sub / self.substeps, (sub + 1) / self.substeps) if len(self.fired) else u
             return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T)
         force = w @ self.system.D.T
         rate = partial(self.rate, number, k, 2 * step, force=force)
