@@ -47,14 +47,15 @@ def check_timing(document: Document, scenario: dict[str, Any]) -> None:
         raise Rejected("system", "pulses need a control period, no jitter, and no directions of thrusters")
     exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
     bit, box = _jitter(plant) if jitter else (arb(0), [arb(0)] * len(stored))
-    require("system", booked * arb(1 + ROUNDED) - exact[2] - bit, f"error of the thrusters: {booked}")
-    for i, (bound, needed) in enumerate(zip(document.displaced, box, strict=True)):
-        require("system", bound - needed, f"displacement of state {i}: {bound}")
     measured = arb(bool(jitter))
     if pulsed:
         bit, box = _pulses(plant, document.fired)
         periods = arb(delay) / plant.h
-        measured = AT_NODES if abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR else arb(1)
+        near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
+        measured = arb(1) if not near else AT_NODES if delay else arb(0)
+    require("system", booked * arb(1 + ROUNDED) - exact[2] - bit, f"error of the thrusters: {booked}")
+    for i, (bound, needed) in enumerate(zip(document.displaced, box, strict=True)):
+        require("system", bound - needed, f"displacement of state {i}: {bound}")
     moved = [measured * x for x in document.displaced]
     known = [arb(x) + y for x, y in zip(document.measured or stored, moved, strict=True)]
     ages = [delay + plant.h * i for i in range(missed + 1)]
