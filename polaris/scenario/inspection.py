@@ -180,6 +180,8 @@ class FlightScenario(FilteredScenario):
         ):
             if value := getattr(getattr(model, table), key):
                 raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
+        if model.thrusters.pulse != "held":
+            raise ScenarioError("thrusters.pulse", model.thrusters.pulse, "is for schedules only")
         system = replace(self.inspection().system, w_max=push)
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)
