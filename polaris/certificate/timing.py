@@ -46,18 +46,19 @@ def check_timing(document: Document, scenario: dict[str, Any]) -> None:
     if pulsed and (jitter or "directions" in thrusters or not document.sampled):
         raise Rejected("system", "pulses need a control period, no jitter, and no directions of thrusters")
     exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
-    bit, box = _jitter(plant) if jitter else (arb(0), [arb(0)] * len(stored))
-    measured = arb(bool(jitter))
-    if pulsed:
-        bit, box = _pulses(plant, document.fired)
-        periods = arb(delay) / plant.h
-        near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
-        measured = arb(1) if not near else AT_NODES if delay else arb(0)
-    require("system", booked * arb(1 + ROUNDED) - exact[2] - bit, f"error of the thrusters: {booked}")
-    for i, (bound, needed) in enumerate(zip(document.displaced, box, strict=True)):
-        require("system", bound - needed, f"displacement of state {i}: {bound}")
-    moved = [measured * x for x in document.displaced]
-    known = [arb(x) + y for x, y in zip(document.measured or stored, moved, strict=True)]
+    none = arb(0), [arb(0)] * len(stored)
+    late, moved = _jitter(plant) if jitter else none
+    more, within = _pulses(plant, document.fired) if pulsed else none
+    require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
+    moved = sums(moved, _carried(plant))
+    for i, needed in enumerate(zip(moved, within, strict=True)):
+        for bound, least_of in zip((document.at_nodes[i], document.pulsed[i]), needed, strict=True):
+            require("system", bound - least_of, f"displacement of state {i}: {bound}")
+    periods = arb(delay) / plant.h
+    near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
+    share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
+    seen = zip(document.measured or stored, document.at_nodes, document.pulsed, strict=True)
+    known = [x + y + share * z for x, y, z in seen]
     ages = [delay + plant.h * i for i in range(missed + 1)]
     least = [largest(each) for each in zip(*(_predicted(plant, known, age) for age in ages), strict=True)]
     for i, (bound, needed) in enumerate(zip(stored, least, strict=True)):
@@ -69,7 +70,7 @@ def _predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     if age == 0:
         return known
     part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(plant.u_max))
-    pushes = [plant.disturbance, *([thrusters] if thrusters else [])]
+    pushes = [plant.disturbance, *plant.carry, *([thrusters] if thrusters else [])]
     rows, found = identity(len(known)), [arb(0)] * len(known)
     for _ in range(PARTS):
         found = sums(found, *(part.push_gain(rows, push) for push in pushes))
@@ -103,6 +104,14 @@ def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
     within = absolute(B) * speed + absolute(A * B) * way
     within += growth * (absolute(bent) * way + absolute(B) * spread) * h
     return largest(spread.entries()), within.entries()
+
+
+def _carried(plant: Plant) -> list[arb]:
+    """What impulses that are carried to the next period displace, at nodes and between."""
+    n, m = plant.B.nrows(), plant.B.ncols()
+    block = above(beside(absolute(plant.A), absolute(plant.B)), arb_mat(m, n + m)) * plant.h
+    held = matrix([row[n:] for row in block.exp().tolist()[:n]])
+    return (held * column([plant.carried / plant.h] * m)).entries()
 
 
 def _spreading(plant: Plant) -> arb_mat:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from reach.numerics.errors import ReachError
+from reach.numerics.linear import discretize
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
@@ -107,14 +108,18 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     """
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
+    if timing.carried:
+        held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
+        moved = moved + held * timing.carried * (1 + ROUNDED)
     known = system.navigation + moved
     if timing.fired:
-        bit, moved = pulse_error(system, np.array(timing.fired), h)
+        bit, within = pulse_error(system, np.array(timing.fired), h)
         off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h  # measured between nodes
-        known = system.navigation + moved * (1.0 if off else AT_NODES * bool(timing.delay))
+        known = known + within * (1.0 if off else AT_NODES * bool(timing.delay))
+        moved, timing = moved + within, replace(timing, pulsed=tuple(within.tolist()))
     measured, displaced = tuple(system.navigation.tolist()), tuple(moved.tolist())
     longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
-    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced)
+    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced, period=h)
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     try:

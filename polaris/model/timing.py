@@ -23,10 +23,13 @@ class Timing:
         Error of an input, whatever its command, without jitter and pulses [N]; the share of a period by which
         a command may be in force for longer.
     measured, displaced : tuple of float
-        Bounds on the errors of the measured states, and on how far jitter or pulses displace states, (n,).
-    fired : tuple of float
-        Thrust of the pulses that make every input, each in the middle of its period [N], (m,); empty where
-        commands are held.
+        Bounds on the errors of the measured states, and on how far jitter, pulses, and what is carried
+        displace states, (n,).
+    fired, pulsed : tuple of float
+        Thrust of the pulses that make every input, each in the middle of its period [N], (m,), and their part
+        of what is displaced, which is nothing at nodes (n,); empty where commands are held.
+    carried, period : float
+        Impulse of an input, at most, that is left to the next period [N s]; the period [s], if any is.
     """
 
     delay: float = 0.0
@@ -38,6 +41,9 @@ class Timing:
     measured: tuple[float, ...] = ()
     displaced: tuple[float, ...] = ()
     fired: tuple[float, ...] = ()
+    pulsed: tuple[float, ...] = ()
+    carried: float = 0.0
+    period: float = 0.0
 
     @property
     def instant(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -59,6 +60,10 @@ class Thrusters(ScenarioPart):
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
     feedback."""
+    remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
+    """What becomes of the rest that is no multiple of the bit: dropped, the nearest multiple being made; or
+    carried to the next period, from none at the start: what is commanded and left from before is rounded
+    towards zero, and never exceeds the limits."""
     pulse: Literal["held", "centred"] = unit("-", default="held")
     """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
     the full `system.thrust_max_N` (`input_max`) and as long as it takes. Pulses need sampled feedback; errors
@@ -86,7 +91,10 @@ class Thrusters(ScenarioPart):
             raise ScenarioError("thrusters.magnitude_error, impulse_bit_N_s", given, rule)
         bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
         turned = float(np.deg2rad(self.misalignment_deg))
-        return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
+        if self.remainder == "dropped":
+            return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
+        found = Errors.of(self.magnitude_error, turned, self.mass_error, 0.0, system.m)
+        return replace(found, bit=float(found.part(np.full(system.m, 2 * bit)).max()))
 
 
 class Timing(ScenarioPart):
@@ -109,9 +117,12 @@ class Timing(ScenarioPart):
     obstacles of kind `satellite`."""
 
     def build(
-        self, system: LinearSystem, period: float | None, fired: tuple[float, ...] = ()
+        self, system: LinearSystem, period: float | None, thrusters: Thrusters | None, limits: Array
     ) -> LinearSystem:
-        """The system, its controllers acting on predictions; thrust of the pulses of every input, if any."""
+        """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
+        fired = tuple(limits.tolist()) if thrusters is not None and thrusters.pulse != "held" else ()
+        carries = thrusters is not None and thrusters.remainder == "carried"
+        carried = thrusters.impulse_bit_N_s if thrusters and carries else 0.0
         for name in ("jitter_s", "missed_periods"):
             if (value := getattr(self, name)) and period is None:
                 raise ScenarioError(
@@ -122,7 +133,8 @@ class Timing(ScenarioPart):
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
         if fired and self.jitter_s > 0:
             raise ScenarioError("timing.jitter_s", self.jitter_s, "is not covered with pulses")
-        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s, fired=fired)
+        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
+        given = replace(given, fired=fired, carried=carried)
         return system if given == Delays() else predicting(system, given, period)
 
 

@@ -95,12 +95,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
-        pulsed = model.thrusters is not None and model.thrusters.pulse != "held"
-        fired = tuple(system.u_max.tolist()) if pulsed else ()
-        allocation = self.allocation()
+        allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return (model.timing or Timing()).build(system, self._period, fired)
+        return (model.timing or Timing()).build(system, self._period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:

@@ -43,6 +43,7 @@ class Integrator:
     Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
     of the largest that what is commanded allows, `thrust` (steps, R, m). Where a period has several steps,
     pulses of the thrust `fired` (m,) are flown, each step with its mean; else as what is held in their place.
+    Whole flights make impulses in multiples of a bit where the rest is carried: `left` (R, m) [N s].
     """
 
     resolves = False  # instants within a step at which thrusters switch
@@ -52,6 +53,7 @@ class Integrator:
         self.free: Array | None = None
         self.eta: Array | None = None
         self.thrust: Array | None = None
+        self.left: Array | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
         self.fired = np.array(self.system.timing.fired if self.resolves or substeps > 1 else ())
@@ -100,12 +102,24 @@ class Integrator:
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
-        return x if self.eta is None else x + self.eta[step]
+        if self.eta is None:
+            return x
+        if self.left is None:
+            return x + self.eta[step]
+        flown = self.system.displaced_at_nodes / np.maximum(self.system.navigation, 1e-300)  # not as errors
+        return np.asarray(x + self.eta[step] * (1 - flown))
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
-        self.asked = u = np.clip(raw, -self.system.u_max, self.system.u_max)
-        return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(u)
+        told = u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        if self.left is not None:
+            h, bit = self.dt * self.substeps, self.system.timing.carried
+            due = told * h + self.left
+            whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
+            u = np.sign(due) * np.minimum(whole / h, self.system.u_max)
+            self.left = due - u * h
+        self.asked = u
+        return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:
         """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
@@ -164,6 +178,7 @@ class Integrator:
         q, nodes = self.q, len(self.modes) * self.q
         w, *errors = (w[..., part] for part in columns(self.system))
         self.eta, self.thrust = (part if part.shape[2] else None for part in errors)
+        self.left = np.zeros((len(x0), self.system.m)) if self.system.timing.carried else None
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
@@ -195,7 +210,7 @@ class Integrator:
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
         held = self.sampled and self.substeps > 1
-        if not isinstance(law, AffineController) or held or self.thrust is not None:
+        if not isinstance(law, AffineController) or held or self.thrust is not None or self.left is not None:
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]

@@ -214,11 +214,16 @@ class NeuralController:
     def _misapplied(self, command: Zonotope) -> tuple[Zonotope, Array]:
         """What errors of thrusters under a held command add by the next node, and until then, (n,)."""
         flow, B = self.loop.flow, self.system.B
-        if self.system.thrusters.exact:
+        if self.system.thrusters.exact and not self.system.timing.carried:
             return Zonotope(np.zeros(self.system.n), np.zeros((self.system.n, 0))), np.zeros(self.system.n)
         error = self.system.thrusters.error(np.abs(command.c) + command.half_widths * (1 + WIDER))
-        moved = flow.input_zonotope(B, np.diag(error), np.abs(B) @ error)
-        return moved, flow.h * flow.growth @ (np.abs(B) @ error)
+        drift = self.system.adrift
+        size = np.abs(B) @ error
+        moved = flow.input_zonotope(B, np.diag(error), size)
+        if drift.size:
+            carried = np.abs(drift).sum(axis=1)
+            moved, size = moved + flow.input_zonotope(drift, np.eye(drift.shape[1]), carried), size + carried
+        return moved, flow.h * flow.growth @ size
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
         """Command in step k, its middle and spread at every node [N], shapes (q+1, m).

@@ -8,15 +8,18 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.model.errors import ScenarioError
-from polaris.model.prediction import pulse_error
+from polaris.model.prediction import predicting, pulse_error
 from polaris.model.timing import Timing
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.disturbances import disturbances
+from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
-from polaris.simulation.simulate import simulate
+from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis.synthesize import synthesize
+from reach.numerics.linear import discretize
 
 from ..kept import kept
 from .closed_loops import attack
@@ -164,3 +167,42 @@ def test_forged_pulses_are_refused(tmp_path):
         kept_keys = {key: x for key, x in scenario["thrusters"].items() if key != "pulse"}
         forged = scenario | {"thrusters": kept_keys | thrusters}
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
+
+
+def test_what_is_carried_is_a_displacement_and_a_drift():
+    """Fly impulses in multiples of a bit beside what stands for them: never further apart than is booked."""
+    for system in systems():
+        h, bit, rng = 2.0, 0.01, np.random.default_rng(4)
+        timing = Timing(carried=bit, period=h)
+        Ad, Bd = discretize(system.A, system.B, h)
+        moved = np.array(predicting(system, Timing(carried=bit), h).timing.displaced)
+        drift = discretize(system.A, replace(system, timing=timing).adrift, h)[1] / bit
+        x = other = rng.normal(size=system.n)
+        left, made, asked = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
+        seen = np.zeros(system.n)
+        for _ in range(300):
+            u = rng.choice([-1, 1], system.m) * rng.choice([0.0, 0.2, 1.0]) * bit / h * 1.7
+            impulse = np.trunc((u * h + left) / bit) * bit
+            other = Ad @ other + Bd @ u - drift @ left
+            left = left + u * h - impulse
+            x = Ad @ x + Bd @ impulse / h
+            assert np.all(np.abs(left) <= bit)
+            made, asked = made + np.abs(impulse), asked + np.abs(u) * h
+            seen = np.maximum(seen, np.abs(x - other))
+            assert np.all(made <= asked * (1 + 1e-12)), "no more is spent than is commanded"
+        assert np.all(seen <= moved) and np.all(seen >= 0.5 * moved)
+
+
+def test_flights_that_carry_keep_what_is_proven():
+    """A coarse bit, and errors of all else."""
+    coarse = [*PULSED[:-2], ERRORS[0], *ERRORS[2:], PULSED[-1], "thrusters.impulse_bit_N_s=0.02"]
+    scenario = load_scenario(TINY).with_assignments([*coarse, "thrusters.remainder=carried"])
+    schedule = kept("carried", lambda: synthesize(scenario))
+    runs = simulate(schedule, 30, 2)
+    assert not runs.metrics().collided.any()
+    flight = Integrator(schedule, flown_modes(schedule, False), 1)
+    flight.run(runs.states[:4, 0], disturbances(flight, 4, np.random.default_rng(0), "none")[0])
+    made = flight.asked * 0.25 / 0.02
+    assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.left).max() <= 0.02
+    assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
+    judge(0, attack(schedule, 20, 0))

@@ -139,8 +139,8 @@ class _TrueMotion(Integrator):
         if errors.exact:
             return u
         built = slice(len(u) - len(self.axis), None)
-        told, bit = np.clip(raw[built], -self.system.u_max, self.system.u_max), errors.rounding(self.system.m)
-        told = np.round(told / bit) * bit if bit > 0 else told
+        told, bit = self.asked[built], errors.rounding(self.system.m)
+        told = np.round(told / bit) * bit if bit > 0 and self.left is None else told
         if len(self.fired):  # no pulse is longer than a period
             self.asked = self.asked.copy()
             self.asked[built] = told = np.clip(told, -self.fired, self.fired)
