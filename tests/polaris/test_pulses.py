@@ -138,7 +138,7 @@ def test_too_few_inputs_are_refused():
 
 def test_forged_pulses_are_refused(tmp_path):
     """Neither weaker pulses, nor held inputs in their place, nor less than what pulses add."""
-    forger = Forger(make([*PULSED, *ERRORS], tmp_path), tmp_path)
+    forger = Forger(make([*PULSED, *ERRORS, "thrusters.remainder=carried"], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     data = forger.tree(CERTIFICATE)
 
@@ -152,6 +152,7 @@ def test_forged_pulses_are_refused(tmp_path):
     less = data["system"]["thrusters"] | {"bit": data["system"]["timing"]["bit"]}
     smaller = [(0.99 * float.fromhex(x)).hex() for x in data["system"]["timing"]["displaced"]]
     weaker = [x.replace("thrusts [1, 1]", "thrusts [0.5, 0.5]") for x in data["assumptions"]]
+    fewer = [x.replace("of 0.001 N s", "of 0.0005 N s") for x in data["assumptions"]]
     held = [x for x in data["assumptions"] if not x.startswith("pulses")]
     for verdict, claim in (
         (judged(thrusters=less), "system"),
@@ -159,11 +160,19 @@ def test_forged_pulses_are_refused(tmp_path):
         (judged({"fired": [(0.5).hex()] * 2}), "assumptions"),
         (judged({"fired": [(0.5).hex()] * 2}, weaker), "system"),
         (judged({"fired": []}, held), "format"),
+        (judged({"carried": (0.0005).hex()}), "assumptions"),
+        (judged({"carried": (0.0005).hex()}, fewer), "system"),
+        (judged({"pulsed": data["system"]["timing"]["displaced"]}), "system"),
         (judged(told=held, timing=without), "system"),
     ):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim), verdict
     scenario = forger.tree("scenario.toml")
-    for thrusters in ({"pulse": "held"}, {}, {"pulse": "first"}):
+    for thrusters in (
+        {"pulse": "held"},
+        {},
+        {"pulse": "first"},
+        {"pulse": "centred", "remainder": "dropped"},
+    ):
         kept_keys = {key: x for key, x in scenario["thrusters"].items() if key != "pulse"}
         forged = scenario | {"thrusters": kept_keys | thrusters}
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
