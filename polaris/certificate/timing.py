@@ -51,9 +51,9 @@ def check_timing(document: Document, scenario: dict[str, Any]) -> None:
     more, within = _pulses(plant, document.fired) if pulsed else none
     require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
     moved = sums(moved, _carried(plant))
-    for i, needed in enumerate(zip(moved, within, strict=True)):
-        for bound, least_of in zip((document.at_nodes[i], document.pulsed[i]), needed, strict=True):
-            require("system", bound - least_of, f"displacement of state {i}: {bound}")
+    for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
+        for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
+            require("system", bound - needed, f"displacement of state {i}: {bound}")
     periods = arb(delay) / plant.h
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
     share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes

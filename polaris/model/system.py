@@ -157,7 +157,7 @@ class LinearSystem:
     @property
     def displaced_at_nodes(self) -> Array:
         """The same at nodes, where pulses displace nothing, shape (n,)."""
-        return self.displaced - np.array(self.timing.pulsed or 0.0)
+        return np.asarray(self.displaced - np.array(self.timing.pulsed or 0.0))
 
     @cached_property
     def adrift(self) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Timing:
-    """What lies between a measurement and the thrust that answers it (docs/theory.md, Lemmas 25, 26, 36 and 37).
+    """What lies between a measurement and the thrust that answers it (theory, Lemmas 25, 26, 36, 37).
 
     Controllers act on the state as it is predicted for the instant at which their command takes effect.
 

@@ -120,9 +120,9 @@ class Timing(ScenarioPart):
         self, system: LinearSystem, period: float | None, thrusters: Thrusters | None, limits: Array
     ) -> LinearSystem:
         """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
-        fired = tuple(limits.tolist()) if thrusters is not None and thrusters.pulse != "held" else ()
-        carries = thrusters is not None and thrusters.remainder == "carried"
-        carried = thrusters.impulse_bit_N_s if thrusters and carries else 0.0
+        made = thrusters or Thrusters()
+        fired = () if made.pulse == "held" else tuple(limits.tolist())
+        carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
         for name in ("jitter_s", "missed_periods"):
             if (value := getattr(self, name)) and period is None:
                 raise ScenarioError(
@@ -133,8 +133,8 @@ class Timing(ScenarioPart):
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
         if fired and self.jitter_s > 0:
             raise ScenarioError("timing.jitter_s", self.jitter_s, "is not covered with pulses")
-        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
-        given = replace(given, fired=fired, carried=carried)
+        known = self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s
+        given = Delays(*known, fired=fired, carried=carried)
         return system if given == Delays() else predicting(system, given, period)
 
 

@@ -102,10 +102,8 @@ class Integrator:
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
-        if self.eta is None:
-            return x
-        if self.left is None:
-            return x + self.eta[step]
+        if self.eta is None or self.left is None:
+            return x if self.eta is None else x + self.eta[step]
         flown = self.system.displaced_at_nodes / np.maximum(self.system.navigation, 1e-300)  # not as errors
         return np.asarray(x + self.eta[step] * (1 - flown))
 

@@ -243,7 +243,7 @@ NEEDS_SAMPLES = "must be sampled where a network or a black box flies: it is ask
 def check_exact(system: LinearSystem) -> None:
     """Refuse errors of estimates and of thrusters: no tube of a black box knows of them."""
     if not system.ideal:
-        field = "navigation" if np.any(system.navigation) else "thrusters"
+        field = "navigation" if np.any(system.prompt.navigation) else "thrusters"
         field = field if system.timing.instant else "timing"
         raise ScenarioError(
             field, None, "must be left out where a black box flies: its tube knows of no such error"

@@ -13,6 +13,7 @@ from polaris.model.timing import Timing
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import disturbances
+from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular, relative_rate
@@ -79,6 +80,7 @@ def test_flights_that_fire_keep_what_is_proven_and_are_displaced_as_much():
     assert not runs.metrics().collided.any()
     assert runs.delta_v.max() > 0
     assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
+    assert falsify(schedule, 100, 1).failure is None
     judge(0, attack(schedule, 20, 0))
 
 
@@ -214,4 +216,5 @@ def test_flights_that_carry_keep_what_is_proven():
     made = flight.asked * 0.25 / 0.02
     assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.left).max() <= 0.02
     assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
+    assert falsify(schedule, 100, 1).failure is None
     judge(0, attack(schedule, 20, 0))
