@@ -8,7 +8,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .allocation import per_axis
-from .balls import above, absolute, beside, column, identity, largest, matrix, require, sums
+from .balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
 from .document import Document
 from .motion import Plant
 from .plants import plant_of
@@ -50,7 +50,8 @@ def check_timing(document: Document, scenario: dict[str, Any]) -> None:
     late, moved = _jitter(plant) if jitter else none
     more, within = _pulses(plant, document.fired) if pulsed else none
     require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
-    moved = sums(moved, _carried(plant))
+    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (plant.carried / plant.h)
+    moved = sums(moved, row_sums(held))
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
@@ -104,14 +105,6 @@ def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
     within = absolute(B) * speed + absolute(A * B) * way
     within += growth * (absolute(bent) * way + absolute(B) * spread) * h
     return largest(spread.entries()), within.entries()
-
-
-def _carried(plant: Plant) -> list[arb]:
-    """What impulses that are carried to the next period displace, at nodes and between."""
-    n, m = plant.B.nrows(), plant.B.ncols()
-    block = above(beside(absolute(plant.A), absolute(plant.B)), arb_mat(m, n + m)) * plant.h
-    held = matrix([row[n:] for row in block.exp().tolist()[:n]])
-    return (held * column([plant.carried / plant.h] * m)).entries()
 
 
 def _spreading(plant: Plant) -> arb_mat:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.model.errors import ScenarioError
+from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.prediction import predicting, pulse_error
 from polaris.model.timing import Timing
 from polaris.scenario.reading import write_toml
@@ -26,6 +26,7 @@ from ..kept import kept
 from .closed_loops import attack
 from .forging import CERTIFICATE, Forger, make
 from .test_closed_loops import judge
+from .test_error_sources import exact
 from .test_timing import SAMPLED, fly_delayed, systems
 from .tiny import TINY
 
@@ -218,3 +219,26 @@ def test_flights_that_carry_keep_what_is_proven():
     assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
     assert falsify(schedule, 100, 1).failure is None
     judge(0, attack(schedule, 20, 0))
+
+
+@pytest.mark.slow
+def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
+    scenes = 0
+    for seed in range(5000, 5060):
+        scenario = exact(seed)
+        period = scenario.problem().period
+        if period is None:
+            continue
+        bit = float(period * scenario.system().u_max.min() / 20)
+        more = [f"thrusters.impulse_bit_N_s={bit}", "thrusters.remainder=carried", "thrusters.pulse=centred"]
+        more += ["thrusters.magnitude_error=0.01", f"timing.delay_s={period}"]
+        try:
+            schedule = synthesize(scenario.with_assignments(more))
+        except PolarisError:
+            continue
+        scenes += 1
+        judge(seed, attack(schedule, 100, seed))
+        assert not simulate(schedule, 50, seed).metrics().collided.any(), seed
+        assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1), seed
+        assert falsify(schedule, 300, seed).failure is None, seed
+    assert scenes >= 8
