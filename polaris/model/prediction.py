@@ -67,12 +67,7 @@ def pulse_error(system: LinearSystem, fired: Array, h: float) -> tuple[float, Ar
     """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
 
     An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
-    Lemma 36). Errors of the thrusters hold for a period.
-
-    Raises
-    ------
-    ScenarioError
-        As of `jitter_error`.
+    Lemma 36). Errors of the thrusters hold for a period. Raises what `jitter_error` does.
     """
     A, B, m = system.A, system.B, system.m
     each = (fired * scale for scale in (h / 8, h**2 / 32, h**3 / 62))
