@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import allocation
+from .error_tables import Timing, allocation
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
@@ -95,10 +95,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
-        allocation = self.allocation()
+        allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return system if model.timing is None else model.timing.build(system, self._period)
+        return (model.timing or Timing()).build(system, self._period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:
