@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from polaris.inspection.closest import TOLERANCE, ClosestApproach
 from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.inspection import Inspection
@@ -35,10 +36,8 @@ def both(make):
     return looped, plain
 
 
-@pytest.mark.parametrize("exact", [False, True])
-@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans())
-@settings(max_examples=EXAMPLES)
-def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
+def drawn(seed, deputies, wide):
+    """A random problem, and states and suns of it, one near the centre, where directions fade."""
     rng = np.random.default_rng(seed)
     q = Inspection(
         deputies=deputies,
@@ -47,10 +46,32 @@ def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
         passive_time=rng.uniform(50.0, 900.0),
         deputy_radius=rng.uniform(1.0, 8.0),
     )
-    looped, plain = both(lambda: Families(q, exact=exact))
     x, sun, _ = situation(seed, R=8)
     x = np.tile(x, (1, 2, 1))[:, 2 : 2 + deputies] * rng.uniform(0.8, 1.2, (8, deputies, 1))
-    x[0, 0, :3] *= 0.01 if wide else 1e-6  # near the centre, where directions fade
+    x[0, 0, :3] *= 0.01 if wide else 1e-6
+    return q, x, sun, rng
+
+
+@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans(), known=st.booleans())
+@settings(max_examples=EXAMPLES)
+def test_rows_for_sampled_data_are_those_of_the_formulas(seed, deputies, wide, known):
+    q, x, sun, rng = drawn(seed, deputies, wide)
+    sampled = SampledData(rng.uniform(0.2, 5.0), rng.uniform(0.1, 1.0))
+    looped, plain = both(lambda: Families(q, sampled=sampled))
+    held = rng.uniform(-1, 1, (8, deputies, 3)) if known else None
+    a, b = looped(x, sun, held), plain(x, sun, held)
+    for one, other in ((a.h, b.h), (a.G, b.G), (a.bound, b.bound)):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)  # inf where it is inf, too
+    one = looped(x[3], sun[3], None if held is None else held[3])
+    assert np.array_equal(one.bound, a.bound[3])
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans())
+@settings(max_examples=EXAMPLES)
+def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
+    q, x, sun, _ = drawn(seed, deputies, wide)
+    looped, plain = both(lambda: Families(q, exact=exact))
     a, b = looped(x, sun), plain(x, sun)
     # A closest approach may be found at another time, as near but for the tolerance: another gradient.
     passive = plain.among("passive", "deputy_passive")
