@@ -16,6 +16,7 @@ from polaris.model.errors import PolarisError, ScenarioError  # noqa: E402
 from polaris.rta.decision_grid import DecisionGrid  # noqa: E402
 from polaris.runs.training import (  # noqa: E402
     InspectionEnv,
+    InspectionVectorEnv,
     Shield,
     SwitchingEnv,
     SwitchingVectorEnv,
@@ -81,7 +82,7 @@ def test_they_are_registered_under_names():
     assert made.reset(seed=1)[0] in made.observation_space
     made = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
     assert made.reset(seed=1)[0].shape == (3, 4)
-    made = gymnasium.make_vec("polaris/Inspection-v0", 2, wrappers=[Shield], scenario=inspected())
+    made = VectorShield(gymnasium.make_vec("polaris/Inspection-v0", 2, scenario=inspected()))
     assert made.reset(seed=1)[0].shape == (2, 9)
     assert made.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
 
@@ -348,7 +349,7 @@ def test_inspection_is_kept_by_an_assured_filter():
         env.reset(seed=0)
         told = []
         for _ in range(60):
-            inward = -np.sign(env.unwrapped.x[:, :3]).ravel()
+            inward = -np.sign(env.unwrapped.many.flights.x[0, :, :3]).ravel()
             _, reward, over, ended, info = env.step(inward.astype(np.float32))
             told.append((over, info["intervened"], info["proven"], info["least"]))
             if over or ended:
@@ -357,3 +358,29 @@ def test_inspection_is_kept_by_an_assured_filter():
     assert not ends[True][:, 0].any() and ends[True][:, 2].all() and (ends[True][:, 3] >= 0).all()
     assert 0 < ends[True][:, 1].sum() < len(ends[True]) == 60
     assert ends[False][-1, 0] and ends[False][-1, 3] < 0
+
+
+@pytest.mark.parametrize("proven", [True, False])
+def test_inspections_flown_together_are_those_flown_alone(proven):
+    """Each begins anew on its own; the one batch of the barrier filter keeps them as well."""
+    short = load_scenario("inspection", INSPECTED | {"flight.duration_s": 8.0})
+    rng = np.random.default_rng(0)
+    actions = rng.choice([-1.0, 1.0], (20, 3, 3)).astype(np.float32)
+    actions[4, 1] = np.nan
+    many = VectorShield(InspectionVectorEnv(short, 3), proven=proven)
+    together = [many.reset(seed=0), *(many.step(action) for action in actions)]
+    for run in range(3):
+        one = Shield(InspectionEnv(short), proven=proven)
+        seen, over = one.reset(seed=0)[0], False
+        for action, told in zip(actions[:, run], together[1:], strict=True):
+            if over:  # a step that only begins anew
+                (seen, _), over = one.reset(), False
+                assert not told[4]["_least"][run] and told[1][run] == 0
+            else:
+                seen, reward, failed, over, info = one.step(action)
+                assert not failed and info["least"] >= 0 and info["proven"] == proven
+                assert (reward, over) == pytest.approx((told[1][run], told[3][run]), abs=1e-12)
+                assert info["status"] == told[4]["status"][run]
+                assert np.isfinite(action).all() or info["intervened"] == 1
+            np.testing.assert_allclose(seen, told[0][run], atol=1e-6)
+    assert sum(told[3].sum() for told in together[1:]) == 6
