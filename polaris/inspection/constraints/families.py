@@ -87,7 +87,7 @@ class Families(Table):
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
         self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
-            self._fixed, self._approaches = self._for_loops(), approach.loops.approaches
+            (*self._fixed, self._maps), self._approaches = self._for_loops(), approach.loops.approaches
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
         """From which value on a passive constraint allows every input: it then need not be exact."""
@@ -106,7 +106,9 @@ class Families(Table):
         else:
             every, held = self.stack(x), None if held is None else held.reshape(len(x), -1, 3)
             about = self._motion(every, every @ self.inspection.system.A.T, held).stacked()
-        h, G, bound = self.loops.rows(x, plain(sun), *self._fixed[:4], about, self._fixed[4])
+        h, G, bound = self.loops.rows(x, plain(sun), *self._fixed, about, self._maps)
+        if len(lead) == 1:
+            return Rows(h, G, bound)
         return Rows(h.reshape(*lead, -1), G.reshape(*lead, -1, 3), bound.reshape(*lead, -1))
 
     def _for_loops(self) -> tuple[Array | Index, ...]:
@@ -153,7 +155,8 @@ class Families(Table):
 
         The nearest to thrust far beyond the limits is at their corners, and at another corner each period.
         """
-        return np.clip(desired, -self.inspection.thrust_max, self.inspection.thrust_max)
+        limit = self.inspection.thrust_max
+        return np.minimum(np.maximum(desired, -limit), limit)  # quicker than np.clip
 
     def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> Rows:
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad].
