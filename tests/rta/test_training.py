@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit  # noqa: E402
 
-from benchmarks.training import commanded, train, unpacked  # noqa: E402
+from benchmarks.training import commanded, speed, train, unpacked  # noqa: E402
 from polaris.model.errors import PolarisError, ScenarioError  # noqa: E402
 from polaris.rta.decision_grid import DecisionGrid  # noqa: E402
 from polaris.runs.training import (  # noqa: E402
@@ -384,3 +384,4 @@ def test_inspections_flown_together_are_those_flown_alone(proven):
                 assert np.isfinite(action).all() or info["intervened"] == 1
             np.testing.assert_allclose(seen, told[0][run], atol=1e-6)
     assert sum(told[3].sum() for told in together[1:]) == 6
+    assert speed(many, 1) > 0
