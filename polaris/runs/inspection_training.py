@@ -58,6 +58,7 @@ class InspectionFlights:
         self.k, self.sun = np.zeros(runs, dtype=int), np.zeros(runs)
         self.x = self.seen = np.zeros((runs, self.inspection.deputies, 6))
         self._drawn: list[tuple[Array, float]] = []
+        self._unknown = scenario.uncertainty()
         self._errors: Errors | None = None
         self._make: Callable[[float], RunTimeFilter] | None = None
         self._each: dict[int, RunTimeFilter] = {}
@@ -74,7 +75,7 @@ class InspectionFlights:
         self._make, self._each, self._batch = None, {}, None
         if proven:
             chosen = spec if isinstance(spec, AssuredFilter) else ImplicitFilter(kind="implicit")
-            brake = Brake(self.inspection, period, self.scenario.uncertainty())
+            brake = Brake(self.inspection, period, self._unknown)
             self._make = lambda sun: chosen.start(brake, alpha, sun)
         else:
             spec = spec if isinstance(spec, BarrierFilter) else CentralizedFilter(kind="centralized")
@@ -85,10 +86,9 @@ class InspectionFlights:
 
         They are drawn many at a time and used one by one; `fresh` throws away what is left.
         """
-        unknown = self.scenario.uncertainty()
-        if fresh or (self._errors is None and not unknown.exact):
+        if fresh or (self._errors is None and not self._unknown.exact):
             self._drawn, number = [], int(rng.integers(2**31))
-            self._errors = None if unknown.exact else Errors(unknown, self.inspection, number)
+            self._errors = None if self._unknown.exact else Errors(self._unknown, self.inspection, number)
         x = self.x.copy()
         for run in np.flatnonzero(chosen).tolist():
             x[run], self.sun[run] = self._start(rng)

@@ -388,3 +388,14 @@ def test_inspections_flown_together_are_those_flown_alone(proven):
             np.testing.assert_allclose(seen, told[0][run], atol=1e-6)
     assert sum(told[3].sum() for told in together[1:]) == 6
     assert speed(many, 1) > 0
+
+
+def test_a_flight_that_begins_anew_leaves_the_estimates_of_others():
+    errors = {"position_error_m": 0.05, "velocity_error_m_s": 0.002}
+    flights = InspectionVectorEnv(load_scenario("inspection", INSPECTED | {"navigation": errors}), 2).flights
+    rng, bound = np.random.default_rng(0), np.repeat([0.05, 0.002], 3)
+    flights.restart(np.ones(2, dtype=bool), rng, fresh=True)
+    seen = flights.seen.copy()
+    np.testing.assert_allclose(np.abs(seen - flights.x), np.broadcast_to(bound, seen.shape), rtol=1e-6)
+    flights.restart(np.array([True, False]), rng)
+    assert np.array_equal(flights.seen[1], seen[1]) and not np.array_equal(flights.seen[0], seen[0])

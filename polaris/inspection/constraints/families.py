@@ -105,7 +105,9 @@ class Families(Table):
             about = self._approaches(x, self._fixed[0], self._fixed[3][10], self.approach.numbers)
         else:
             every, held = self.stack(x), None if held is None else held.reshape(len(x), -1, 3)
-            about = self._motion(every, every @ self.inspection.system.A.T, held).stacked()
+            motion = self._motion(every, every @ self.inspection.system.A.T, held)
+            assert motion is not None
+            about = motion.stacked()
         h, G, bound = self.loops.rows(x, plain(sun), *self._fixed, about, self._maps)
         if len(lead) == 1:
             return Rows(h, G, bound)
@@ -113,7 +115,8 @@ class Families(Table):
 
     def _for_loops(self) -> tuple[Array | Index, ...]:
         """The arguments of `polaris.inspection.loops.rows` that are always the same."""
-        q, exact, flights, maps = self.inspection, -np.inf, (0.0,) * 3, np.zeros((0, 4, 6))
+        q, exact, maps = self.inspection, -np.inf, np.zeros((0, 4, 6))
+        flights: tuple[float, ...] = (0.0, 0.0, 0.0)
         table, values = [], np.zeros((len(self.family), 9))
         for group in self.groups:
             barrier, size = group.barrier, group.rows.stop - group.rows.start
