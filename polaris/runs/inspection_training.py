@@ -51,7 +51,8 @@ class InspectionFlights:
 
     def __init__(self, scenario: Any, runs: int, wanted_m: float = 100.0, effort: float = 0.05) -> None:
         of_kind("scenario", scenario, FlightScenario, "polaris.load_scenario of one inspection flight")
-        self.scenario, self.runs, self.wanted, self.effort = scenario, runs, wanted_m, effort
+        self.scenario: FlightScenario = scenario
+        self.runs, self.wanted, self.effort = runs, wanted_m, effort
         self.inspection, flight = scenario.inspection(), scenario.model.flight
         self.period, self.count = flight.period_s, round(flight.duration_s / flight.period_s)
         self._parts = tuple((part, *self.inspection.held(self.period * part)) for part in (0.5, 1.0))
