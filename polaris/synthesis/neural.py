@@ -11,9 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from reach.networks.bands import Activation
 from reach.networks.loop import ORDER, NetworkLoop
-from reach.networks.network import Affine, Network
+from reach.networks.network import Activation, Affine, Network
 from reach.numerics.errors import Unresolved
 from reach.numerics.rounding import gamma
 from reach.sets.zonotope import Zonotope

@@ -40,8 +40,7 @@ from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.neural import NeuralController
 from polaris.synthesis.policy import Policy
 from polaris.synthesis.synthesize import synthesize
-from reach.networks.bands import Activation
-from reach.networks.network import Affine, Network
+from reach.networks.network import Activation, Affine, Network
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
