@@ -1,4 +1,4 @@
-"""Small linear programs to the last digit: dual simplex steps in floating point, then in whole numbers.
+"""Linear programs to the last digit: from HiGHS's vertex on, by dual simplex steps in whole numbers.
 
 For programs whose rows are so nearly dependent that a solver's tolerances decide the answer.
 """
@@ -53,8 +53,11 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -
     if not exact:
         if near is None:
             return None
-        multipliers[near] = np.linalg.solve(A[near].T, np.eye(v + 1)[-1])
-        return np.linalg.solve(A[near], b[near]), multipliers[:M]
+        try:
+            multipliers[near] = np.linalg.solve(A[near].T, np.eye(v + 1)[-1])
+            return np.linalg.solve(A[near], b[near]), multipliers[:M]
+        except np.linalg.LinAlgError:
+            return None
     whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
     table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
     for basis in (near, first):
