@@ -79,7 +79,7 @@ class Premises:
             *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
             *([SATELLITES] if self.satellites else []),
             *self._of_hardware(),
-            "experimental controllers: each obeys its declared model",
+            "experimental controllers: each obeys its declared model, told of obstacles what theirs allow",
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),
         ]

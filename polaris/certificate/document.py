@@ -230,7 +230,7 @@ class Document:
             raise ValueError("modes must be known")
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
-            if sum(sizes[name] for name in law.reads) != len(law.input_scale):
+            if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:

@@ -9,6 +9,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
+from .bodies import Whereabouts
 from .drift import Departures
 from .motion import Arc, Motion, Path, Plant, Push
 from .networks import Policy
@@ -36,6 +37,8 @@ class Pilot:
     """
     fits: list[list[Matrix] | None] = field(default_factory=list)
     """By step and period, the affine functions that samples of a black box say its commands are near."""
+    told: Whereabouts | None = None
+    """Of the bodies that a network reads."""
     _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -54,7 +57,8 @@ class Pilot:
     @cached_property
     def policy(self) -> Policy:
         """Of a network."""
-        return Policy(self.law, self.plant)
+        assert self.told is not None
+        return Policy(self.law, self.plant, self.told)
 
     @cached_property
     def noise(self) -> list[arb]:
@@ -102,7 +106,7 @@ class Pilot:
             tops = sums(plant.u_max, plant.thruster_error(plant.u_max))
             return Period(plant.open, arb_mat(d.c.nrows(), 1), Push.in_box(plant.B, tops))
         if self.law.kind == "neural":
-            command = self.policy.command(d, self.policy.known(base, k, i))
+            command = self.policy.command(d, *self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
             error = plant.push(plant.thruster_error(command.most))
             return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)

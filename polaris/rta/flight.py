@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.integration import Integrator, columns
+from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
 from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
@@ -67,7 +67,7 @@ class Conditions:
         """One run from the middle of the initial set, exactly known."""
         x0, last = grid.schedule.safety.problem.initial_set.c[None], grid.decisions * grid.nodes
         none = np.zeros((grid.decisions, 1, grid.system.n))
-        return cls(x0, np.zeros((last, 1, columns(grid.system)[-1].stop)), none, 0)
+        return cls(x0, np.zeros((last, 1, Engine(grid).columns[-1].stop)), none, 0)
 
     def only(self, run: int) -> Conditions:
         """Those of one run."""
@@ -175,11 +175,10 @@ class Engine(Integrator):
         self.grid, sampled = grid, grid.tracking.feedback.sampled
         parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
-        self.parts = columns(self.system)
 
     def desired(self, mode: int, node: int, x: Array, w: Array) -> Array:
         """Clipped command of a law that sees states with the errors that are among what disturbs."""
-        eta = w[:, self.parts[1]]
+        eta = w[:, self.columns[1]]
         return self.grid.clipped(mode, node, x + eta if eta.size else x)
 
     def step(
@@ -199,10 +198,10 @@ class Engine(Integrator):
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        w, eta, thrust = (w[:, part] for part in self.parts)
+        w, *errors = (w[:, part] for part in self.columns)
         # The same at every step of the period.
-        self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
-        self.thrust = np.broadcast_to(thrust, (self.steps, *thrust.shape)) if thrust.size else None
+        held = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
+        self.eta, self.thrust, self.shares = held
         if mode != FILTERED:
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w] * self.substeps)

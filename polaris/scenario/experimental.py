@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from reach.numerics.errors import ReachError
 
 from ..model.errors import OutOfTime, ScenarioError
 from ..model.hill import elliptical_nmt
+from ..model.obstacle import Obstacle
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import SOLVER_BOOK_INPUT
 from ..planning.problem import PlanProblem
@@ -21,7 +22,8 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy, check_exact
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, check_exact
+from ..synthesis.policy import Policy, Senses
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, Neural, hill_rate
@@ -46,7 +48,7 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 
 
 def read_policies(
-    model: ScenarioModel, system: LinearSystem, folder: Path | None
+    model: ScenarioModel, system: LinearSystem, unsafe: Sequence[Obstacle], folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
     """Networks of a scenario and their files, by the name of their controller; black boxes are checked too.
 
@@ -75,7 +77,7 @@ def read_policies(
         thrust = np.array(spec.output_scale_N, dtype=float)
         thrust = np.full(system.m, thrust) if thrust.ndim == 0 else thrust
         policy = Policy(network, spec.inputs, scale, thrust)
-        policy.check(system, path)
+        policy.check(Senses.of(system, spec.inputs, unsafe, f"{path}.inputs"), path)
         found[spec.name] = file, policy
     return found
 
@@ -114,8 +116,9 @@ def _build(
     system = safety.problem.system
     if isinstance(spec, Neural):
         own = own_reference(spec.reference, None, safety, f"{path}.reference")
+        policy, unsafe = policies[spec.name][1], safety.problem.unsafe
         return NeuralController(
-            spec.name, system, policies[spec.name][1], safety.reference, own, safety.tracking
+            spec.name, system, policy, safety.reference, own, safety.tracking, tuple(unsafe)
         )
     if isinstance(spec, AnyThrustTable):
         return AnyThrust(spec.name, system, safety.reference, safety.tracking)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..synthesis.black_box import Ask
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
-    from ..synthesis.neural import Policy
+    from ..synthesis.policy import Policy
     from ..synthesis.problem import Problem
     from ..synthesis.search import SwitchingRules
 
@@ -163,7 +163,7 @@ class ScheduleScenario(Scenario):
             return {}
         from .experimental import read_policies
 
-        return read_policies(self.model, self.system(), self.folder)
+        return read_policies(self.model, self.system(), self.obstacles(), self.folder)
 
     def text_elsewhere(self) -> str:
         """TOML with the whole paths of networks; their digests are noted, as the text stands for them."""

@@ -69,14 +69,8 @@ class BlackBox:
 
     Parameters
     ----------
-    name : str
-        Name in tables and figures.
-    system : LinearSystem
-        What it controls.
-    reference : Reference
-        The safe reference.
-    tracking : Tracking
-        The safety tracker, whose feedback must be sampled.
+    name, system, reference, tracking
+        As those of a `NeuralController`.
     ask : callable
         See `Ask`; what it answers depends on what it is asked alone (it has no memory from one period to the
         next, nor from one flight to another).

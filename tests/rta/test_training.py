@@ -22,7 +22,8 @@ from polaris.runs.training import (  # noqa: E402
     VectorShield,
 )
 from polaris.scenario.scenario import load_scenario  # noqa: E402
-from polaris.synthesis.neural import NeuralController, Policy  # noqa: E402
+from polaris.synthesis.neural import NeuralController  # noqa: E402
+from polaris.synthesis.policy import Policy  # noqa: E402
 from polaris.synthesis.synthesize import synthesize  # noqa: E402
 from reach.networks.network import Affine, Network  # noqa: E402
 
@@ -136,21 +137,23 @@ def test_what_does_not_fit_is_told():
 def test_observations_are_what_a_network_reads_in_flight():
     """A network that hands its inputs on commands what the environment shows, up to its scales."""
     reads, schedule = ("error", "state", "time", "reference_input"), sampled()
-    env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 12.0))
+    reads += ("relative_position:trolley", "velocity:trolley")
+    env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 16.0))
     seen, _ = env.reset(seed=5)
-    W = np.vstack([np.eye(11)[[0, 2]], np.eye(11)[[5, 8]], np.eye(11)[[9, 10]]])
-    law, flights = schedule.controllers[1], env.many.flights
-    for row in range(0, 6, 2):
+    W, problem = np.eye(15)[[0, 2, 5, 8, 9, 10, 11, 14, 12, 13]], schedule.safety.problem
+    law, flights, q = schedule.controllers[1], env.many.flights, schedule.safety.clearance.q
+    for row in range(0, 10, 2):
         network = Network((Affine(W[row : row + 2], np.zeros(2)),))
-        policy = Policy(network, reads, np.arange(1.0, 12.0), np.ones(2))
-        given = schedule.safety.problem.system, policy, law.reference, law.own, schedule.safety.tracking
+        policy = Policy(network, reads, np.arange(1.0, 16.0), np.ones(2))
+        given = problem.system, policy, law.reference, law.own, schedule.safety.tracking, problem.unsafe
         env.reset(seed=5)
         for k in range(30):
-            node, cell = k, k // schedule.safety.clearance.q
+            node, (cell, place) = k, divmod(k, q)
             controller = NeuralController("same", *given)
-            own = flights.grid.own[1][node]
-            shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0])
-            assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-12)
+            own, later = flights.grid.own[1][node], place * schedule.safety.tracking.flow.h
+            shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0], later)
+            # What is told of a body that nothing is uncertain of is off by what rounding is booked with.
+            assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-6)
             env.step(np.zeros(2))
 
 

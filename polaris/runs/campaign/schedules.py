@@ -196,6 +196,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
     for first in range(0, run + 1, PART):
         truth = true_states(obstacles, system, runs.times, min(PART, task.runs - first), rng)
     truth = {name: states[run % PART] for name, states in truth.items()}
+    truth |= {name: states[run] for name, states in runs.bodies.items()}
     distances = signed_distances(obstacles, runs.times, runs.positions[run], system, truth)
     names = tuple(obstacle.name for obstacle in obstacles)
     arrays = {
