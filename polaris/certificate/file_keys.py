@@ -61,7 +61,7 @@ CERTIFICATE = {
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
-                    **every(grid("n"), "measured displaced")},
+                    **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -164,7 +164,7 @@ GAINS = {
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
         "timing?": {
             **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
-            **every(VECTOR, "measured displaced"),
+            **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},

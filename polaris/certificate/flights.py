@@ -114,8 +114,11 @@ class Pilot:
         if fit is not None:
             n, rows = d.c.nrows(), fit[i]
             K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
-            push = Push.in_box(plant.B, [arb(row[n + 1]) for row in rows])
-            return Period(plant.loop(-K), plant.B * (c - u), push)
+            bands = [arb(row[n + 1]) for row in rows]
+            ranges = zip(plant.u_max, _ranges(c, d.through(above(K, -K)).tops()), bands, strict=True)
+            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
+            error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
+            return Period(plant.loop(-K), plant.B * (c - u), push, error, most)
         found = self.clipped(_ranges(u, d.through(self.commands).tops()))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [

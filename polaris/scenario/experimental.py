@@ -22,7 +22,7 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, check_exact
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController
 from ..synthesis.policy import Policy, Senses
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
@@ -50,7 +50,7 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 def read_policies(
     model: ScenarioModel, system: LinearSystem, unsafe: Sequence[Obstacle], folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
-    """Networks of a scenario and their files, by the name of their controller; black boxes are checked too.
+    """Networks of a scenario and their files, by the name of their controller.
 
     Raises
     ------
@@ -64,7 +64,6 @@ def read_policies(
         if not isinstance(model.feedback, SampledFeedback):
             raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
         if isinstance(spec, BlackBoxTable):
-            check_exact(system)
             continue
         file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
@@ -86,7 +85,7 @@ def build_controllers(
     model: ScenarioModel,
     safety: Safety,
     policies: Mapping[str, tuple[Path, Policy]],
-    boxes: Mapping[str, Ask],
+    boxes: Mapping[str, Ask | None],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
     named = [spec.name for _, spec in model.controllers() if isinstance(spec, BlackBoxTable)]
@@ -100,12 +99,12 @@ def build_controllers(
         if not isinstance(spec, BlackBoxTable):
             found.append(_build(spec, path, safety, policies))
             continue
-        if spec.name not in boxes:
+        ask = boxes.get(spec.name)
+        if ask is None:
             rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
             raise ScenarioError(path, spec.name, rule)
-        seed = model.simulation.seed
-        system, reference = safety.problem.system, safety.reference
-        found.append(BlackBox(spec.name, system, reference, safety.tracking, boxes[spec.name], seed=seed))
+        known = safety.problem.system, safety.reference, safety.tracking, ask
+        found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
     return tuple(found)
 
 

@@ -310,6 +310,9 @@ class BlackBox(ScenarioPart):
     """With which a flight may leave the bands of all black boxes; the least one given counts."""
     confidence: f.Real = unit("-", default=0.999, ge=0.5, le=1 - 1e-9)
     """Of the statement that it is no more; the highest one given counts."""
+    memory: bool = unit("-", default=False)
+    """Whether its answers depend on what it was asked earlier in a flight. A question at time 0 begins new
+    flights, one for each row; a callable with a `reset` is taken to have memory."""
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
 
 

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import allocation
+from .error_tables import Timing, allocation
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
@@ -95,10 +95,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
-        allocation = self.allocation()
+        allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return system if model.timing is None else model.timing.build(system, self._period)
+        return (model.timing or Timing()).build(system, self._period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:
@@ -129,7 +129,9 @@ class ScheduleScenario(Scenario):
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def controllers(self, safety: Safety, boxes: Mapping[str, Ask] | None = None) -> tuple[Controller, ...]:
+    def controllers(
+        self, safety: Safety, boxes: Mapping[str, Ask | None] | None = None
+    ) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
 
         Parameters
@@ -151,10 +153,11 @@ class ScheduleScenario(Scenario):
         return build_controllers(self.model, safety, self.policies(), boxes or {})
 
     @property
-    def asked(self) -> tuple[float, float]:
-        """Probability and confidence of the statement about its black boxes."""
+    def asked(self) -> dict[str, Any]:
+        """Probability, confidence and seed of the statement about its black boxes."""
         specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
-        return min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        said = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        return {"probability": said[0], "confidence": said[1], "seed": self.simulation.seed}
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:

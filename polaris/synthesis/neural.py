@@ -16,6 +16,7 @@ from reach.networks.network import Activation, Affine, Network
 from reach.numerics.errors import Unresolved
 from reach.numerics.rounding import gamma
 from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
 
 from ..model.errors import ScenarioError
 from ..model.obstacle import Obstacle
@@ -187,7 +188,8 @@ class NeuralController:
                 after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
                 open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
                 wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
-                push, within = self._misapplied(command)
+                most = np.abs(command.c) + command.half_widths * (1 + WIDER)
+                push, within = misapplied(self.system, self.loop.flow, most)
                 nodes.append(reduced(after.inflate(wider + self.booked) + push))
                 bows.append(bow + wider + within)
         except Unresolved as error:
@@ -195,15 +197,6 @@ class NeuralController:
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         end = reduced(nodes[-1].inflate(rounding))
         return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
-
-    def _misapplied(self, command: Zonotope) -> tuple[Zonotope, Array]:
-        """What errors of thrusters under a held command add by the next node, and until then, (n,)."""
-        flow, B = self.loop.flow, self.system.B
-        if self.system.thrusters.exact:
-            return Zonotope(np.zeros(self.system.n), np.zeros((self.system.n, 0))), np.zeros(self.system.n)
-        error = self.system.thrusters.error(np.abs(command.c) + command.half_widths * (1 + WIDER))
-        moved = flow.input_zonotope(B, np.diag(error), np.abs(B) @ error)
-        return moved, flow.h * flow.growth @ (np.abs(B) @ error)
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
         """Command in step k, its middle and spread at every node [N], shapes (q+1, m).
@@ -220,14 +213,17 @@ NEEDS_SAMPLES = "must be sampled where a network or a black box flies: it is ask
 """What a scenario with one of them must have."""
 
 
-def check_exact(system: LinearSystem) -> None:
-    """Refuse errors of estimates and of thrusters: no tube of a black box knows of them."""
-    if not system.ideal:
-        field = "navigation" if np.any(system.navigation) else "thrusters"
-        field = field if system.timing.instant else "timing"
-        raise ScenarioError(
-            field, None, "must be left out where a black box flies: its tube knows of no such error"
-        )
+def misapplied(system: LinearSystem, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
+    """What errors of thrusters add by the next node, and until then, (n,): commands up to `most` are held."""
+    if system.thrusters.exact and not system.timing.carried:
+        return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
+    error, drift = system.thrusters.error(most), system.adrift
+    size = np.abs(system.B) @ error
+    moved = flow.input_zonotope(system.B, np.diag(error), size)
+    if drift.size:
+        carried = np.abs(drift).sum(axis=1)
+        moved, size = moved + flow.input_zonotope(drift, np.eye(drift.shape[1]), carried), size + carried
+    return moved, flow.h * flow.growth @ size
 
 
 def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
