@@ -19,6 +19,7 @@ from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement
 from .scheduled import Scheduled
+from .transients import lost, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
@@ -67,6 +68,7 @@ class Argument:
         self.pilots = [Pilot(law, self.plant, document.slopes, document.fits) for law in document.laws]
         self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in noise])
+        self.upsets = moved(document, self.plant)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -121,6 +123,12 @@ class Argument:
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
 
+    def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
+        """What errors need along rows, a fault that is isolated late included."""
+        needs = Needs(self.loop, memory, rows)
+        boxes = [*self.upsets, *lost(self.document, self.loop, memory)]
+        return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
         doc = self.document
@@ -152,7 +160,7 @@ class Argument:
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
-            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures))
+            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
@@ -184,7 +192,7 @@ class Argument:
         Beyond the memory of the loop what is derived is the disturbance's share alone.
         """
         doc, q, C = self.document, self.document.q, self.plant.C
-        needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
+        needs = self._needs(memory, above(C, -C, self.gain, -self.gain))
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
@@ -229,7 +237,7 @@ class Argument:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
         limits = Limits.of(doc, path, self.gain, chosen)
-        needs = Needs(self.loop, memory, limits.rows)
+        needs = self._needs(memory, limits.rows)
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
             limits = limits.less(scheduled.along(limits.rows))

@@ -20,6 +20,13 @@ ALLOCATED = (
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
+NOTHING_ELSE = (
+    "the safety controller flies from then on (without measurements: from when they cease), and no second "
+    "fault occurs; goal, velocity change, enclosures and drift are those of flights without such faults"
+)
+"""Assumed of faults that are isolated late, and what is told of them."""
+
+
 @dataclass(frozen=True)
 class Premises:
     """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
@@ -46,6 +53,8 @@ class Premises:
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    late : iterable of (str, float)
+        Kinds of faults that are isolated late, and how long that takes [s].
     allocated : bool
         Whether inputs are made by thrusters of which one may have failed.
     sampled : mapping, optional
@@ -63,6 +72,7 @@ class Premises:
     thrusters: Iterable[float] = ()
     chaser: float = 0.0
     allocated: bool = False
+    late: Iterable[tuple[str, float]] = ()
     sampled: Mapping[str, Any] | None = None
 
     def told(self) -> list[str]:
@@ -104,8 +114,15 @@ class Premises:
             parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
             yield f"thrusters: what is applied to an input is within {off} of its command u_i"
+        late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
-            yield ALLOCATED
+            yield (
+                ALLOCATED.replace("known at once", "known at once or when it is isolated")
+                if late
+                else ALLOCATED
+            )
+        if late:
+            yield f"isolation: {late} at the latest; {NOTHING_ELSE}"
         if predicted or jitter > 0:
             late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
             late += f", {jitter:g} s earlier or later from the second on" if jitter else ""

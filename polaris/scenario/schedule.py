@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import allocation
+from .error_tables import allocation, transients
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
@@ -200,7 +200,10 @@ class ScheduleScenario(Scenario):
         from .experimental import gains_of
 
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
-        weight = tracking.weight
+        weight, gains = tracking.weight, gains_of(self.model, system)
+        unsteered = np.zeros((system.m, system.n))
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains))
+        system = replace(system, transients=late)
         return Problem(
             system=system,
             initial_set=self.initial_set(),
@@ -221,7 +224,7 @@ class ScheduleScenario(Scenario):
             thrust_reserve=given.pop("thrust_reserve"),
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
-            gains=gains_of(self.model, system),
+            gains=gains,
             allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),

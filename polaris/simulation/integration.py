@@ -15,6 +15,7 @@ from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
+from .failing import Failing
 from .run_metrics import Runs
 
 
@@ -41,7 +42,8 @@ class Integrator:
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
-    of the largest that what is commanded allows, `thrust` (steps, R, m).
+    of the largest that what is commanded allows, `thrust` (steps, R, m). What fails, and is isolated late, is
+    `failing`.
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -49,6 +51,7 @@ class Integrator:
         self.free: Array | None = None
         self.eta: Array | None = None
         self.thrust: Array | None = None
+        self.failing: Failing | None = None
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
         self.thrusters = self.system.thrusters
@@ -86,6 +89,11 @@ class Integrator:
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
         controller, step = self.schedule.controllers[number], k * self.steps_per_cell + half // 2
+        if number and self.failing is not None and np.any(by_s := self.failing.by_s(step)):
+            others, self.failing = self.failing, None
+            told = self.command(number, k, half, x, later)
+            self.failing = others
+            return np.where(by_s[:, None], self.command(0, k, half, x, later), told)
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, half + later]
@@ -96,12 +104,18 @@ class Integrator:
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
-        return x if self.eta is None else x + self.eta[step]
+        known = x if self.eta is None else x + self.eta[step]
+        if self.failing is None:
+            return known
+        lost = self.failing.on(step) & self.failing.lost
+        return np.where(lost[:, None], x + self.failing.gap, known)
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
-        u = np.clip(raw, -self.system.u_max, self.system.u_max)
-        return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(u)
+        u = told = np.clip(raw, -self.system.u_max, self.system.u_max)
+        if self.thrust is not None:
+            u = u + self.thrust[step] * self.thrusters.error(told)
+        return u if self.failing is None else u + self.failing.added(told, step)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
@@ -137,6 +151,11 @@ class Integrator:
                 u = self.applied(raw, k * self.steps_per_cell + step)
             first = np.clip(raw, -limit, limit) if sub == 0 else first
             x = self.move(number, k, step, x, u, w[sub])
+            if self.failing is not None:
+                at, (Ad, Bd, Dd) = k * self.steps_per_cell + step, self.held
+                wrong = w[sub] @ Dd.T + (u - np.clip(raw, -limit, limit)) @ Bd.T
+                eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
+                self.failing.predict(at, Ad, wrong, eta)
             size = np.abs(u)
             if self.system.timing.jitter > 0:  # moves thrust in time, and adds little of it
                 size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)))
@@ -182,7 +201,8 @@ class Integrator:
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
         held = self.sampled and self.substeps > 1
-        if not isinstance(law, AffineController) or held or self.thrust is not None:
+        inexact = self.thrust is not None or self.failing is not None
+        if not isinstance(law, AffineController) or held or inexact:
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]

@@ -15,6 +15,7 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
 from .profile import profile, summed
+from .transients import upset, upset_boxes
 
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
@@ -206,6 +207,11 @@ class Tracking:
         return np.concatenate([self.decay[:1], self.decay[:-1]])
 
     @cached_property
+    def upsets(self) -> Array:
+        """Boxes of states, one of which holds what a fault that is isolated late has added, shape (J, n)."""
+        return upset_boxes(self)
+
+    @cached_property
     def period_gain(self) -> float:
         """Bound on ``norm(W e)`` reached within one period from rest by the disturbance."""
         return float(np.linalg.norm(np.abs(self.W) @ self.flow.period_box))
@@ -273,6 +279,8 @@ class Tracking:
             np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
         )
         found = np.vstack([until, until[-1] + tail])
+        if self.system.transients:
+            found += upset(self, rows)
         if profile is None:
             return found
         errors = self.system.thrusters.part(profile)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
+from ..failing import Failing, drawn, substeps_for
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import initial_states
@@ -21,17 +22,19 @@ class Attack:
     """What is done to a schedule in R runs.
 
     Initial states (R, n), disturbances held over each step (steps, R, p), and the inputs (steps, R, m) of
-    controllers that may do anything.
+    controllers that may do anything; what fails in each, if that is isolated late.
     """
 
     x0: Array
     w: Array
     free: Array | None
+    failing: Failing | None = None
 
     def pick(self, chosen: NDArray[np.intp]) -> Attack:
         """Some of the runs."""
         free = None if self.free is None else self.free[:, chosen]
-        return Attack(self.x0[chosen], self.w[:, chosen], free)
+        failing = None if self.failing is None else self.failing.pick(chosen)
+        return Attack(self.x0[chosen], self.w[:, chosen], free, failing)
 
     @classmethod
     def join(cls, parts: list[Attack]) -> Attack:
@@ -47,7 +50,7 @@ class Attack:
 
     def fly(self, flight: Integrator) -> Runs:
         """Simulate."""
-        flight.free = self.free
+        flight.free, flight.failing = self.free, self.failing
         return flight.run(self.x0, self.w)
 
 
@@ -64,10 +67,10 @@ class Attacker:
         self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
 
     @classmethod
-    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator) -> Attacker:
-        """With S's flight after T or without, one integration step per node."""
-        claims = Claims(schedule, tail)
-        return cls(claims, Integrator(schedule, claims.modes, 1), rng)
+    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
+        """With S's flight after T or without; one integration step per node, more if faults need them."""
+        claims = Claims(schedule, tail, failing)
+        return cls(claims, Integrator(schedule, claims.modes, substeps_for(schedule) if failing else 1), rng)
 
     def random(self, count: int) -> Attack:
         """Random disturbances from random states and corners; inputs at random, most of them bang-bang."""
@@ -77,6 +80,24 @@ class Attacker:
 
     def worst(self, count: int) -> Attack:
         """The closed-form worst case of facets and instants: half of them where the proof leaves least."""
+        return self._towards(*self._aims(count))
+
+    def failed(self, count: int) -> Attack:
+        """The same with a fault in every flight, the worst case along S once it flies because of that."""
+        rows, targets = self._aims(count)
+        flight, schedule, per_node = self.flight, self.flight.schedule, self.flight.substeps
+        targets = -(-targets // per_node) * per_node
+        failing = drawn(schedule, flight.dt, rows, targets, self.rng)
+        taken = np.minimum(np.where(failing.lost, failing.begins, failing.ends), targets)
+        after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, per_node), rows, targets)[0]
+        carried = schedule.safety.tracking.transitions
+        lags = np.minimum((targets - taken) // per_node, len(carried) - 1)
+        before = self._towards(np.einsum("rn,rnm->rm", rows, carried[lags]), taken)
+        by_s = np.arange(flight.steps)[:, None] >= taken
+        return Attack(before.x0, np.where(by_s[..., None], after, before.w), before.free, failing)
+
+    def _aims(self, count: int) -> tuple[Array, NDArray[np.int_]]:
+        """Rows, and instants at which the state is to be far along them."""
         rows = self.rows[self.rng.integers(0, len(self.rows), count)].copy()
         targets = self.rng.integers(1, self.flight.steps + 1, count)
         near = count // 2 if len(self._left) else 0
@@ -88,7 +109,7 @@ class Attacker:
             rows[:near] = self.rows[self.first[which] + self._best[which, period]]
             later = self.rng.integers(0, self.flight.substeps + 1, near)
             targets[:near] = np.clip(period * self.flight.substeps + later, 1, self.flight.steps)
-        return self._towards(rows, targets)
+        return rows, targets
 
     def again(self, runs: Runs, found: Attained, count: int) -> Attack:
         """The worst case about runs just flown, their clipped inputs as they were.

@@ -25,6 +25,9 @@ BATCH = 100_000
 ELITES = 12
 """Attacks kept per limit."""
 
+FAILING_EVERY = 3
+"""Every so many batches something fails in every flight, where faults are isolated late."""
+
 TAIL_EVERY = 8
 """Every so many batches S flies on after T, and in the last one if it has not before."""
 
@@ -169,6 +172,8 @@ class _Search:
         self.main = Attacker.of(schedule, False, rng)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
         self.tail = Attacker.of(schedule, True, rng) if proven_after else None
+        transients = schedule.safety.problem.system.transients
+        self.failing = Attacker.of(schedule, proven_after, rng, True) if transients else None
         limits = len(self.main.claims.names)
         self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
         claimed = (self.tail or self.main).claims.floor
@@ -185,13 +190,15 @@ class _Search:
             left = self.wanted - self.flown
             due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
             attacker = self.tail if self.tail is not None and due else self.main
+            attacker = self.failing if self.failing is not None and batch % FAILING_EVERY == 1 else attacker
             beyond = beyond or attacker is self.tail
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
-            measured = attained(attacker.claims, flown)
+            measured = attained(attacker.claims, flown, attack.failing, attacker.flight.substeps)
             self.flown, batch = self.flown + count, batch + 1
-            found = self._record(attacker.claims, attack, measured) or self._stopped(attack, flown)
+            found = self._record(attacker.claims, attack, measured, attacker.flight.substeps)
+            found = found if found or attacker is self.failing else self._stopped(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
                 self._keep(attack, measured)
@@ -210,19 +217,19 @@ class _Search:
                 return attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
             if kind == "random":
                 return attacker.random(count)
-        return attacker.worst(count)
+        return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
 
     def _record(
-        self, claims: Claims, attack: Attack, measured: Attained
+        self, claims: Claims, attack: Attack, measured: Attained, substeps: int
     ) -> tuple[Failure, tuple[Attack, bool, int]] | None:
         """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
         every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
         least, when = measured.margin[best, every], measured.when[best, every]
-        less = least < self.least
+        less = (least < self.least) & (not claims.failing)
         self.least[less], self.at[less] = least[less], when[less]
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
-            confirmed = confirm(claims, attack.pick(np.array([run])))
+            confirmed = confirm(claims, attack.pick(np.array([run])), substeps)
             if confirmed is not None:
                 failure, finer, substeps = confirmed
                 return failure, (finer, claims.tail, substeps)
@@ -279,14 +286,16 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
     return None
 
 
-def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
-    """Fly one attack again with four times as many integration steps, its disturbance the same.
+def confirm(claims: Claims, attack: Attack, flown: int = 1) -> tuple[Failure, Attack, int] | None:
+    """Fly one attack again with four times as many integration steps as were `flown`, with its disturbance.
 
     Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
     """
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
-    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free)
-    flight = Integrator(claims.schedule, claims.modes, substeps)
-    failure = violation(claims, attained(claims, finer.fly(flight)))
-    return None if failure is None else (failure, finer, substeps)
+    failing = None if attack.failing is None else attack.failing.pick(np.arange(1), substeps)
+    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, failing)
+    flight = Integrator(claims.schedule, claims.modes, flown * substeps)
+    runs = finer.fly(flight)
+    failure = violation(claims, attained(claims, runs, failing, flown * substeps))
+    return None if failure is None else (failure, finer, flown * substeps)

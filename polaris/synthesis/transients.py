@@ -1,0 +1,80 @@
+"""What faults that are isolated late add to all that S must have room for."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..model.prediction import prediction_error
+from ..model.system import Array, LinearSystem
+from ..model.tolerances import ROUNDING
+from ..model.transient import Transient
+
+if TYPE_CHECKING:
+    from .tracking import Tracking
+
+WHOLE = 1e-9
+"""Share by which a delay may exceed a whole number of periods and count as one."""
+
+
+def upset_boxes(tracking: Tracking) -> Array:
+    """Boxes about zero: one of them holds what a fault has added to the states until S flies on, (J, n)."""
+    system = tracking.system
+    found = [(_moved if len(fault.thrust) else _lost)(tracking, fault) for fault in system.transients]
+    return np.vstack([np.zeros((0, system.n)), *found])
+
+
+def _moved(tracking: Tracking, fault: Transient) -> Array:
+    """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
+
+    Every law answers with no more than its gain times the deviation, whatever clips it
+    (Gronwall's inequality). What a delay hides from it counts as if the fault lasted longer.
+    """
+    system, timing, h = tracking.system, tracking.system.timing, tracking.flow.h
+    sampled, n = tracking.feedback.sampled, tracking.system.n
+    late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed) if sampled else timing.delay
+    answer = np.eye(system.m) * (1 + system.thrusters.along) + system.thrusters.across
+    answer = answer @ np.maximum(fault.gains, np.abs(tracking.gain))
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:] = np.abs(system.A) + np.abs(system.B) @ answer, np.eye(n)
+    spread = expm(block * (fault.lasts + late))[:n, n:] @ np.abs(system.B)
+    return np.asarray((fault.pushes + system.thrusters.part(fault.pushes)) @ spread.T * (1 + ROUNDING))
+
+
+def longest(system: LinearSystem, fault: Transient, period: float) -> float:
+    """Largest age of the last measurement while navigation is lost [s]; the period of held inputs, or 0."""
+    return fault.lasts + system.timing.delay + period * (system.timing.missed + 1)
+
+
+def _lost(tracking: Tracking, fault: Transient) -> Array:
+    """Error of predictions over the whole outage, and what is left of that of its first estimate, (1, n).
+
+    S steers what is predicted, exactly as a loop without disturbance.
+    """
+    system, period = tracking.system, tracking.flow.h if tracking.feedback.sampled else 0.0
+    measured = np.array(system.timing.measured or system.navigation) + system.displaced
+    worst, age = system.thrusters.error(system.u_max), longest(system, fault, period)
+    first = _carried(tracking, np.eye(system.n), system.navigation[None])[-1].T
+    return np.asarray((prediction_error(system, measured, worst, age) + first) * (1 + ROUNDING))
+
+
+def _carried(tracking: Tracking, rows: Array, boxes: Array) -> Array:
+    """What errors in boxes (J, n) need along each row up to l periods later, shape (memory + 2, r, J)."""
+    size = np.linalg.norm(boxes @ np.abs(tracking.W).T, axis=1)
+    reach = np.abs(rows @ tracking.transitions) @ boxes.T
+    beyond = np.linalg.norm(rows @ tracking.W_inverse, axis=-1)[:, None] * tracking.decay[-1] * size
+    later = np.maximum(np.maximum.accumulate(reach), beyond)
+    return np.asarray(later + tracking.curvature(rows)[:, None] * size)
+
+
+def upset(tracking: Tracking, rows: Array) -> Array:
+    """What the worst fault needs along each row by the end of period L + 1, shape (memory + 3, r).
+
+    It happens once: the largest over all instants since then, not their sum (docs/theory.md, Proposition 42).
+    """
+    found = _carried(tracking, rows, tracking.upsets).max(axis=-1) * (1 + ROUNDING)
+    last = len(found) - 1
+    return np.asarray(found[np.minimum(np.arange(last + 2) + 2, last)])
