@@ -52,6 +52,10 @@ class Failing:
         """Whether the fault lasts."""
         return np.asarray((self.begins <= step) & (step < self.ends))
 
+    def missing(self, when: Array) -> NDArray[np.bool_]:
+        """Whether what is measured in some steps (R,) is lost."""
+        return np.asarray(self.lost & (self.begins <= when) & (when < self.ends))
+
     def by_s(self, step: int) -> NDArray[np.bool_]:
         """Whether S flies because of it."""
         return np.asarray(np.where(self.lost, self.begins, self.ends) <= step)
@@ -79,31 +83,27 @@ def substeps_for(schedule: Schedule) -> int:
 
 
 def drawn(
-    schedule: Schedule, dt: float, rows: Array, targets: NDArray[np.int_], rng: np.random.Generator
+    schedule: Schedule, per_node: int, rows: Array, targets: NDArray[np.int_], rng: np.random.Generator
 ) -> Failing:
-    """One fault per flight; half of them the worst along a row, in thruster and instant.
+    """One fault per flight; half of them are the worst along a row.
 
-    Rows (R, n) and targets (R,), instants as numbers of steps of dt [s]; with held inputs S flies on at nodes.
+    Rows are (R, n), targets (R,) instants as numbers of steps, so many per node. S flies on at nodes.
     """
     tracking, count = schedule.safety.tracking, len(rows)
-    system, per_node = tracking.system, max(round(tracking.flow.h / dt), 1)
+    system, worst = tracking.system, rng.random(count) < 0.5
     which = rng.integers(0, len(system.transients), count)
-    ends, length = rng.integers(1, targets + 1), np.zeros(count, dtype=int)
-    thrust, share = np.zeros((count, system.m)), np.ones(count)
-    lost, worst = np.zeros(count, dtype=bool), rng.random(count) < 0.5
-    kicks = np.einsum("lrn,nm->lrm", rows @ tracking.transitions, system.B)
+    ends, length = np.where(worst, targets, rng.integers(1, targets + 1)), np.zeros(count, dtype=int)
+    thrust, share, lost = np.zeros((count, system.m)), np.ones(count), np.zeros(count, dtype=bool)
+    kicks = np.einsum("lrn,nm->rlm", rows @ tracking.transitions, system.B)
     for number, fault in enumerate(system.transients):
-        mine = np.flatnonzero(which == number)
-        length[mine], lost[mine] = max(int(fault.lasts / dt + 1e-9), 1), not len(fault.thrust)
-        if not len(fault.thrust) or not len(mine):
-            continue
-        on = fault.name == "stuck_on"
-        along = np.moveaxis(kicks[:, mine] @ fault.thrust.T * (1 if on else -1), 0, 1)
-        flat = along.reshape(len(mine), -1).argmax(axis=1)
-        age, thruster = np.divmod(flat, len(fault.thrust))
-        aimed = worst[mine]
-        thruster = np.where(aimed, thruster, rng.integers(0, len(fault.thrust), len(mine)))
-        ends[mine] = np.where(aimed, np.maximum(targets[mine] - age * per_node, 1), ends[mine])
-        thrust[mine], share[mine] = fault.thrust[thruster], -1.0 if on else fault.share
-    ends = np.maximum(-(-ends // per_node) * per_node, -(-length // per_node) * per_node)
+        mine, thrusters, on = np.flatnonzero(which == number), len(fault.thrust), fault.name == "stuck_on"
+        length[mine] = np.clip(int(fault.lasts / tracking.flow.h * per_node + 1e-9), 1, targets.max())
+        lost[mine] = not thrusters
+        if thrusters and len(mine):
+            along = kicks[mine] @ fault.thrust.T * (1 if on else -1)
+            age, best = np.divmod(along.reshape(len(mine), -1).argmax(axis=1), thrusters)
+            chosen = np.where(worst[mine], best, rng.integers(0, thrusters, len(mine)))
+            ends[mine] -= np.where(worst[mine], np.minimum(age * per_node, ends[mine] - 1), 0)
+            thrust[mine], share[mine] = fault.thrust[chosen], -1.0 if on else fault.share
+    ends = -(-np.maximum(ends, length) // per_node) * per_node
     return Failing(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))

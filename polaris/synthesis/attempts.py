@@ -174,6 +174,9 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         if not system.timing.instant:
             late = errors_alone(tracking, int(axis), system.prompt)
             share += f" ({late:.4g} of that for delay, missed periods and jitter)"
+        if system.transients:
+            late = errors_alone(tracking, int(axis), replace(system, transients=()))
+            share += f" ({late:.4g} of that for a fault until it is isolated)"
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "

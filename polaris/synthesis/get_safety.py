@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.errors import ScenarioError
+from ..model.errors import ScenarioError, SynthesisInfeasible
 from ..planning.problem import Plan
 from ..planning.reference import Reference
 from .attempts import Attempts, Clock
@@ -25,6 +25,7 @@ from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking, choose_feedback, lqr_gain
+from .transients import naming_faults
 
 SHARES = (0.5, 1.0)
 """Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""
@@ -137,6 +138,15 @@ def get_safety(
     tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share or SHARES[0])
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
     attempts = Attempts(problem, tracking, clock, along)
+    try:
+        return _proven(problem, tracking, bounds, attempts)
+    except SynthesisInfeasible as error:
+        raise naming_faults(error, tracking) from error
+
+
+def _proven(problem: Problem, tracking: Tracking, bounds: ErrorBounds, attempts: Attempts) -> Safety:
+    """Lines 4 to 10: the first reference along which enough is proven, or the last."""
+    clock = attempts.clock
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
         s = construct_s(tracking, reference)  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
 
+from ..model.errors import SynthesisInfeasible
 from ..model.prediction import prediction_error
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
@@ -78,3 +80,29 @@ def upset(tracking: Tracking, rows: Array) -> Array:
     found = _carried(tracking, rows, tracking.upsets).max(axis=-1) * (1 + ROUNDING)
     last = len(found) - 1
     return np.asarray(found[np.minimum(np.arange(last + 2) + 2, last)])
+
+
+def taken(tracking: Tracking) -> list[dict[str, Any]]:
+    """What each fault takes until it is isolated: of every clearance [m], and of the thrust that S has."""
+    system, found = tracking.system, []
+    rows, m = np.vstack([system.position, tracking.gain]), system.m
+    for fault in system.transients:
+        most = upset(replace(tracking, system=replace(system, transients=(fault,))), rows)[-1]
+        clearance, thrust = float(most[:-m].max()), float((most[-m:] / system.u_max).max())
+        found.append(
+            {"fault": fault.name, "until_s": fault.lasts, "clearance_m": clearance, "thrust_share": thrust}
+        )
+    return found
+
+
+def naming_faults(error: SynthesisInfeasible, tracking: Tracking) -> SynthesisInfeasible:
+    """An error that says, where faults are isolated late, which of them takes most, and how much."""
+    if not tracking.system.transients:
+        return error
+    worst = max(taken(tracking), key=lambda each: each["thrust_share"])
+    told = (
+        f" While {worst['fault']} lasts, {worst['until_s']:g} s, it may take {worst['clearance_m']:.4g} m of"
+        f" every clearance and {worst['thrust_share']:.4g} of the thrust."
+    )
+    relax = f"{error.relax} Or isolate it sooner."
+    return SynthesisInfeasible(error.condition + told, error.shortfall, relax)

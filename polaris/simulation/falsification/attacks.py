@@ -87,14 +87,28 @@ class Attacker:
         rows, targets = self._aims(count)
         flight, schedule, per_node = self.flight, self.flight.schedule, self.flight.substeps
         targets = -(-targets // per_node) * per_node
-        failing = drawn(schedule, flight.dt, rows, targets, self.rng)
+        failing = drawn(schedule, per_node, rows, targets, self.rng)
         taken = np.minimum(np.where(failing.lost, failing.begins, failing.ends), targets)
         after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, per_node), rows, targets)[0]
         carried = schedule.safety.tracking.transitions
-        lags = np.minimum((targets - taken) // per_node, len(carried) - 1)
-        before = self._towards(np.einsum("rn,rnm->rm", rows, carried[lags]), taken)
-        by_s = np.arange(flight.steps)[:, None] >= taken
-        return Attack(before.x0, np.where(by_s[..., None], after, before.w), before.free, failing)
+        first, then = (
+            np.einsum("rn,rnm->rm", rows, carried[np.clip((targets - when) // per_node, 0, len(carried) - 1)])
+            for when in (taken, failing.ends)
+        )
+        before = self._towards(first, taken)
+        w = np.where((np.arange(flight.steps)[:, None] >= taken)[..., None], after, before.w)
+        self._unseen(w, then, failing)
+        return Attack(before.x0, w, before.free, failing)
+
+    def _unseen(self, w: Array, rows: Array, failing: Failing) -> None:
+        """Where navigation is lost nobody answers the disturbance: its worst case along rows at the end."""
+        (Ad, _, Dd), p = self.flight.held, self.flight.system.p
+        for back in range(1, int((failing.ends - failing.begins).max()) + 1):
+            at = np.flatnonzero(failing.missing(failing.ends - back))
+            along = rows[at] @ Dd
+            size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+            w[failing.ends[at] - back, at, :p] = along * (self.flight.system.w_max / size)
+            rows[at] = rows[at] @ Ad
 
     def _aims(self, count: int) -> tuple[Array, NDArray[np.int_]]:
         """Rows, and instants at which the state is to be far along them."""
