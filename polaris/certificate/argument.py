@@ -105,6 +105,7 @@ class Argument:
     def flights(self, path: Path, merging: Merging) -> None:
         """Everything that rests on the sets which the schedule reaches."""
         sets, flown = self.tubes(path, merging)
+        self.flown = flown
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
         memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
@@ -246,8 +247,11 @@ class Argument:
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 else ():
-                claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
-        reached = {k: sets[k] for k in claimed if k * doc.q < recovery.nodes}
+                claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), doc.margins[k])
+        reached = {node: sets[node // doc.q] for node in claimed if node < recovery.nodes}
+        for k, mode in enumerate(doc.modes):  # a fault is isolated at any node
+            within = self.flown[k].nodes if mode > 0 and doc.transients else []
+            reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         least = recovery.check_sets(reached, claimed)
         recovery.check_far()
         ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"

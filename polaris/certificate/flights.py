@@ -212,6 +212,7 @@ class Flown:
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
     spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
+    nodes: list[Zonotope]  # errors at the nodes within it
 
 
 def fly(
@@ -241,7 +242,7 @@ def fly(
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent = arb(0)
+    spent, nodes = arb(0), []
     for i in range(pilot.plant.q):
         period = pilot.period(d, base, k, i)
         spent += pilot.spent(period, d, base.u)
@@ -265,8 +266,9 @@ def fly(
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
+        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent)
+    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
 
 
 def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:

@@ -72,8 +72,7 @@ def moved(document: Document, plant: Plant) -> list[arb_mat]:
 def _hidden(document: Document, plant: Plant) -> arb:
     """For how long what happens may be hidden from commands."""
     delay, missed = arb(document.timing.get("delay", 0.0)), document.timing.get("missed", 0)
-    periods = ceil(float((delay / plant.h).mid()) * (1 - WHOLE)) + missed
-    return plant.h * periods if plant.sampled else delay
+    return plant.h * (ceil(float((delay / plant.h).mid()) * (1 - WHOLE)) + missed)
 
 
 def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
@@ -84,8 +83,10 @@ def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
     for each in document.transients:
         if not each.get("pushes"):
             age = arb(each["lasts"]) + document.timing.get("delay", 0.0)
-            age += plant.h * (document.timing.get("missed", 0) + 1) if plant.sampled else 0
-            first = upset(Needs(loop, memory, identity(n)), [column(document.estimate or [0.0] * n)])[-1]
+            age += plant.h * (2 * document.timing.get("missed", 0) + 1)
+            estimate = column(document.estimate or [0.0] * n)
+            carried = zip(estimate.entries(), (magnitude(plant.open.phi) * estimate).entries(), strict=True)
+            first = upset(Needs(loop, memory, identity(n)), [column([largest(pair) for pair in carried])])[-1]
             found.append(column(predicted(plant, known, age)) + column(first))
     return found
 

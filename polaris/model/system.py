@@ -167,8 +167,9 @@ class LinearSystem:
 
     def as_ideal(self) -> LinearSystem:
         """The same system without errors of estimates and thrusters, and without faults known late."""
-        exact = {"estimate_error": None, "thrusters": Thrusters(), "timing": Timing(), "transients": ()}
-        return self if self.ideal else replace(self, **exact)
+        if self.ideal:
+            return self
+        return replace(self, estimate_error=None, thrusters=Thrusters(), timing=Timing(), transients=())
 
     def command_error(self, gain: Array) -> Array:
         """By how much a command may differ from what it would be on the exact state, shape (m,)."""

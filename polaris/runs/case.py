@@ -117,7 +117,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         flight = Integrator(schedule, claims.modes, int(data["substeps"]))
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
-        found = attained(claims, attack.fly(flight), attack.failing, flight.substeps)
+        found = attained(claims, attack.fly(flight), attack.failing)
         return violation(claims, found), scenario
     except (ValueError, TypeError, IndexError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error

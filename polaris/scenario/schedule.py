@@ -57,6 +57,10 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
+        late = [fault for fault in (each.build() for each in model.faults) if fault.isolation > 0]
+        if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
+            rule = "isolated late need sampled feedback, and last no less than its period"
+            raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
         if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
             given = model.abort.drift_orbits, model.abort.drift_s
             raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,6 @@ from numpy.typing import NDArray
 
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
-
-FINEST = 8
-"""Most integration steps per node for the sake of faults that are shorter than a period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +27,9 @@ class Failing:
     lost: NDArray[np.bool_]
     gap: Array = field(repr=False)
 
-    def pick(self, chosen: NDArray[np.intp], finer: int = 1) -> Failing:
-        """Some of the flights, with so many times as many steps."""
-        when = self.begins[chosen] * finer, self.ends[chosen] * finer
+    def pick(self, chosen: NDArray[np.intp]) -> Failing:
+        """Some of the flights."""
+        when = self.begins[chosen], self.ends[chosen]
         return Failing(
             *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
         )
@@ -46,13 +42,13 @@ class Failing:
     @classmethod
     def of(cls, table: dict[str, Any], n: int) -> Failing:
         """One flight with n states from a `table`."""
-        return cls(*(np.array([x]) for x in table.values()), np.zeros((1, n)))
+        return cls(**{name: np.array([x]) for name, x in table.items()}, gap=np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Whether the fault lasts."""
         return np.asarray((self.begins <= step) & (step < self.ends))
 
-    def missing(self, when: Array) -> NDArray[np.bool_]:
+    def missing(self, when: NDArray[Any]) -> NDArray[np.bool_]:
         """Whether what is measured in some steps (R,) is lost."""
         return np.asarray(self.lost & (self.begins <= when) & (when < self.ends))
 
@@ -73,13 +69,6 @@ class Failing:
         running = self.on(step + 1) & self.lost & ~started
         self.gap[:] = np.where(running[:, None], self.gap @ carried.T - wrong, 0.0)
         self.gap[started] = np.broadcast_to(eta, self.gap.shape)[started]
-
-
-def substeps_for(schedule: Schedule) -> int:
-    """Integration steps per node so that the shortest fault takes one."""
-    safety = schedule.safety
-    shortest = min(fault.lasts for fault in safety.problem.system.transients)
-    return min(max(ceil(safety.tracking.flow.h / shortest - 1e-9), 1), FINEST)
 
 
 def drawn(

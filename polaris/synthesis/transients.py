@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from ..model.errors import SynthesisInfeasible
 from ..model.prediction import prediction_error
-from ..model.system import Array, LinearSystem
+from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..model.transient import Transient
 
@@ -36,8 +36,7 @@ def _moved(tracking: Tracking, fault: Transient) -> Array:
     (Gronwall's inequality). What a delay hides from it counts as if the fault lasted longer.
     """
     system, timing, h = tracking.system, tracking.system.timing, tracking.flow.h
-    sampled, n = tracking.feedback.sampled, tracking.system.n
-    late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed) if sampled else timing.delay
+    late, n = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed), system.n
     answer = np.eye(system.m) * (1 + system.thrusters.along) + system.thrusters.across
     answer = answer @ np.maximum(fault.gains, np.abs(tracking.gain))
     block = np.zeros((2 * n, 2 * n))
@@ -46,21 +45,18 @@ def _moved(tracking: Tracking, fault: Transient) -> Array:
     return np.asarray((fault.pushes + system.thrusters.part(fault.pushes)) @ spread.T * (1 + ROUNDING))
 
 
-def longest(system: LinearSystem, fault: Transient, period: float) -> float:
-    """Largest age of the last measurement while navigation is lost [s]; the period of held inputs, or 0."""
-    return fault.lasts + system.timing.delay + period * (system.timing.missed + 1)
-
-
 def _lost(tracking: Tracking, fault: Transient) -> Array:
     """Error of predictions over the whole outage, and what is left of that of its first estimate, (1, n).
 
-    S steers what is predicted, exactly as a loop without disturbance.
+    S steers what is predicted, exactly as a loop without disturbance. Periods may be missed before and after.
     """
-    system, period = tracking.system, tracking.flow.h if tracking.feedback.sampled else 0.0
-    measured = np.array(system.timing.measured or system.navigation) + system.displaced
-    worst, age = system.thrusters.error(system.u_max), longest(system, fault, period)
-    first = _carried(tracking, np.eye(system.n), system.navigation[None])[-1].T
-    return np.asarray((prediction_error(system, measured, worst, age) + first) * (1 + ROUNDING))
+    system, h, timing = tracking.system, tracking.flow.h, tracking.system.timing
+    measured = np.array(timing.measured or system.navigation) + system.displaced
+    age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
+    found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
+    before = np.maximum(system.navigation, np.abs(expm(system.A * h)) @ system.navigation)
+    first = _carried(tracking, np.eye(system.n), before[None])[-1].T
+    return np.asarray((found + first) * (1 + ROUNDING))
 
 
 def _carried(tracking: Tracking, rows: Array, boxes: Array) -> Array:

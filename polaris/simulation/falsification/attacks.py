@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
-from ..failing import Failing, drawn, substeps_for
+from ..failing import Failing, drawn
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import initial_states
@@ -68,9 +68,9 @@ class Attacker:
 
     @classmethod
     def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
-        """With S's flight after T or without; one integration step per node, more if faults need them."""
+        """With S's flight after T or without, one integration step per node."""
         claims = Claims(schedule, tail, failing)
-        return cls(claims, Integrator(schedule, claims.modes, substeps_for(schedule) if failing else 1), rng)
+        return cls(claims, Integrator(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:
         """Random disturbances from random states and corners; inputs at random, most of them bang-bang."""
@@ -85,14 +85,13 @@ class Attacker:
     def failed(self, count: int) -> Attack:
         """The same with a fault in every flight, the worst case along S once it flies because of that."""
         rows, targets = self._aims(count)
-        flight, schedule, per_node = self.flight, self.flight.schedule, self.flight.substeps
-        targets = -(-targets // per_node) * per_node
-        failing = drawn(schedule, per_node, rows, targets, self.rng)
+        flight, schedule = self.flight, self.flight.schedule
+        failing = drawn(schedule, 1, rows, targets, self.rng)
         taken = np.minimum(np.where(failing.lost, failing.begins, failing.ends), targets)
-        after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, per_node), rows, targets)[0]
+        after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, 1), rows, targets)[0]
         carried = schedule.safety.tracking.transitions
         first, then = (
-            np.einsum("rn,rnm->rm", rows, carried[np.clip((targets - when) // per_node, 0, len(carried) - 1)])
+            np.einsum("rn,rnm->rm", rows, carried[np.clip(targets - when, 0, len(carried) - 1)])
             for when in (taken, failing.ends)
         )
         before = self._towards(first, taken)

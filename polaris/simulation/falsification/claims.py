@@ -153,8 +153,8 @@ class Attained:
     below: Array
 
 
-def attained(claims: Claims, runs: Runs, failing: Failing | None = None, per_node: int = 1) -> Attained:
-    """Measure runs against the limits of a schedule; of what fails, with so many steps per node."""
+def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Attained:
+    """Measure runs against the limits of a schedule; where something fails, one step per node was flown."""
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
     p = (runs.states @ system.position.T).reshape(-1, system.d).T
@@ -179,7 +179,7 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None, per_nod
             _look_closer(claims, runs, o, run, near[run, place], out)
     by_s = np.repeat(claims.modes == 0, claims.q)[:, None]
     if failing is not None:
-        by_s = by_s | np.array([failing.by_s(period * per_node) for period in range(len(by_s))])
+        by_s = by_s | np.array([failing.by_s(period) for period in range(len(by_s))])
     flown = np.flatnonzero(by_s.any(axis=1))
     if len(flown):
         _measure_thrust(claims, runs, flown, by_s[flown].T, out)

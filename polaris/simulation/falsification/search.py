@@ -195,9 +195,9 @@ class _Search:
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
-            measured = attained(attacker.claims, flown, attack.failing, attacker.flight.substeps)
+            measured = attained(attacker.claims, flown, attack.failing)
             self.flown, batch = self.flown + count, batch + 1
-            found = self._record(attacker.claims, attack, measured, attacker.flight.substeps)
+            found = self._record(attacker.claims, attack, measured)
             found = found if found or attacker is self.failing else self._stopped(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
@@ -220,7 +220,7 @@ class _Search:
         return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
 
     def _record(
-        self, claims: Claims, attack: Attack, measured: Attained, substeps: int
+        self, claims: Claims, attack: Attack, measured: Attained
     ) -> tuple[Failure, tuple[Attack, bool, int]] | None:
         """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
         every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
@@ -229,7 +229,7 @@ class _Search:
         self.least[less], self.at[less] = least[less], when[less]
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
-            confirmed = confirm(claims, attack.pick(np.array([run])), substeps)
+            confirmed = confirm(claims, attack.pick(np.array([run])))
             if confirmed is not None:
                 failure, finer, substeps = confirmed
                 return failure, (finer, claims.tail, substeps)
@@ -286,16 +286,14 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
     return None
 
 
-def confirm(claims: Claims, attack: Attack, flown: int = 1) -> tuple[Failure, Attack, int] | None:
-    """Fly one attack again with four times as many integration steps as were `flown`, with its disturbance.
+def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
+    """Fly one attack again with four times as many integration steps, its disturbance the same.
 
     Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
     """
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
-    failing = None if attack.failing is None else attack.failing.pick(np.arange(1), substeps)
-    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, failing)
-    flight = Integrator(claims.schedule, claims.modes, flown * substeps)
-    runs = finer.fly(flight)
-    failure = violation(claims, attained(claims, runs, failing, flown * substeps))
-    return None if failure is None else (failure, finer, flown * substeps)
+    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
+    flight = Integrator(claims.schedule, claims.modes, substeps)
+    failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
+    return None if failure is None else (failure, finer, substeps)
