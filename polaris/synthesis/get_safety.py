@@ -14,7 +14,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.errors import ScenarioError, SynthesisInfeasible
 from ..planning.problem import Plan
 from ..planning.reference import Reference
-from .attempts import Attempts, Clock
+from .attempts import Attempts, Clock, naming_faults
 from .ball_sets import BallSets
 from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
@@ -25,7 +25,6 @@ from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking, choose_feedback, lqr_gain
-from .transients import naming_faults
 
 SHARES = (0.5, 1.0)
 """Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""

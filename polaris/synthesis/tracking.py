@@ -14,8 +14,9 @@ from reach.tubes.flow import LinearFlow
 
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
+from ..model.tolerances import ROUNDING
 from .profile import profile, summed
-from .transients import upset, upset_boxes
+from .transients import lost, moved
 
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
@@ -209,7 +210,20 @@ class Tracking:
     @cached_property
     def upsets(self) -> Array:
         """Boxes of states, one of which holds what a fault that is isolated late has added, shape (J, n)."""
-        return upset_boxes(self)
+        system, h = self.system, self.flow.h
+        return np.vstack(
+            [
+                moved(system, fault, self.gain, h) if len(fault.thrust) else lost(system, fault, h, self.left)
+                for fault in system.transients
+            ]
+        )
+
+    def left(self, rows: Array, boxes: Array) -> Array:
+        """What errors in boxes (J, n) need along rows up to l periods later, shape (memory + 2, r, J)."""
+        size = np.linalg.norm(boxes @ np.abs(self.W).T, axis=1)
+        reach = np.maximum.accumulate(np.abs(rows @ self.transitions) @ boxes.T)
+        beyond = np.linalg.norm(rows @ self.W_inverse, axis=-1)[:, None] * self.decay[-1] * size
+        return np.asarray(np.maximum(reach, beyond) + self.curvature(rows)[:, None] * size)
 
     @cached_property
     def period_gain(self) -> float:
@@ -279,8 +293,9 @@ class Tracking:
             np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
         )
         found = np.vstack([until, until[-1] + tail])
-        if self.system.transients:
-            found += upset(self, rows)
+        if self.system.transients:  # once in a flight: the largest of all instants (Proposition 42)
+            most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)
+            found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
         if profile is None:
             return found
         errors = self.system.thrusters.part(profile)

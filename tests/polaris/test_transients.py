@@ -21,7 +21,6 @@ from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.transients import upset
 
 from .forging import CERTIFICATE, Forger, make
 from .test_error_sources import exact, tables
@@ -90,7 +89,7 @@ def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     """S alone, from a box that is left, or a thruster that pushes as hard as it may until S knows."""
     tracking = synthesize(load_scenario(TINY).with_assignments([*SOFT, given])).safety.tracking
     rows = np.vstack([tracking.system.position, tracking.gain])
-    bound, box = upset(tracking, rows)[-1], tracking.upsets.max(axis=0)
+    bound, box = tracking.left(rows, tracking.upsets)[-1].max(axis=1), tracking.upsets.max(axis=0)
     reached = np.max(np.abs(rows @ tracking.transitions) @ box, axis=0)
     assert np.all(reached <= bound) and np.all(reached > 0.8 * bound)
     fault, steps = tracking.system.transients[0], 50
@@ -105,13 +104,13 @@ def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     assert np.all(np.abs(x) <= box) and abs(x[2]) > 0.4 * box[2]
 
 
-@pytest.mark.parametrize(("kind", "lasts"), [("loss", 3.0), ("navigation_lost", 6.0)])
-def test_faults_left_out_of_the_proof_break_it(kind, lasts, tmp_path):
+@pytest.mark.parametrize("told", ['kind="stuck_on",isolation_s=2.0', 'kind="navigation_lost",lasts_s=6.0'])
+def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
     """The same flights refute a schedule that was made without them, and the case can be flown again."""
-    told = {"loss": "share=0.3,isolation_s", "navigation_lost": "lasts_s"}[kind]
-    scenario = load_scenario(TINY).with_assignments(SOFT)
-    late = scenario.with_assignments([f'faults=[{{kind="{kind}",{told}={lasts}}}]'])
-    known = scenario.with_assignments(['faults=[{kind="loss",share=0.3}]'] if kind == "loss" else [])
+    ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2
+    twos = [f"thrusters.directions={ways}", "thrusters.thrust_max_N=1.0"]
+    known = load_scenario(TINY).with_assignments([*SOFT, *twos, 'faults=[{kind="stuck_off"}]'])
+    late = known.with_assignments([f"faults=[{{{told}}}]"])
     schedule, late = synthesize(known), late.problem().system.transients
     object.__setattr__(schedule.safety.problem.system, "transients", late)
     found = falsify(schedule, 3000, 0)
