@@ -72,7 +72,8 @@ def moved(document: Document, plant: Plant) -> list[arb_mat]:
 def _hidden(document: Document, plant: Plant) -> arb:
     """For how long what happens may be hidden from commands."""
     delay, missed = arb(document.timing.get("delay", 0.0)), document.timing.get("missed", 0)
-    return plant.h * (ceil(float((delay / plant.h).mid()) * (1 - WHOLE)) + missed)
+    periods: int = ceil(float((delay / plant.h).mid()) * (1 - WHOLE)) + missed
+    return plant.h * arb(periods)
 
 
 def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
