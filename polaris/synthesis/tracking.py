@@ -262,13 +262,13 @@ class Tracking:
         tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * size / (1 - factor)
         return tail, self.curvature(rows) * size * (self.accumulated + 1.0)
 
-    def disturbance(self, rows: Array) -> Array:
+    def disturbance(self, rows: Array, failing: bool = True) -> Array:
         """What the disturbance adds along each row until L periods have passed, shape (memory + 3, r).
 
         Entry L holds for every instant up to and including the (L+1)-st period, so that between
         nodes nothing is missing. The last entry holds for all time.
         """
-        return self.pushed(rows, self.profile)
+        return self.pushed(rows, self.profile, failing)
 
     def responses(self, rows: Array, count: int, settled: bool = False) -> Array:
         """What the disturbance adds along each row by node L = 0 ... count, count <= memory + 2.
@@ -282,7 +282,7 @@ class Tracking:
             sums = sums + summed(gains, self.system.thrusters.part(most))[: count + 1]
         return np.asarray(sums)
 
-    def pushed(self, rows: Array, profile: Array | None) -> Array:
+    def pushed(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
         """The same as `disturbance` under the errors of commands within a profile, shape (memory + 2, m)."""
         sums = self.flow.disturbance_support(rows, self.memory + 2)
         first = sums[1]
@@ -293,7 +293,9 @@ class Tracking:
             np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
         )
         found = np.vstack([until, until[-1] + tail])
-        if self.system.transients:  # once in a flight: the largest of all instants (Proposition 42)
+        if (
+            failing and self.system.transients
+        ):  # once in a flight: the largest of all instants (Proposition 42)
             most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)
             found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
         if profile is None:
