@@ -51,6 +51,10 @@ class Premises:
         Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
+    pulses : iterable of float
+        Thrust of the pulses of every input; empty where inputs are held.
+    carried : float
+        Impulse [N s] of which multiples are made, the rest being carried to the next period; 0 without.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
     late : iterable of (str, float)
@@ -70,6 +74,8 @@ class Premises:
     estimate: Iterable[float] = ()
     timing: Iterable[float] = ()
     thrusters: Iterable[float] = ()
+    pulses: Iterable[float] = ()
+    carried: float = 0.0
     chaser: float = 0.0
     allocated: bool = False
     late: Iterable[tuple[str, float]] = ()
@@ -89,7 +95,7 @@ class Premises:
             *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
             *([SATELLITES] if self.satellites else []),
             *self._of_hardware(),
-            "experimental controllers: each obeys its declared model",
+            "experimental controllers: each obeys its declared model, told of obstacles what theirs allow",
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),
         ]
@@ -113,7 +119,14 @@ class Premises:
         if any(applied):
             parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
-            yield f"thrusters: what is applied to an input is within {off} of its command u_i"
+            told = "what is made of its command u_i" if self.carried else "its command u_i"
+            yield f"thrusters: what is applied to an input is within {off} of {told}"
+        if self.carried:
+            made = f"a period makes a multiple of {self.carried:g} N s, or all that its limit allows"
+            yield f"impulses: of each input {made}; what is left, at first nothing, is carried to the next"
+        if fired := ", ".join(f"{x:g}" for x in self.pulses):
+            made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
+            yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
         late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
             yield (
@@ -155,7 +168,8 @@ def _of_samples(
         f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
         f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
         "distribution: a flight's initial state is uniform in the generators of the initial set, its"
-        " disturbance piecewise constant as simulated at random; flights are independent, and nobody looked"
-        " what other seeds say",
-        "no drift: the boxes answer in flight as they answered the samples, by time and state alone",
+        " disturbance and the errors of estimates and thrusters piecewise constant as simulated at random;"
+        " flights are independent, and nobody looked what other seeds say",
+        "no drift: the boxes answer in flight as they answered the samples: begun afresh with every flight"
+        " and asked once in every control period of it, whoever flies",
     ]

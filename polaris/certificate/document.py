@@ -102,8 +102,12 @@ class Document:
         self.timing: dict[str, Any] = system.get("timing") or {}
         self.measured: Vector = self.timing.get("measured") or self.estimate
         self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
+        self.fired: Vector = self.timing.get("fired") or []  # thrust of pulses; empty where inputs are held
+        self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
+        self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
+        self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
         bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
-        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter
+        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter, pulses
         if any(x < 0 for x in self.thrusters):
             raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
@@ -112,8 +116,8 @@ class Document:
         least = [min(each["lasts"], *map(min, each.get("pushes") or [[0.0]])) for each in self.transients]
         if any(x < 0 for x in least) or any(each["lasts"] == 0 for each in self.transients):
             raise ValueError("faults isolated late last for some time, and push by no less than nothing")
-        if self.transients and not self.sampled:
-            raise ValueError("faults isolated late need sampled feedback")
+        if self.transients and (not self.sampled or self.fired or self.carried):
+            raise ValueError("faults isolated late need sampled feedback, inputs that are held, and no rest")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -211,6 +215,8 @@ class Document:
             if self.timing
             else (),
             thrusters=self.prompt_thrusters,
+            pulses=self.fired,
+            carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
             late=[(each["name"], each["lasts"]) for each in self.transients],
@@ -237,13 +243,11 @@ class Document:
             raise ValueError("modes must be known")
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
-            if sum(sizes[name] for name in law.reads) != len(law.input_scale):
+            if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
-            if law.kind == "black_box" and (self.estimate or self.thrusters):
-                raise Undecided("controllers", f"{law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]

@@ -21,6 +21,10 @@ GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
 
+READ = "error|state|time|reference_input|(relative_)?(position|velocity):"
+"""What a network reads; of a body, before its name."""
+
+
 def grid(sizes: str, item: Shape = HEX) -> Shape:
     """Lists in lists; the names of their lengths, ``*`` for any, from the outside."""
     for size in reversed(sizes.split()):
@@ -33,7 +37,11 @@ _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inpu
 # fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
 _NETWORK = {
-    "name": NAME, "inputs": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+    "name": NAME, "inputs": Rows(Text(pattern=f"{READ}.+"), 1, 100),
+    "bodies?": Rows({
+        "name": NAME, **every(Either((grid("d"), None)), "center_m velocity_m_s"),
+        **every(Either((grid("n"), None)), "state state_half_widths"), "thrust_accel_max_m_s2": HEX,
+    }, 1, 64),
     "input_scale": grid("*"), "output_scale": grid("m"),
     "own_states?": grid("* n"), "own_inputs?": grid("* m"),
     "layers": Rows(Kinds({
@@ -53,7 +61,7 @@ CERTIFICATE = {
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
-                    **every(grid("n"), "measured displaced")},
+                    **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -157,7 +165,7 @@ GAINS = {
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
         "timing?": {
             **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
-            **every(VECTOR, "measured displaced"),
+            **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},

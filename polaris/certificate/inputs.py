@@ -10,6 +10,7 @@ from flint import arb, arb_mat
 
 from .allocation import check_allocation, per_axis
 from .balls import matrix, require, row_sums
+from .bodies import bodies_of
 from .document import Document
 from .lqr import check_gain, positive_definite
 from .own import check_own
@@ -42,7 +43,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_navigation(document, scenario.get("navigation", {}))
         _check_thrusters(document, scenario)
         check_allocation(document, scenario)
-        check_timing(document, scenario.get("timing", {}))
+        check_timing(document, scenario)
         check_transients(document, scenario)
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
@@ -156,11 +157,11 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
     rounding = bit / (2 * arb(document.delta) / document.q)
-    wanted = (
-        (magnitude + mass) / (1 - mass),
-        turned,
-        rounding * (most + turned * arb(len(document.u_max)).sqrt()),
-    )
+    carried = spec.get("remainder", "dropped") == "carried"
+    _need("system", "impulse that is carried", document.carried, spec.get("impulse_bit_N_s", 0.0) * carried)
+    along = (magnitude + mass) / (1 - mass)
+    share = along + turned * arb(len(document.u_max)).sqrt()
+    wanted = along, turned, rounding * (2 * share if carried else 1 + share)
     names = ("along", "across", "of the bit")
     for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")
@@ -240,6 +241,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         if law.kind == "neural":
             top = spec["output_scale_N"]
             _need("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
+            _need("controllers", "bodies", law.bodies, bodies_of(law.reads, scenario))
             ones = [1.0] * len(law.input_scale)
             _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
             tops = top if isinstance(top, list) else [top] * len(document.u_max)

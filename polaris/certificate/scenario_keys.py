@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from .file_keys import READ
 from .structure import Either, Kinds, Real, Rows, Text, Whole, conform, every
 from .verdict import Rejected
 
@@ -71,6 +72,7 @@ SCENARIO = {
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
+        "pulse?": Text(("held", "centred")), "remainder?": Text(("dropped", "carried")),
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
@@ -134,9 +136,9 @@ SCENARIO = {
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
         "black_box": {"name": NAME, "weight?": WORTH, "probability?": Real(least=1e-5, most=0.5),
-                      "confidence?": Real(least=0.5, most=1 - 1e-9)},
+                      "confidence?": Real(least=0.5, most=1 - 1e-9), "memory?": bool},
         "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
-                   "inputs?": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+                   "inputs?": Rows(Text(pattern=READ + NAME.pattern), 1, 100),
                    "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},
     }), 1, 8),
     "schedule?": {

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import allocation, transients
+from .error_tables import Timing, allocation, transients
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..synthesis.black_box import Ask
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
-    from ..synthesis.neural import Policy
+    from ..synthesis.policy import Policy
     from ..synthesis.problem import Problem
     from ..synthesis.search import SwitchingRules
 
@@ -61,6 +61,9 @@ class ScheduleScenario(Scenario):
         if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
             rule = "isolated late need sampled feedback, and last no less than its period"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
+        if late and (system.timing.fired or system.timing.carried > 0):
+            rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
+            raise ScenarioError("faults", late[0].name, rule)
         if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
             given = model.abort.drift_orbits, model.abort.drift_s
             raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
@@ -99,10 +102,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
-        allocation = self.allocation()
+        allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return system if model.timing is None else model.timing.build(system, self._period)
+        return (model.timing or Timing()).build(system, self._period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:
@@ -133,7 +136,9 @@ class ScheduleScenario(Scenario):
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def controllers(self, safety: Safety, boxes: Mapping[str, Ask] | None = None) -> tuple[Controller, ...]:
+    def controllers(
+        self, safety: Safety, boxes: Mapping[str, Ask | None] | None = None
+    ) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
 
         Parameters
@@ -155,10 +160,11 @@ class ScheduleScenario(Scenario):
         return build_controllers(self.model, safety, self.policies(), boxes or {})
 
     @property
-    def asked(self) -> tuple[float, float]:
-        """Probability and confidence of the statement about its black boxes."""
+    def asked(self) -> dict[str, Any]:
+        """Probability, confidence and seed of the statement about its black boxes."""
         specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
-        return min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        said = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        return {"probability": said[0], "confidence": said[1], "seed": self.simulation.seed}
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:
@@ -167,7 +173,7 @@ class ScheduleScenario(Scenario):
             return {}
         from .experimental import read_policies
 
-        return read_policies(self.model, self.system(), self.folder)
+        return read_policies(self.model, self.system(), self.obstacles(), self.folder)
 
     def text_elsewhere(self) -> str:
         """TOML with the whole paths of networks; their digests are noted, as the text stands for them."""

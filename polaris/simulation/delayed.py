@@ -42,7 +42,8 @@ class Predicting(Integrator):
         """The state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
         found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
-        (Ad, Bd, _), bound = self.held, np.maximum(self.system.navigation, 1e-300)
+        bound = np.maximum(self.system.navigation + self.system.displaced_at_nodes, 1e-300)
+        Ad, Bd, _ = self.held
         asked = step - self.lag - ages * self.substeps
         missing = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.missing(asked)
         if self.failing is not None:

@@ -19,7 +19,7 @@ from .failing import Failing
 from .run_metrics import Runs
 
 
-def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first: Array) -> Array:
+def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float | Array, first: Array) -> Array:
     """State a step of dt [s] later by the classical scheme of fourth order.
 
     `rate` is given how many half-steps have passed and the state there; `first` is its value at the start.
@@ -30,11 +30,15 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first:
     return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
 
 
-def columns(system: LinearSystem) -> tuple[slice, slice, slice]:
-    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact."""
+def columns(system: LinearSystem, told: int = 0) -> tuple[slice, slice, slice, slice]:
+    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact.
+
+    Last, what networks are told of bodies, as shares of what is not known of them.
+    """
     first = system.p
     second = first + system.n * bool(np.any(system.navigation))
-    return slice(first), slice(first, second), slice(second, second + system.m * (not system.thrusters.exact))
+    third = second + system.m * (not system.thrusters.exact)
+    return slice(first), slice(first, second), slice(second, third), slice(third, third + told)
 
 
 class Integrator:
@@ -42,9 +46,15 @@ class Integrator:
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
-    of the largest that what is commanded allows, `thrust` (steps, R, m). What fails, and is isolated late, is
-    `failing`.
+    of the largest that what is commanded allows, `thrust` (steps, R, m). What networks are told of bodies is
+    off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of
+    satellites at the nodes, by name (R, N+1, n), it is the truth. Where a period has several steps, pulses of
+    the thrust `fired` (m,) are flown, each step with its mean; else as what is held in their place.
+    Whole flights make impulses in multiples of a bit where the rest is carried: `left` (R, m) [N s].
+    What fails, and is isolated late, is `failing`.
     """
+
+    resolves = False  # instants within a step at which thrusters switch
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
@@ -52,14 +62,20 @@ class Integrator:
         self.eta: Array | None = None
         self.thrust: Array | None = None
         self.failing: Failing | None = None
+        self.left: Array | None = None
+        self.shares: Array | None = None
+        self.bodies: dict[str, Array] = {}
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
-        self.thrusters = self.system.thrusters
+        self.fired = np.array(self.system.timing.fired if self.resolves or substeps > 1 else ())
+        self.thrusters = (self.system.prompt if len(self.fired) else self.system).thrusters
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
         self.dt = self.tracking.flow.h / substeps
         self.steps_per_cell = self.q * substeps
         self.safe = safety.reference.fine(2 * self.steps_per_cell)
         self.own = {}
+        laws = [law for law in schedule.controllers if isinstance(law, NeuralController)]
+        self.columns = columns(self.system, max((law.told[0].shape[-1] for law in laws), default=0))
         self._schemes: dict[int, tuple[list[Array], list[Array]]] = {}
         for number, controller in enumerate(schedule.controllers):
             if (
@@ -90,32 +106,64 @@ class Integrator:
         """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
         controller, step = self.schedule.controllers[number], k * self.steps_per_cell + half // 2
         if number and self.failing is not None and np.any(by_s := self.failing.by_s(step)):
-            others, self.failing = self.failing, None
-            told = self.command(number, k, half, x, later)
-            self.failing = others
-            return np.where(by_s[:, None], self.command(0, k, half, x, later), told)
+            failing, self.failing = self.failing, None
+            others = self.command(number, k, half, x, later)
+            self.failing = failing
+            return np.where(by_s[:, None], self.command(0, k, half, x, later), others)
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, half + later]
         own = self.own[number][k, half + later] if number in self.own else xi
+        passed = (half + later) / 2 * self.dt
+        if isinstance(controller, NeuralController):
+            told = self._told(controller, k, passed, step, len(x))
+            return controller.command(k, xi, own, x, passed, told)
         if isinstance(controller, BlackBox):
-            return controller.command(k, xi, own, x, (half + later) / 2 * self.dt)
+            return controller.command(k, xi, own, x, passed)
         return controller.command(k, xi, own, x)
+
+    def _told(self, law: NeuralController, k: int, passed: float, step: int, runs: int) -> Array | None:
+        """What a network is told of bodies some seconds after the start of cell k, (R, ...)."""
+        if self.bodies:
+            seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
+            return law.senses.seen(k * law.reference.delta + passed, seen, runs)
+        if self.shares is None:
+            return None
+        middle, half = (part[k, law.node(passed)] for part in law.told)
+        return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
         known = x if self.eta is None else x + self.eta[step]
+        if self.eta is not None and self.left is not None:
+            flown = self.system.displaced_at_nodes / np.maximum(
+                self.system.navigation, 1e-300
+            )  # not as errors
+            known = x + self.eta[step] * (1 - flown)
         if self.failing is None:
-            return known
+            return np.asarray(known)
         lost = self.failing.on(step) & self.failing.lost
         return np.where(lost[:, None], x + self.failing.gap, known)
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
-        u = told = np.clip(raw, -self.system.u_max, self.system.u_max)
-        if self.thrust is not None:
-            u = u + self.thrust[step] * self.thrusters.error(told)
+        told = u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        if self.left is not None:
+            h, bit = self.dt * self.substeps, self.system.timing.carried
+            due = told * h + self.left
+            whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
+            u = np.sign(due) * np.minimum(whole / h, self.system.u_max)
+            self.left = due - u * h
+        self.asked = u
+        u = u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
         return u if self.failing is None else u + self.failing.added(told, step)
+
+    def pulsed(self, start: Array | float, end: Array | float) -> Array:
+        """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
+        on = np.abs(self.asked) / self.fired / 2
+        within = np.maximum(np.minimum(0.5 + on, end) - np.maximum(0.5 - on, start), 0)
+        mean = np.sign(self.asked) * self.fired * within / np.maximum(end - start, 1e-300)
+        return np.asarray(mean - self.asked)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
@@ -127,6 +175,8 @@ class Integrator:
         """States (R, n) a step later; u is what is held, or what a continuous law applies at first."""
         if self.sampled:
             Ad, Bd, Dd = self.held
+            sub = step % self.substeps
+            u = u + self.pulsed(sub / self.substeps, (sub + 1) / self.substeps) if len(self.fired) else u
             return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T)
         force = w @ self.system.D.T
         rate = partial(self.rate, number, k, 2 * step, force=force)
@@ -168,12 +218,14 @@ class Integrator:
         Further columns, as `columns` has them, are the errors of the estimates and of the thrusters.
         """
         q, nodes = self.q, len(self.modes) * self.q
-        w, *errors = (w[..., part] for part in columns(self.system))
-        self.eta, self.thrust = (part if part.shape[2] else None for part in errors)
+        w, *errors = (w[..., part] for part in self.columns)
+        self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
+        self.left = np.zeros((len(x0), self.system.m)) if self.system.timing.carried else None
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
         states[0] = x0
+        boxes = self._boxes()
         for k, number in enumerate(self.modes.tolist()):
             first, last = k * q, (k + 1) * q
             pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
@@ -188,9 +240,17 @@ class Integrator:
             else:
                 states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
             delta_v += spent * self.dt / self.system.mass
+            for box in (box for box, end in boxes.items() if box != number and k < end):
+                for place in range(q):  # asked all along, whoever flies
+                    self.command(box, k, 2 * place * self.substeps, states[first + place])
         times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
-        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes)
+        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies)
+
+    def _boxes(self) -> dict[int, int]:
+        """Numbers of the black boxes that fly, and the last cell of each."""
+        flying = [i for i, law in enumerate(self.schedule.controllers) if isinstance(law, BlackBox)]
+        return {i: int(np.flatnonzero(self.modes == i)[-1]) for i in flying if i in self.modes}
 
     def _unclipped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array] | None:
         """Fly a cell under a linear law that nothing clips in it: one product per step; else None.
@@ -201,7 +261,7 @@ class Integrator:
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
         held = self.sampled and self.substeps > 1
-        inexact = self.thrust is not None or self.failing is not None
+        inexact = any(part is not None for part in (self.thrust, self.left, self.failing))
         if not isinstance(law, AffineController) or held or inexact:
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps

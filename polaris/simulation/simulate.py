@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
+from ..model.satellite import true_states
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
 from .disturbances import Disturbance, disturbances
@@ -48,7 +49,8 @@ def simulate(
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
-        Integration steps per node: 4 for continuous feedback, 1 for sampled (which is exact) by default.
+        Integration steps per node: by default 4 for continuous feedback and for pulses, 1 for inputs that
+        are held over a sampling period (which is exact).
 
     Returns
     -------
@@ -67,7 +69,8 @@ def simulate(
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     if substeps is None:
-        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
+        tracking = schedule.safety.tracking
+        substeps = 1 if tracking.feedback.sampled and not tracking.system.timing.fired else 4
     whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
     flight = Integrator(schedule, flown_modes(schedule, tail, mode), substeps)
@@ -76,6 +79,11 @@ def simulate(
     if initial in ("corners", "mixed") and len(adjoint):
         # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
         x0[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
+    if flight.columns[-1].start < flight.columns[-1].stop and disturbance != "none":
+        # Networks that read where others are read the truth.
+        problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
+        times = np.asarray(np.arange(len(flight.modes) * flight.q + 1) * h, dtype=float)
+        flight.bodies = true_states(problem.unsafe, problem.system, times, n, rng)
     return flight.run(x0, w)
 
 

@@ -147,6 +147,8 @@ class Schedule:
             estimate=prompt.navigation.tolist(),
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
+            pulses=problem.system.timing.fired,
+            carried=problem.system.timing.carried,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
             late=[(fault.name, fault.lasts) for fault in problem.system.transients],
