@@ -61,12 +61,12 @@ def check_timing(document: Document, scenario: dict[str, Any]) -> None:
     seen = zip(document.measured or stored, document.at_nodes, document.pulsed, strict=True)
     known = [x + y + share * z for x, y, z in seen]
     ages = [delay + plant.h * i for i in range(missed + 1)]
-    least = [largest(each) for each in zip(*(_predicted(plant, known, age) for age in ages), strict=True)]
+    least = [largest(each) for each in zip(*(predicted(plant, known, age) for age in ages), strict=True)]
     for i, (bound, needed) in enumerate(zip(stored, least, strict=True)):
         require("system", bound * arb(1 + ROUNDED) - needed, f"error of the prediction of state {i}: {bound}")
 
 
-def _predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
+def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     """Bounds on the errors of states predicted over a time from known ones."""
     if age == 0:
         return known

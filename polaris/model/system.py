@@ -14,6 +14,7 @@ from reach.numerics.linear import discretize
 from .errors import ScenarioError
 from .thrusters import Thrusters
 from .timing import Timing
+from .transient import Transient
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,8 @@ class LinearSystem:
         How far what is applied may be from what is commanded; not at all by default.
     timing : Timing
         What `estimate_error` holds of delays, and how far clocks may be apart; at once by default.
+    transients : tuple of Transient
+        Faults that are isolated late, of which at most one occurs; none by default.
 
     Raises
     ------
@@ -89,6 +92,7 @@ class LinearSystem:
     estimate_error: Array | None = None
     thrusters: Thrusters = Thrusters()
     timing: Timing = Timing()
+    transients: tuple[Transient, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -146,8 +150,8 @@ class LinearSystem:
 
     @property
     def ideal(self) -> bool:
-        """Whether laws see the exact state, and what they command is what is applied."""
-        return self.thrusters.exact and not np.any(self.navigation)
+        """Whether laws see the exact state, and what they command is what is applied, without late faults."""
+        return self.thrusters.exact and not np.any(self.navigation) and not self.transients
 
     @property
     def displaced(self) -> Array:
@@ -177,10 +181,10 @@ class LinearSystem:
         return replace(self, estimate_error=measured, thrusters=own, timing=Timing())
 
     def as_ideal(self) -> LinearSystem:
-        """The same system without errors of estimates and thrusters."""
-        return (
-            self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters(), timing=Timing())
-        )
+        """The same system without errors of estimates and thrusters, and without faults known late."""
+        if self.ideal:
+            return self
+        return replace(self, estimate_error=None, thrusters=Thrusters(), timing=Timing(), transients=())
 
     def command_error(self, gain: Array) -> Array:
         """By how much a command may differ from what it would be on the exact state, shape (m,)."""
