@@ -178,7 +178,7 @@ class Arrival:
         rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
         self._tolerance(claim, spec, rows.scale, largest(needs.settled))
-        nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim["distance_m"])
+        nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
@@ -223,11 +223,17 @@ class Arrival:
         """The last node of the tail."""
         return (self.document.cells - self.document.steps) * self.document.q
 
-    def _likely(self, rows: Weighted, needs: Needs, claimed: float) -> list[int]:
+    def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
         """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
-        final = self.held[-1][0]
+        final, claimed, affordable = (
+            self.held[-1][0],
+            claim["distance_m"],
+            claim["delta_v_max_m_s"] * (1 + SLACK),
+        )
         size, found = final.size(), []
         for node in range(self._last + 1):
+            if found and self.spent + self.correcting(node) > most:  # and more at all later nodes
+                break
             lag = min(node, self.memory.periods)
             middle = rows.over(self._state(node))
             if node <= self.memory.periods:

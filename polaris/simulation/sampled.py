@@ -77,12 +77,14 @@ def outside(runs: Runs) -> NDArray[np.float64]:
     """How far each flight leaves the bands of its boxes, at its worst, shape (R,); above 1 it is outside."""
     schedule, most = runs.schedule, np.zeros(len(runs.states))
     q = schedule.safety.tracking.feedback.nodes_per_cell
+    system = schedule.safety.problem.system
+    moved = system.displaced_at_nodes * bool(system.timing.carried)  # bands are about errors without that
     arcs = schedule.safety.reference.fine(q)
     for step in schedule.steps:
         if isinstance(step.tube, FittedSegment):
             part = slice(step.k * q, (step.k + 1) * q)
             errors = runs.states[:, part] - arcs[step.k, :-1]
-            most = np.maximum(most, step.tube.outside(errors, runs.inputs[:, part]))
+            most = np.maximum(most, step.tube.outside(errors, runs.inputs[:, part], moved))
     return np.asarray(most)
 
 

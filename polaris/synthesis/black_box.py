@@ -62,12 +62,16 @@ class FittedSegment(TubeSegment):
 
     fit: Array | None = None
 
-    def outside(self, errors: Array, inputs: Array) -> Array:
-        """How far inputs (R, q, m) at errors (R, q, n) are off, in units of their bands, shape (R,)."""
+    def outside(self, errors: Array, inputs: Array, moved: Array) -> Array:
+        """How far inputs (R, q, m) at errors (R, q, n), known up to `moved` (n,), may be off, shape (R,).
+
+        In units of their bands.
+        """
         assert self.fit is not None
         n = errors.shape[-1]
         told = np.einsum("iab,rib->ria", self.fit[..., :n], errors) + self.fit[..., n]
-        return np.asarray((np.abs(inputs - told) / self.fit[..., n + 1]).max(axis=(1, 2)))
+        off = np.abs(inputs - told) + np.abs(self.fit[..., :n]) @ moved
+        return np.asarray((off / self.fit[..., n + 1]).max(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -112,6 +112,28 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
             assert binom.pmf(found, flights, probability) @ wrong <= doubt
 
 
+def test_what_is_carried_cannot_take_a_flight_back_into_its_bands():
+    """Bands are about a motion that stands for the flight, as far from it as what is carried may be."""
+    part, flights = safety("carried"), 50
+    scenario = ScheduleScenario.from_dict(document() | ERRORS["carried"])
+    schedule = polaris.synthesize(scenario, part, [box(part=part)])
+    runs, system = simulate(schedule, flights, 1), part.problem.system
+    bit, left, stands = system.timing.carried, np.zeros((flights, system.m)), runs.states.copy()
+    held = discretize(system.A, system.B, PERIOD)[1] / PERIOD
+    for node in range(runs.inputs.shape[1]):
+        due = runs.inputs[:, node] * PERIOD + left
+        left = due - np.sign(due) * bit * np.floor(np.abs(due) / bit * (1 + 1e-12))
+        stands[:, node + 1] += left @ held.T
+    arcs, told = part.reference.fine(4), outside(runs)
+    assert schedule.sampled_steps
+    for step in schedule.steps:
+        if step.mode:
+            at = slice(4 * step.k, 4 * step.k + 4)
+            errors = stands[:, at] - arcs[step.k, :-1]
+            off = step.tube.outside(errors, runs.inputs[:, at], np.zeros(system.n))
+            assert np.all(off <= told * (1 + 1e-9))
+
+
 # -- sets -------------------------------------------------------------------------------------------
 
 

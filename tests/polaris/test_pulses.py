@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,10 @@ from scipy.linalg import expm
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.prediction import predicting, pulse_error
 from polaris.model.timing import Timing
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.online.estimate import Measurement
+from polaris.rta.online.observer import Observer
+from polaris.rta.online.runtime_options import Limits
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import disturbances
@@ -83,6 +88,16 @@ def test_flights_that_fire_keep_what_is_proven_and_are_displaced_as_much():
     assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
     assert falsify(schedule, 100, 1).failure is None
     judge(0, attack(schedule, 20, 0))
+
+
+def test_a_measurement_between_nodes_is_displaced_by_pulses():
+    scenario = load_scenario(TINY).with_assignments([*PULSED, *ERRORS])
+    grid = DecisionGrid.of(kept("pulsed", lambda: synthesize(scenario)))
+    pulsed, system = np.array(grid.system.timing.pulsed), grid.system
+    for age, more in ((0.0, 0.0), (0.4 * grid.period, pulsed)):
+        observer = Observer(grid, Limits(grid.period, 10 * grid.period, 0.01, 0.1, 1.0, 1.0), 1e6, 3)
+        reading = observer._read(Measurement(1.0 - age, np.zeros(system.n)), 1.0)
+        assert np.array_equal(reading.half_widths, system.navigation + more)
 
 
 @pytest.mark.parametrize("substeps", [1, 4])
@@ -179,6 +194,34 @@ def test_forged_pulses_are_refused(tmp_path):
         kept_keys = {key: x for key, x in scenario["thrusters"].items() if key != "pulse"}
         forged = scenario | {"thrusters": kept_keys | thrusters}
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
+
+
+@pytest.mark.parametrize(("fired", "carried", "ahead", "left"), [([], 0.0, 0, 0), ([1.0], 0.5, 0.5, 0.25)])
+def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fired, carried, ahead, left):
+    pytest.importorskip("flint")
+    from flint import arb
+
+    from polaris.certificate.upkeep import check_upkeep
+
+    known = {"fired": fired, "carried": carried, "system_kind": "clohessy_wiltshire", "mean_motion": 0.001}
+    document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
+    plant = SimpleNamespace(u_max=[arb(1)], h=arb(2), spent=lambda most: arb(1))  # in a period of 2 s
+    told = {}
+    arrival = SimpleNamespace(
+        document=document,
+        loop=SimpleNamespace(plant=plant),
+        memory=SimpleNamespace(periods=0),
+        node_at=lambda t: 0,
+        tops=lambda node, u: [arb(0.5)],
+        spent=arb(3),
+        correcting=lambda node: arb(4),
+        no_less=lambda what, claimed, derived: told.update({what: float(derived.mid())}),
+    )
+    names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s", "lasts_s", "tank_m_s")
+    check_upkeep(arrival, dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}, None)
+    assert told["velocity change per second"] == 0.25
+    assert told["velocity change until it is settled"] == 7 + ahead
+    assert told["velocity change per orbit"] == pytest.approx(0.25 * 2000 * np.pi + ahead + left)
 
 
 def test_what_is_carried_is_a_displacement_and_a_drift():

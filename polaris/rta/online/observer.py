@@ -129,6 +129,8 @@ class Observer:
         if not ((half >= 0) & (half + moved <= self.grid.half_widths)).all():  # also for nan
             return "half widths: not between zero and the scene's"
         half = half + moved
+        if age > self._same:  # pulses displace what is measured between nodes
+            half = half + np.array(self.grid.system.timing.pulsed or 0.0)
         contents = x.tobytes()
         repeated, self._newest, self._state = contents == self._state, stamp, contents
         if repeated:
