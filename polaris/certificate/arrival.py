@@ -225,11 +225,8 @@ class Arrival:
 
     def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
         """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
-        final, claimed, affordable = (
-            self.held[-1][0],
-            claim["distance_m"],
-            claim["delta_v_max_m_s"] * (1 + SLACK),
-        )
+        final, claimed = self.held[-1][0], claim["distance_m"]
+        most = arb(claim["delta_v_max_m_s"]) * (1 + SLACK)
         size, found = final.size(), []
         for node in range(self._last + 1):
             if found and self.spent + self.correcting(node) > most:  # and more at all later nodes
