@@ -11,14 +11,12 @@ from reach.numerics.errors import ReachError
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
+from .filtering import ROUNDED, filtered
 from .system import Array, LinearSystem
 from .timing import Timing
 
 PARTS = 32
 """Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
-
-ROUNDED = 1e-9
-"""Relative round-off of a bound, upwards."""
 
 
 def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau: float) -> Array:
@@ -66,8 +64,12 @@ def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, 
     return float(spread.max()), np.asarray(over @ spread * reach * (1 + ROUNDED))
 
 
-def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
+def predicting(
+    system: LinearSystem, timing: Timing, period: float | None, grid: tuple[int, int] = (0, 1)
+) -> LinearSystem:
     """The system whose controllers act on predictions, of every age that may occur, and with jitter.
+
+    `grid` are the steps of a schedule, and the periods in each: an observer's errors may change with them.
 
     Raises
     ------
@@ -76,15 +78,24 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     """
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
-    measured, displaced = tuple(system.navigation.tolist()), tuple(moved.tolist())
+    displaced, jittered = (
+        tuple(moved.tolist()),
+        replace(system, thrusters=replace(exact, bit=exact.bit + bit)),
+    )
+    steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
+    if system.observer is not None:
+        steps = filtered(jittered, system.observer, h, grid, moved)
+    measured = tuple(np.max(steps, axis=0).tolist())
     longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
     timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced)
-    system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
+    system = replace(jittered, timing=timing)
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
-    known = system.navigation + moved
+    known, of_step = np.unique(steps + moved, axis=0, return_inverse=True)
     try:
-        errors = [prediction_error(system, known, worst, age) for age in ages.tolist()]
+        errors = [[prediction_error(system, each, worst, age) for each in known] for age in ages.tolist()]
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error
-    return replace(system, estimate_error=np.max(errors, axis=0))
+    found = np.max(errors, axis=0)
+    by_step = None if len(steps) == 1 else found[of_step.ravel()]
+    return replace(system, estimate_error=np.max(found, axis=0), error_by_step=by_step)

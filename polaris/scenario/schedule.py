@@ -15,12 +15,13 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import MAX_STEPS, counted
 from ..model.errors import ScenarioError
-from ..model.system import LinearSystem
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import allocation
+from .error_tables import Timing, allocation
 from .fields import whole_parts
+from .navigation_tables import Sampling
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
@@ -91,14 +92,25 @@ class ScheduleScenario(Scenario):
     def system(self) -> LinearSystem:
         """The controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, self.model.system.build()
-        if model.navigation is not None:
-            system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
         allocation = self.allocation()
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return system if model.timing is None else model.timing.build(system, self._period)
+        period, timing = self._period, model.timing or Timing()
+        if model.navigation is not None:
+            oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
+            sampling = Sampling(self.steps, self.step, period, oldest, timing.missed_periods)
+            system = model.navigation.known(system, sampling, self._gain)
+        grid = self.steps, round(self.step / period) if period else 1
+        return timing.build(system, period, grid)
+
+    def _gain(self, system: LinearSystem) -> Array:
+        """The safety controller's."""
+        from ..synthesis.tracking import lqr_gain
+
+        weights = (rules.full_weight(each) for each in (self.model.tracking.Q, self.model.tracking.R))
+        return lqr_gain(system, *weights)
 
     @kept
     def allocation(self) -> Allocation | None:

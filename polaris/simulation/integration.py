@@ -71,6 +71,12 @@ class Integrator:
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
 
+    @cached_property
+    def known(self) -> Array:
+        """Bounds on the errors of estimates in every step of the integration, (steps, 1, n)."""
+        cells = [self.system.at_step(k).navigation for k in range(len(self.modes))]
+        return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
+
     @property
     def may_do_anything(self) -> bool:
         """Whether a controller flies of which nothing but the thrust limits is known."""

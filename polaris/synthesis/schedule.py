@@ -256,7 +256,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     centre, spread = law.commanded(tube.nodes - law.offset[step.k], tube.bow, step.k)
     middle = np.minimum(np.abs(centre), u_max)
     if isinstance(law, AffineController):  # a network flies on exact states
-        spread = spread + law.system.command_error(law.gain)
+        spread = spread + law.system.at_step(step.k).command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
     highest = law.system.spent(highest)
     h = delta / (len(centre) - 1)
