@@ -7,7 +7,7 @@ with N sides stands for a circle, inside it where it must not be left, around it
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -319,7 +319,9 @@ class Arrival:
     def tops(self, node: int, u: list[float]) -> list[arb]:
         """What S commands at most in the period after a node, about inputs u of the reference."""
         m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
-        error = self.loop.plant.command_error(matrix(self.document.laws[0].gain or []))
+        doc = self.document
+        known = replace(self.loop.plant, estimate=tuple(doc.known_to(doc.steps)))
+        error = known.command_error(matrix(doc.laws[0].gain or []))
         ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
         return [
             (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)

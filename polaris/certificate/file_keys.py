@@ -54,6 +54,9 @@ CERTIFICATE = {
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced")},
+        "error_by_step?": grid("K+1 n"),
+        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
+                      "initial?": grid("n")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -158,6 +161,8 @@ GAINS = {
             **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
             **every(VECTOR, "measured displaced"),
         },
+        "error_by_step?": MATRIX,
+        "observer?": {**every(MATRIX, "measures gain"), **every(VECTOR, "noise initial?")},
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

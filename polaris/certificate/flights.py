@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
@@ -50,6 +50,13 @@ class Pilot:
         if key not in self._loops:
             self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
         return self._loops[key]
+
+    def knowing(self, estimate: list[float]) -> Pilot:
+        """The same where estimates are off by no more than that."""
+        known = tuple(estimate)
+        return (
+            self if known == self.plant.estimate else replace(self, plant=replace(self.plant, estimate=known))
+        )
 
     @cached_property
     def policy(self) -> Policy:

@@ -20,8 +20,11 @@ ROUNDED = 1e-12
 """Rounding of a difference of stored numbers, relative to the larger."""
 
 
-def check_timing(document: Document, spec: dict[str, Any]) -> None:
-    """Timing is the scenario's, and what it adds to other errors no smaller than it must be."""
+def check_timing(document: Document, spec: dict[str, Any], measured: list[list[arb]]) -> None:
+    """Timing is the scenario's, and what it adds to other errors no smaller than it must be.
+
+    `measured` bounds the errors of estimates by step, if there is more than one row.
+    """
     keys = {"delay": "delay_s", "jitter": "jitter_s", "missed": "missed_periods", "clock": "clock_error_s"}
     for key, name in keys.items():
         found, given = document.timing.get(key, 0), spec.get(name, 0)
@@ -36,24 +39,29 @@ def check_timing(document: Document, spec: dict[str, Any]) -> None:
     require("system", booked * arb(1 + ROUNDED) - exact[2] - bit, f"error of the thrusters: {booked}")
     for i, (bound, needed) in enumerate(zip(document.displaced, box, strict=True)):
         require("system", bound - needed, f"displacement of state {i} by jitter: {bound}")
-    known = [arb(x) + y for x, y in zip(document.measured or stored, document.displaced, strict=True)]
-    ages = [delay + plant.h * i for i in range(missed + 1)]
-    least = [largest(each) for each in zip(*(_predicted(plant, known, age) for age in ages), strict=True)]
-    for i, (bound, needed) in enumerate(zip(stored, least, strict=True)):
-        require("system", bound * arb(1 + ROUNDED) - needed, f"error of the prediction of state {i}: {bound}")
+    if (len(measured) > 1) != bool(document.error_by_step):
+        raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
+    carried = [_carried(plant, delay + plant.h * i) for i in range(missed + 1)]
+    for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
+        known = column(sums(row, map(arb, document.displaced)))
+        ages = [sums((over * known).entries(), more) for over, more in carried]
+        for i, (bound, *needed) in enumerate(zip(bounds, *ages, strict=True)):
+            spare = bound * arb(1 + ROUNDED) - largest(needed)
+            require("system", spare, f"error of the prediction of state {i}: {bound}")
 
 
-def _predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
-    """Bounds on the errors of states predicted over a time from known ones."""
+def _carried(plant: Plant, age: arb) -> tuple[arb_mat, list[arb]]:
+    """What a prediction over a time makes of errors of the states it starts from, and what it adds."""
+    n = plant.A.nrows()
     if age == 0:
-        return known
+        return identity(n), [arb(0)] * n
     part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(plant.u_max))
     pushes = [plant.disturbance, *([thrusters] if thrusters else [])]
-    rows, found = identity(len(known)), [arb(0)] * len(known)
+    rows, found = identity(n), [arb(0)] * n
     for _ in range(PARTS):
         found = sums(found, *(part.push_gain(rows, push) for push in pushes))
         rows = rows * part.phi
-    return sums(found, (absolute(rows) * column(known)).entries())
+    return absolute(rows), found
 
 
 def _jitter(plant: Plant) -> tuple[arb, list[arb]]:

@@ -1,12 +1,17 @@
-"""Delays, missed periods and predictions flown for real: what controllers act on is worked out on board."""
+"""Observers, delays, missed periods and predictions flown for real: estimates are worked out on board."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from reach.numerics.linear import discretize
+
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from .integration import Integrator
+
+BEFORE = 500
+"""Periods for which an observer has been at work before a flight."""
 
 
 class Predicting(Integrator):
@@ -15,11 +20,14 @@ class Predicting(Integrator):
     `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
     Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
     flown as the nearest whole number of steps of the integration; jitter makes commands late by up to one.
+    An observer, if there is one, filters measurements, each off by its bound, with the sign of `eta` there.
     """
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
     late: Array  # by which share of a step a command comes late, (nodes, R)
     off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
+    filtered: Array  # an observer's estimates, (R, n), and at which step it measured last
+    measured: int
 
     def prepare(self, runs: int, rng: np.random.Generator) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
@@ -37,18 +45,60 @@ class Predicting(Integrator):
         self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
         bound = np.maximum(system.navigation, 1e-300)
         self.noise = np.array(timing.measured or system.navigation) / bound
+        self.measured, self.rng = -1, rng
+        if system.observer is not None:
+            self.filtered = self._before(runs)
+
+    def _before(self, runs: int) -> Array:
+        """Errors (R, n) of the first estimate since the start, noise and pushes before it drawn at random."""
+        observer, system, rng = self.system.observer, self.system, self.rng
+        assert observer is not None
+        found, count = np.zeros((runs, system.n)), BEFORE
+        if observer.initial is not None:
+            found, count = (
+                observer.initial * rng.choice([-1.0, 1.0], found.shape),
+                -(-self.lag // self.substeps),
+            )
+        h, worst = self.dt * self.substeps, system.thrusters.error(system.u_max)
+        (Ad, Bd), Dd = discretize(system.A, system.B, h), discretize(system.A, system.D, h)[1]
+        for _ in range(count):
+            w = rng.normal(size=(runs, system.p))
+            w *= system.w_max / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-300)
+            delta = worst * rng.choice([-1.0, 1.0], (runs, system.m))
+            noise = observer.noise * rng.choice([-1.0, 1.0], (runs, len(observer.noise)))
+            found = (found @ Ad.T - w @ Dd.T - delta @ Bd.T) @ observer.rest.T + noise @ observer.gain.T
+        return found
+
+    def _observed(self, start: int) -> Array:
+        """An observer's estimates (R, n) from all it has measured up to a step."""
+        observer, (Ad, Bd, _) = self.system.observer, self.held
+        assert observer is not None
+        signs = np.zeros((self.steps, *self.seen.shape[1:])) if self.eta is None else np.sign(self.eta)
+        if self.measured < 0:
+            self.filtered = self.seen[start] + self.filtered * np.abs(signs[start]).max(axis=1, keepdims=True)
+            self.measured = start
+        while self.measured < start:
+            for at in range(self.measured, self.measured + self.substeps):
+                self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
+            self.measured += self.substeps
+            noise = observer.noise * np.sign(signs[self.measured] @ observer.measures.T)
+            off = (self.seen[self.measured] - self.filtered) @ observer.measures.T + noise
+            self.filtered = self.filtered + off @ observer.gain.T
+        return self.filtered
 
     def estimate(self, step: int, x: Array) -> Array:
         """The state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
         found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
-        (Ad, Bd, _), bound = self.held, np.maximum(self.system.navigation, 1e-300)
+        (Ad, Bd, _), bound = self.held, np.maximum(self.known[step, 0], 1e-300)
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if start < 0:
                 continue
             y = self.seen[start, runs]
-            if self.eta is not None:
+            if self.system.observer is not None:
+                y = self._observed(start)[runs]
+            elif self.eta is not None:
                 y = y + self.noise * self.eta[start, runs]
             for at in range(start, step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T

@@ -11,6 +11,7 @@ from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
+from .delayed import Predicting
 from .disturbances import Disturbance, disturbances
 from .integration import Integrator
 from .run_metrics import Runs
@@ -57,7 +58,8 @@ def simulate(
     Notes
     -----
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
-    feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
+    feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command. An observer is
+    flown as it would be on board; without one, estimates err within their bounds.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("simulation.runs", n, 1)
@@ -70,7 +72,10 @@ def simulate(
         substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
     whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
-    flight = Integrator(schedule, flown_modes(schedule, tail, mode), substeps)
+    observed = schedule.safety.problem.system.observer is not None
+    flight = (Predicting if observed else Integrator)(schedule, flown_modes(schedule, tail, mode), substeps)
+    if isinstance(flight, Predicting):
+        flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, initial)
     w, adjoint = disturbances(flight, n, rng, disturbance)
     if initial in ("corners", "mixed") and len(adjoint):

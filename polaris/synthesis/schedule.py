@@ -135,7 +135,7 @@ class Schedule:
         """What the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
-        prompt = problem.system.prompt
+        prompt, observer = problem.system.prompt, problem.system.observer
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
         premises = Premises(
             problem.system.w_max,
@@ -145,6 +145,9 @@ class Schedule:
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
             estimate=prompt.navigation.tolist(),
+            by_step=problem.system.error_by_step is not None,
+            observer=() if observer is None else observer.noise.tolist(),
+            initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
             chaser=chaser_radius(problem.unsafe),

@@ -88,7 +88,10 @@ def fly_true(
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
-    at_once = schedule.safety.problem.system.timing.instant or not schedule.safety.tracking.feedback.sampled
+    system = schedule.safety.problem.system
+    at_once = (
+        system.timing.instant and system.observer is None or not schedule.safety.tracking.feedback.sampled
+    )
     flight = (_TrueMotion if at_once else _Predicting)(schedule, modes, substeps)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
