@@ -97,8 +97,8 @@ class Navigation(Estimate):
     """How well the state is known: bounds on the errors of the estimate that every controller acts on.
 
     Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
-    in other systems states. Where there are phases, these hold until the first. For networks, black boxes and
-    monitors in flight the largest bounds of all phases count throughout.
+    in other systems states. Where there are phases, these hold until the first. For networks, and for what
+    run-time methods know of states, the largest bounds of all phases count throughout.
     """
 
     phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)

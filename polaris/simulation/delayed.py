@@ -7,6 +7,7 @@ import numpy as np
 from reach.numerics.linear import discretize
 
 from ..model.errors import ScenarioError
+from ..model.prediction import prediction_error
 from ..model.system import Array
 from .integration import Integrator
 
@@ -43,11 +44,22 @@ class Predicting(Integrator):
         # Every instant's measurement, and what is commanded from then on.
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
         self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
-        bound = np.maximum(system.navigation, 1e-300)
-        self.noise = np.array(timing.measured or system.navigation) / bound
+        self.noise = self._noise() / np.maximum(self.known, 1e-300)
         self.measured, self.rng = -1, rng
         if system.observer is not None:
             self.filtered = self._before(runs)
+
+    def _noise(self) -> Array:
+        """Errors of measurements in every step, no larger than predictions may be off by later, (steps, 1, n)."""
+        system, timing = self.system, self.system.timing
+        measured = np.array(timing.measured or system.navigation)
+        if system.error_by_step is None or timing.instant:
+            return self.known if timing.instant else measured + 0 * self.known
+        age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
+        added = prediction_error(system, np.zeros(system.n), worst, age)
+        carried = prediction_error(system, measured, worst, age) - added
+        room = (self.known - added) / np.maximum(carried, 1e-300)
+        return measured * np.clip(room.min(axis=2, keepdims=True), 0.0, 1.0)
 
     def _before(self, runs: int) -> Array:
         """Errors (R, n) of the first estimate since the start, noise and pushes before it drawn at random."""
@@ -99,7 +111,7 @@ class Predicting(Integrator):
             if self.system.observer is not None:
                 y = self._observed(start)[runs]
             elif self.eta is not None:
-                y = y + self.noise * self.eta[start, runs]
+                y = y + self.noise[start] * self.eta[start, runs]
             for at in range(start, step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
             self.off = np.maximum(self.off, np.max(np.abs(y - x[runs]), axis=0) / bound)
