@@ -50,7 +50,7 @@ class Predicting(Integrator):
             self.filtered = self._before(runs)
 
     def _noise(self) -> Array:
-        """Errors of measurements in every step, no larger than predictions may be off by later, (steps, 1, n)."""
+        """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""
         system, timing = self.system, self.system.timing
         measured = np.array(timing.measured or system.navigation)
         if system.error_by_step is None or timing.instant:
