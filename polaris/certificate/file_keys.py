@@ -55,8 +55,7 @@ CERTIFICATE = {
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced")},
         "error_by_step?": grid("K+1 n"),
-        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
-                      "initial?": grid("n")},
+        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -162,7 +161,7 @@ GAINS = {
             **every(VECTOR, "measured displaced"),
         },
         "error_by_step?": MATRIX,
-        "observer?": {**every(MATRIX, "measures gain"), **every(VECTOR, "noise initial?")},
+        "observer?": {**every(MATRIX, "measures gain"), "noise": VECTOR},
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

@@ -20,7 +20,7 @@ ROUNDED = 1e-12
 """Rounding of a difference of stored numbers, relative to the larger."""
 
 
-def check_timing(document: Document, spec: dict[str, Any], measured: list[list[arb]]) -> None:
+def check_timing(document: Document, spec: dict[str, Any], measured: list[list[float]]) -> None:
     """Timing is the scenario's, and what it adds to other errors no smaller than it must be.
 
     `measured` bounds the errors of estimates by step, if there is more than one row.
@@ -43,7 +43,7 @@ def check_timing(document: Document, spec: dict[str, Any], measured: list[list[a
         raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
     carried = [_carried(plant, delay + plant.h * i) for i in range(missed + 1)]
     for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
-        known = column(sums(row, map(arb, document.displaced)))
+        known = column(sums(map(arb, row), map(arb, document.displaced)))
         ages = [sums((over * known).entries(), more) for over, more in carried]
         for i, (bound, *needed) in enumerate(zip(bounds, *ages, strict=True)):
             spare = bound * arb(1 + ROUNDED) - largest(needed)

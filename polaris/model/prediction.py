@@ -5,18 +5,33 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 
 from reach.numerics.errors import ReachError
+from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
-from .filtering import ROUNDED, filtered
 from .system import Array, LinearSystem
-from .timing import Timing
+from .timing import Observer, Timing
 
 PARTS = 32
 """Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
+
+IN_PERIOD = 4
+"""The same of a control period of an observer."""
+
+ROUNDED = 1e-9
+"""Relative round-off of a bound, upwards."""
+
+TRUST = 4.0 ** np.arange(-6, 7)
+"""Shares by which measurements are trusted less than their bounds say: the best of these gains is kept."""
+
+LEFT_OVER, LONGEST = 1e-2, 4096
+"""What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
+
+UNSEEN = 1e-6
+"""Share of the thrust limits that is taken for unknown, so that every gain forgets."""
 
 
 def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau: float) -> Array:
@@ -33,6 +48,66 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     pushed = flow.disturbance_support(np.eye(system.n), PARTS)[-1]
     carried = np.abs(np.linalg.matrix_power(flow.phi, PARTS)) @ estimate
     return np.asarray((carried + pushed) * (1 + ROUNDED))
+
+
+def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
+    """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
+
+    `moved` bounds by how much states are displaced when they are measured (docs/theory.md, Proposition 40).
+
+    Raises
+    ------
+    ScenarioError
+        If errors are not forgotten.
+    """
+    noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(moved, (system.n,))
+    loop, count = observer.rest @ np.asarray(expm(system.A * h)), 1
+    while True:
+        last = np.abs(np.linalg.matrix_power(loop, count))
+        if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
+            break
+        if count >= LONGEST or not np.all(np.isfinite(last)):
+            rule = "leave errors of the estimate that no filter forgets"
+            raise ScenarioError("navigation.measurement", observer.measures.tolist(), rule)
+        count *= 2
+    left = powers(loop, count - 1)
+    E = system.error_map(system.thrusters.error(system.u_max))
+    flow = LinearFlow.continuous(system.A, system.D, system.w_max, h / IN_PERIOD, E)
+    rows = (left @ observer.rest).reshape(-1, system.n)
+    pushed = flow.disturbance_support(rows, IN_PERIOD)[-1].reshape(left.shape[:2])
+    come = np.sum(pushed + np.abs(left @ observer.gain) @ noise, axis=0) * (1 + ROUNDED)
+    return np.asarray(np.linalg.solve(np.eye(system.n) - last, come) * (1 + ROUNDED))
+
+
+def design(system: LinearSystem, measures: Array, noise: Array, h: float, weight: Array) -> Observer:
+    """The observer with the steady Kalman gain, of several trusts in the measurements, that costs least.
+
+    `weight` (m, n) is what errors of the estimate are weighed by: the gain of the safety controller.
+
+    Raises
+    ------
+    ScenarioError
+        If measurements do not see a motion that does not decay.
+    """
+    unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(system.u_max)])
+    unknown = np.hstack([unknown, system.B * (UNSEEN * system.u_max)])
+    step, excited = expm(system.A * h), expm(system.A * h / 2) @ unknown * h
+    best, least = None, np.inf
+    for trust in TRUST:
+        covariance = np.diag((noise * trust) ** 2)
+        try:
+            P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
+            gain = np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T
+            found = Observer(measures, noise, gain)
+            cost = float(np.sum(np.abs(weight) @ filtered(system, found, h) / system.u_max))
+        except (np.linalg.LinAlgError, ValueError, ReachError, ScenarioError):
+            continue
+        if cost < least:
+            best, least = found, cost
+    if best is None:
+        rule = "must see every motion that does not decay: no filter of these measurements forgets its errors"
+        raise ScenarioError("navigation.measurement", measures.tolist(), rule)
+    return best
 
 
 def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:
@@ -64,12 +139,8 @@ def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, 
     return float(spread.max()), np.asarray(over @ spread * reach * (1 + ROUNDED))
 
 
-def predicting(
-    system: LinearSystem, timing: Timing, period: float | None, grid: tuple[int, int] = (0, 1)
-) -> LinearSystem:
+def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
     """The system whose controllers act on predictions, of every age that may occur, and with jitter.
-
-    `grid` are the steps of a schedule, and the periods in each: an observer's errors may change with them.
 
     Raises
     ------
@@ -84,7 +155,7 @@ def predicting(
     )
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
     if system.observer is not None:
-        steps = filtered(jittered, system.observer, h, grid, moved)
+        steps = filtered(jittered, system.observer, h, moved)[None]
     measured = tuple(np.max(steps, axis=0).tolist())
     longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
     timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced)

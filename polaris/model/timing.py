@@ -57,14 +57,11 @@ class Observer:
     noise : ndarray, shape (r,)
         Bounds on the errors of what is measured.
     gain : ndarray, shape (n, r)
-    initial : ndarray, shape (n,), optional
-        Bounds on the errors of the first estimate. Without it the observer has been at work for long.
     """
 
     measures: Array
     noise: Array
     gain: Array
-    initial: Array | None = None
 
     @property
     def rest(self) -> Array:

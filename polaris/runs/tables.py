@@ -139,13 +139,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
-    observer = {} if system.observer is None else asdict(system.observer)
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": asdict(system.timing)}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({"observer": {k: v for k, v in observer.items() if v is not None}} if observer else {}),
+        **({} if system.observer is None else {"observer": asdict(system.observer)}),
     }
 
 

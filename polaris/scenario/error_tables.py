@@ -73,8 +73,8 @@ class Timing(ScenarioPart):
     """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
     obstacles of kind `satellite`."""
 
-    def build(self, system: LinearSystem, period: float | None, grid: tuple[int, int]) -> LinearSystem:
-        """The system, its controllers acting on predictions; `grid` are steps, and periods in each."""
+    def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
+        """The system, its controllers acting on predictions."""
         for name in ("jitter_s", "missed_periods"):
             if (value := getattr(self, name)) and period is None:
                 raise ScenarioError(
@@ -84,7 +84,7 @@ class Timing(ScenarioPart):
             rule = f"must be at most half of the period of {period:g} s"
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
         given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
-        return system if given == Delays() else predicting(system, given, period, grid)
+        return system if given == Delays() else predicting(system, given, period)
 
 
 def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:

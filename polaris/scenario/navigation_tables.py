@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.filtering import design, filtered
+from ..model.prediction import design, filtered
 from ..model.system import Array, LinearSystem
 from . import fields as f
 from .fields import ScenarioPart, unit
@@ -60,18 +60,15 @@ class Phase(Estimate):
 class Measurement(ScenarioPart):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
-    Its gain is the steady Kalman gain, of several, whose errors cost the safety controller least. In
-    Hill's frame it measures the position, and the velocity if that has a bound.
+    It has long been at work when the flight starts. Its gain is the steady Kalman gain, of several, whose
+    errors cost the safety controller least. In Hill's frame it measures the position, and the velocity if
+    that has a bound.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
-    velocity_error_m_s: f.PositivePerAxis | None = unit(
-        "m/s", "The same; not measured without.", default=None
-    )
+    velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured without.", default=None)
     matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
     error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
-    initial: Estimate | None = unit("-", default=None)
-    """How far the first estimate may be off. Without it the observer has been at work for long."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """What is measured, shape (r, n), and bounds on its errors, shape (r,)."""
@@ -139,10 +136,5 @@ class Navigation(Estimate):
         if at.missed:
             rule = "must be 0 with an observer, which measures in every period"
             raise ScenarioError("timing.missed_periods", at.missed, rule)
-        first = (
-            None if asked.initial is None else asked.initial.build(system, "navigation.measurement.initial")
-        )
-        observer = design(system, *asked.build(system), at.period, weight(system), first)
-        found = filtered(system, observer, at.period, (at.steps, round(at.step / at.period)))
-        more = {"error_by_step": found} if len(found) > 1 else {"estimate_error": found[0]}
-        return replace(system, observer=observer, **more)
+        observer = design(system, *asked.build(system), at.period, weight(system))
+        return replace(system, observer=observer, estimate_error=filtered(system, observer, at.period))

@@ -102,8 +102,7 @@ class ScheduleScenario(Scenario):
             oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
             sampling = Sampling(self.steps, self.step, period, oldest, timing.missed_periods)
             system = model.navigation.known(system, sampling, self._gain)
-        grid = self.steps, round(self.step / period) if period else 1
-        return timing.build(system, period, grid)
+        return timing.build(system, period)
 
     def _gain(self, system: LinearSystem) -> Array:
         """The safety controller's."""

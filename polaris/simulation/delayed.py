@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-
-from reach.numerics.linear import discretize
+from scipy.linalg import expm
 
 from ..model.errors import ScenarioError
 from ..model.prediction import prediction_error
 from ..model.system import Array
 from .integration import Integrator
-
-BEFORE = 500
-"""Periods for which an observer has been at work before a flight."""
 
 
 class Predicting(Integrator):
@@ -45,9 +41,7 @@ class Predicting(Integrator):
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
         self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
         self.noise = self._noise() / np.maximum(self.known, 1e-300)
-        self.measured, self.rng = -1, rng
-        if system.observer is not None:
-            self.filtered = self._before(runs)
+        self.measured = -1
 
     def _noise(self) -> Array:
         """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""
@@ -56,30 +50,8 @@ class Predicting(Integrator):
         if system.error_by_step is None or timing.instant:
             return self.known if timing.instant else measured + 0 * self.known
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
-        added = prediction_error(system, np.zeros(system.n), worst, age)
-        carried = prediction_error(system, measured, worst, age) - added
-        room = (self.known - added) / np.maximum(carried, 1e-300)
-        return measured * np.clip(room.min(axis=2, keepdims=True), 0.0, 1.0)
-
-    def _before(self, runs: int) -> Array:
-        """Errors (R, n) of the first estimate since the start, noise and pushes before it drawn at random."""
-        observer, system, rng = self.system.observer, self.system, self.rng
-        assert observer is not None
-        found, count = np.zeros((runs, system.n)), BEFORE
-        if observer.initial is not None:
-            found, count = (
-                observer.initial * rng.choice([-1.0, 1.0], found.shape),
-                -(-self.lag // self.substeps),
-            )
-        h, worst = self.dt * self.substeps, system.thrusters.error(system.u_max)
-        (Ad, Bd), Dd = discretize(system.A, system.B, h), discretize(system.A, system.D, h)[1]
-        for _ in range(count):
-            w = rng.normal(size=(runs, system.p))
-            w *= system.w_max / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-300)
-            delta = worst * rng.choice([-1.0, 1.0], (runs, system.m))
-            noise = observer.noise * rng.choice([-1.0, 1.0], (runs, len(observer.noise)))
-            found = (found @ Ad.T - w @ Dd.T - delta @ Bd.T) @ observer.rest.T + noise @ observer.gain.T
-        return found
+        left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
+        return np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T, 0.0, measured)
 
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
@@ -87,8 +59,7 @@ class Predicting(Integrator):
         assert observer is not None
         signs = np.zeros((self.steps, *self.seen.shape[1:])) if self.eta is None else np.sign(self.eta)
         if self.measured < 0:
-            self.filtered = self.seen[start] + self.filtered * np.abs(signs[start]).max(axis=1, keepdims=True)
-            self.measured = start
+            self.filtered, self.measured = self.seen[start], start
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T

@@ -9,7 +9,6 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.model.filtering import filtered, pushed
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -30,7 +29,6 @@ MEASURED = (
     "navigation.measurement.matrix=[[1,0,0,0],[0,1,0,0]]",
     "navigation.measurement.error=[0.005, 0.005]",
 )
-INITIAL = "navigation.measurement.initial.state_error=[0.02, 0.02, 0.005, 0.005]"
 PHASED = (
     "navigation.state_error=[0.01, 0.01, 0.004, 0.004]",
     "navigation.phases=[{from_s=3.0, state_error=[0.002, 0.002, 0.001, 0.001]},"
@@ -68,24 +66,8 @@ def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
     assert np.all(reached >= 0.98 * system.navigation)
 
 
-def test_a_first_error_fades_into_the_one_for_ever():
-    system = scene(*MEASURED, INITIAL).system()
-    ever = filtered(
-        system, system.observer.__class__(**vars(system.observer) | {"initial": None}), 0.25, (12, 4)
-    )
-    left, sums, _ = pushed(system, system.observer, 0.25)
-    by_step = system.error_by_step
-    assert by_step.shape == (13, 4) and np.all(by_step[0] >= system.observer.initial)
-    assert np.all(by_step[-1] >= ever[0]) and np.allclose(by_step[-1], ever[0], rtol=1e-3)
-    rng, eta = np.random.default_rng(0), system.observer.initial * np.array([1, -1, 1, 1])
-    for node in range(1, 49):  # any signs of the noise
-        eta = left[1] @ eta + system.observer.gain @ (system.observer.noise * rng.choice([-1, 1], 2))
-        assert np.all(np.abs(eta) <= by_step[min(node // 4, 12)])
-    assert np.all(np.diff(sums, axis=0) >= 0)
-
-
 def test_observers_flown_for_real_stay_within_their_bounds_and_use_them():
-    for name, more in (("plain", ()), ("late", (*LATE, "timing.jitter_s=0.0")), ("first", (INITIAL,))):
+    for name, more in (("plain", ()), ("late", (*LATE, "timing.jitter_s=0.0"))):
         schedule = observed(name, *more)
         for substeps in (1, 4):
             runs, off = fly_delayed(schedule, 60, 1, substeps)
@@ -145,7 +127,7 @@ def test_bad_tables_are_refused_by_name(assignments, field):
 
 def test_forged_observers_are_refused(tmp_path):
     """Neither another gain, nor less noise, nor smaller bounds than they give."""
-    forger = Forger(make([*SAMPLED[:2], *MEASURED, INITIAL], tmp_path), tmp_path)
+    forger = Forger(make([*SAMPLED[:2], *MEASURED], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     data = forger.tree(CERTIFICATE)["system"]
 
@@ -154,16 +136,15 @@ def test_forged_observers_are_refused(tmp_path):
         return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": told})})
 
     half = [[(float.fromhex(x) / 2).hex() for x in row] for row in data["observer"]["gain"]]
-    less = [[(float.fromhex(x) * 0.999).hex() for x in row] for row in data["error_by_step"]]
-    worst = [max(map(float.fromhex, column)).hex() for column in zip(*less, strict=True)]
+    less = [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]
     for verdict in (
         judged({"gain": half}),
         judged({"noise": [(0.001).hex()] * 2}),
-        judged(error_by_step=less, estimate_error=worst),
+        judged(estimate_error=less),
     ):
         assert verdict.outcome == "REJECTED"
     scenario = forger.tree("scenario.toml")
-    scenario["navigation"]["measurement"]["initial"] = {"state_error": [0.03, 0.02, 0.005, 0.005]}
+    scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
 
 
