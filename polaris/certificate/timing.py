@@ -45,8 +45,9 @@ def check_timing(document: Document, spec: dict[str, Any], measured: list[list[f
     for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
         known = column(sums(map(arb, row), map(arb, document.displaced)))
         ages = [sums((over * known).entries(), more) for over, more in carried]
-        for i, (bound, *needed) in enumerate(zip(bounds, *ages, strict=True)):
-            spare = bound * arb(1 + ROUNDED) - largest(needed)
+        least = map(largest, zip(*ages, strict=True))
+        for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
+            spare = bound * arb(1 + ROUNDED) - needed
             require("system", spare, f"error of the prediction of state {i}: {bound}")
 
 

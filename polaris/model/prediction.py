@@ -149,16 +149,13 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     """
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
-    displaced, jittered = (
-        tuple(moved.tolist()),
-        replace(system, thrusters=replace(exact, bit=exact.bit + bit)),
-    )
+    jittered = replace(system, thrusters=replace(exact, bit=exact.bit + bit))
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
     if system.observer is not None:
         steps = filtered(jittered, system.observer, h, moved)[None]
     measured = tuple(np.max(steps, axis=0).tolist())
     longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
-    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced)
+    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=tuple(moved.tolist()))
     system = replace(jittered, timing=timing)
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known, of_step = np.unique(steps + moved, axis=0, return_inverse=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,20 +11,11 @@ from ..model.errors import ScenarioError
 from ..model.prediction import design, filtered
 from ..model.system import Array, LinearSystem
 from . import fields as f
+from .error_tables import Timing
 from .fields import ScenarioPart, unit
 
 INSTANT = 1e-9
 """Share of a step by which instants may differ and count as one."""
-
-
-class Sampling(NamedTuple):
-    """When estimates are used: steps K of `step` [s], a control period [s], and their age at most [s]."""
-
-    steps: int
-    step: float
-    period: float | None
-    oldest: float
-    missed: int
 
 
 class Estimate(ScenarioPart):
@@ -89,6 +79,23 @@ class Measurement(ScenarioPart):
         noise = np.concatenate([f.per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
         return np.eye(6)[: len(noise)], noise
 
+    def known(
+        self,
+        system: LinearSystem,
+        period: float | None,
+        timing: Timing,
+        weight: Callable[[LinearSystem], Array],
+    ) -> LinearSystem:
+        """The system whose estimates are an observer's."""
+        if period is None:
+            rule = "needs sampled feedback (feedback.kind = 'sampled')"
+            raise ScenarioError("navigation.measurement", None, rule)
+        if timing.missed_periods:
+            rule = "must be 0 with an observer, which measures in every period"
+            raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
+        observer = design(system, *self.build(system), period, weight(system))
+        return replace(system, observer=observer, estimate_error=filtered(system, observer, period))
+
 
 class Navigation(Estimate):
     """How well the state is known: bounds on the errors of the estimate that every controller acts on.
@@ -103,38 +110,33 @@ class Navigation(Estimate):
     """What an observer measures, in the place of bounds on what it estimates. Needs sampled feedback."""
 
     def known(
-        self, system: LinearSystem, sampling: Sampling, weight: Callable[[LinearSystem], Array]
+        self,
+        system: LinearSystem,
+        horizon: tuple[int, float],
+        period: float | None,
+        timing: Timing,
+        weight: Callable[[LinearSystem], Array],
     ) -> LinearSystem:
-        """The system with these errors of estimates; `weight` (m, n) is the price of those of an observer."""
+        """The system with these errors of estimates; `weight` (m, n) is the price of those of an observer.
+
+        `horizon` is the number of steps and their length [s], `period` a control period [s].
+        """
         declared = self.build(system)
         if self.measurement is not None:
             if np.any(declared) or self.phases:
                 rule = "must be left out where an observer's estimates are declared"
                 raise ScenarioError("navigation.measurement", None, rule)
-            return self._observed(system, self.measurement, sampling, weight)
+            return self.measurement.known(system, period, timing, weight)
         if not self.phases:
             return replace(system, estimate_error=declared)
         begin = [0.0, *(phase.from_s for phase in self.phases)]
         if np.any(np.diff(begin) <= 0):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
-        bounds, end, slack = np.array([declared, *later]), [*begin[1:], np.inf], INSTANT * sampling.step
-        rows = []
-        for k in range(sampling.steps + 1):
-            first, last = k * sampling.step - sampling.oldest, (k + 1) * sampling.step
-            last = np.inf if k == sampling.steps else last
-            meets = (np.array(begin) < last - slack) & (np.array(end) > first + slack)
-            rows.append(bounds[meets].max(axis=0))
+        bounds, end, (steps, step) = np.array([declared, *later]), np.array([*begin[1:], np.inf]), horizon
+        oldest, rows = timing.delay_s + timing.missed_periods * (period or 0.0), []
+        for k in range(steps + 1):
+            begun = np.array(begin) < (k + 1) * step - INSTANT * step
+            over = end <= k * step - oldest + INSTANT * step
+            rows.append(bounds[(begun | (k == steps)) & ~over].max(axis=0))
         return replace(system, error_by_step=np.array(rows))
-
-    def _observed(
-        self, system: LinearSystem, asked: Measurement, at: Sampling, weight: Callable[[LinearSystem], Array]
-    ) -> LinearSystem:
-        if at.period is None:
-            rule = "needs sampled feedback (feedback.kind = 'sampled')"
-            raise ScenarioError("navigation.measurement", None, rule)
-        if at.missed:
-            rule = "must be 0 with an observer, which measures in every period"
-            raise ScenarioError("timing.missed_periods", at.missed, rule)
-        observer = design(system, *asked.build(system), at.period, weight(system))
-        return replace(system, observer=observer, estimate_error=filtered(system, observer, at.period))

@@ -21,7 +21,6 @@ from . import rules
 from .base import Scenario, kept
 from .error_tables import Timing, allocation
 from .fields import whole_parts
-from .navigation_tables import Sampling
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
 from .tables import SampledFeedback, ScenarioModel, Simulation
@@ -99,9 +98,8 @@ class ScheduleScenario(Scenario):
             system = replace(system, u_max=allocation.u_max)
         period, timing = self._period, model.timing or Timing()
         if model.navigation is not None:
-            oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
-            sampling = Sampling(self.steps, self.step, period, oldest, timing.missed_periods)
-            system = model.navigation.known(system, sampling, self._gain)
+            horizon = self.steps, self.step
+            system = model.navigation.known(system, horizon, period, timing, self._gain)
         return timing.build(system, period)
 
     def _gain(self, system: LinearSystem) -> Array:
