@@ -51,21 +51,21 @@ class Predicting(Integrator):
             return self.known if timing.instant else measured + 0 * self.known
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
         left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
-        return np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T, 0.0, measured)
+        return np.asarray(np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T, 0.0, measured))
 
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
-        signs = np.zeros((self.steps, *self.seen.shape[1:])) if self.eta is None else np.sign(self.eta)
         if self.measured < 0:
             self.filtered, self.measured = self.seen[start], start
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
             self.measured += self.substeps
-            noise = observer.noise * np.sign(signs[self.measured] @ observer.measures.T)
-            off = (self.seen[self.measured] - self.filtered) @ observer.measures.T + noise
+            off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
+            if self.eta is not None:
+                off = off + observer.noise * np.sign(self.eta[self.measured] @ observer.measures.T)
             self.filtered = self.filtered + off @ observer.gain.T
         return self.filtered
 

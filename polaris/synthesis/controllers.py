@@ -123,10 +123,9 @@ class AffineController(AffineLaw):
 
     def _like(self, **known: Any) -> AffineController:
         """The same law while it commands no more than so much, or knows its state so well."""
-        system, most = known.get("system", self.system), known.get("most", self.most)
-        if system is self.system and most is self.most:
+        if (system := known.get("system")) is self.system:
             return self
-        key = system.navigation.tobytes() + (b"" if most is None else most.tobytes())
+        key = (known["most"] if system is None else system.navigation).tobytes()
         law = self._levels.get(key) or replace(self, **known, _relaxed={}, _levels={})
         self._levels[key] = law
         assert isinstance(law, AffineController)

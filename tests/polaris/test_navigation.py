@@ -17,10 +17,10 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
 from ..kept import kept
-from .closed_loops import attack
+from .closed_loops import attack, attack_monitor
 from .forging import CERTIFICATE, Forger, make
 from .random_scenarios import random_scenario
-from .test_closed_loops import judge
+from .test_closed_loops import judge, monitored
 from .test_timing import fly_delayed
 from .tiny import TINY
 
@@ -194,6 +194,8 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
         scenes += 1
         judge(seed, attack(schedule, 100, seed))
         assert falsify(schedule, 100, seed).failure is None
+        if scenes % 10 == 1:
+            judge(seed, attack_monitor(monitored(seed, schedule), 30, seed)[0])
         if schedule.safety.problem.system.observer is not None:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1 + 1e-6), seed
     assert scenes >= 40
