@@ -24,8 +24,8 @@ IN_PERIOD = 4
 ROUNDED = 1e-9
 """Relative round-off of a bound, upwards."""
 
-TRUST = 4.0 ** np.arange(-6, 7)
-"""Shares by which measurements are trusted less than their bounds say: the best of these gains is kept."""
+SCATTER = 0.4
+"""Share of their bounds by which measurements scatter in the design of a gain; any gain is sound."""
 
 LEFT_OVER, LONGEST = 1e-2, 4096
 """What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
@@ -79,10 +79,8 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
     return np.asarray(np.linalg.solve(np.eye(system.n) - last, come) * (1 + ROUNDED))
 
 
-def design(system: LinearSystem, measures: Array, noise: Array, h: float, weight: Array) -> Observer:
-    """The observer with the steady Kalman gain, of several trusts in the measurements, that costs least.
-
-    `weight` (m, n) is what errors of the estimate are weighed by: the gain of the safety controller.
+def design(system: LinearSystem, measures: Array, noise: Array, h: float) -> Observer:
+    """The observer of measurements (r, n) off by `noise` (r,) at most, with the steady Kalman gain.
 
     Raises
     ------
@@ -92,22 +90,14 @@ def design(system: LinearSystem, measures: Array, noise: Array, h: float, weight
     unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(system.u_max)])
     unknown = np.hstack([unknown, system.B * (UNSEEN * system.u_max)])
     step, excited = expm(system.A * h), expm(system.A * h / 2) @ unknown * h
-    best, least = None, np.inf
-    for trust in TRUST:
-        covariance = np.diag((noise * trust) ** 2)
-        try:
-            P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
-            gain = np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T
-            found = Observer(measures, noise, gain)
-            cost = float(np.sum(np.abs(weight) @ filtered(system, found, h) / system.u_max))
-        except (np.linalg.LinAlgError, ValueError, ReachError, ScenarioError):
-            continue
-        if cost < least:
-            best, least = found, cost
-    if best is None:
-        rule = "must see every motion that does not decay: no filter of these measurements forgets its errors"
-        raise ScenarioError("navigation.measurement", measures.tolist(), rule)
-    return best
+    covariance = np.diag((noise * SCATTER) ** 2)
+    try:
+        P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        rule = f"must see every motion that does not decay: there is no steady gain ({error})"
+        raise ScenarioError("navigation.measurement", measures.tolist(), rule) from error
+    gain = np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T
+    return Observer(measures, noise, gain)
 
 
 def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -50,9 +49,8 @@ class Phase(Estimate):
 class Measurement(ScenarioPart):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
-    It has long been at work when the flight starts. Its gain is the steady Kalman gain, of several, whose
-    errors cost the safety controller least. In Hill's frame it measures the position, and the velocity if
-    that has a bound.
+    It has long been at work when the flight starts, with a steady Kalman gain. In Hill's frame it measures
+    the position, and the velocity if that has a bound.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
@@ -79,13 +77,7 @@ class Measurement(ScenarioPart):
         noise = np.concatenate([f.per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
         return np.eye(6)[: len(noise)], noise
 
-    def known(
-        self,
-        system: LinearSystem,
-        period: float | None,
-        timing: Timing,
-        weight: Callable[[LinearSystem], Array],
-    ) -> LinearSystem:
+    def known(self, system: LinearSystem, period: float | None, timing: Timing) -> LinearSystem:
         """The system whose estimates are an observer's."""
         if period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
@@ -93,7 +85,7 @@ class Measurement(ScenarioPart):
         if timing.missed_periods:
             rule = "must be 0 with an observer, which measures in every period"
             raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
-        observer = design(system, *self.build(system), period, weight(system))
+        observer = design(system, *self.build(system), period)
         return replace(system, observer=observer, estimate_error=filtered(system, observer, period))
 
 
@@ -110,14 +102,9 @@ class Navigation(Estimate):
     """What an observer measures, in the place of bounds on what it estimates. Needs sampled feedback."""
 
     def known(
-        self,
-        system: LinearSystem,
-        horizon: tuple[int, float],
-        period: float | None,
-        timing: Timing,
-        weight: Callable[[LinearSystem], Array],
+        self, system: LinearSystem, horizon: tuple[int, float], period: float | None, timing: Timing
     ) -> LinearSystem:
-        """The system with these errors of estimates; `weight` (m, n) is the price of those of an observer.
+        """The system with these errors of estimates.
 
         `horizon` is the number of steps and their length [s], `period` a control period [s].
         """
@@ -126,7 +113,7 @@ class Navigation(Estimate):
             if np.any(declared) or self.phases:
                 rule = "must be left out where an observer's estimates are declared"
                 raise ScenarioError("navigation.measurement", None, rule)
-            return self.measurement.known(system, period, timing, weight)
+            return self.measurement.known(system, period, timing)
         if not self.phases:
             return replace(system, estimate_error=declared)
         begin = [0.0, *(phase.from_s for phase in self.phases)]

@@ -15,7 +15,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import MAX_STEPS, counted
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem
+from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
@@ -98,16 +98,8 @@ class ScheduleScenario(Scenario):
             system = replace(system, u_max=allocation.u_max)
         period, timing = self._period, model.timing or Timing()
         if model.navigation is not None:
-            horizon = self.steps, self.step
-            system = model.navigation.known(system, horizon, period, timing, self._gain)
+            system = model.navigation.known(system, (self.steps, self.step), period, timing)
         return timing.build(system, period)
-
-    def _gain(self, system: LinearSystem) -> Array:
-        """The safety controller's."""
-        from ..synthesis.tracking import lqr_gain
-
-        weights = (rules.full_weight(each) for each in (self.model.tracking.Q, self.model.tracking.R))
-        return lqr_gain(system, *weights)
 
     @kept
     def allocation(self) -> Allocation | None:

@@ -194,8 +194,8 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
         scenes += 1
         judge(seed, attack(schedule, 100, seed))
         assert falsify(schedule, 100, seed).failure is None
-        if scenes % 10 == 1:
-            judge(seed, attack_monitor(monitored(seed, schedule), 30, seed)[0])
+        if scenes % 10 == 1 and (monitor := monitored(seed, schedule)) is not None:
+            judge(seed, attack_monitor(monitor, 30, seed)[0])
         if schedule.safety.problem.system.observer is not None:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1 + 1e-6), seed
     assert scenes >= 40
