@@ -34,7 +34,7 @@ PHASED = (
     "navigation.phases=[{from_s=3.0, state_error=[0.002, 0.002, 0.001, 0.001]},"
     " {from_s=8.5, state_error=[0.006, 0.0, 0.003, 0.003]}]",
 )
-LATE = ("timing.delay_s=0.3", "timing.jitter_s=0.0005", "thrusters.magnitude_error=0.01")
+LATE = ("timing.delay_s=0.3", "thrusters.magnitude_error=0.01")
 
 
 def scene(*assignments):
@@ -51,11 +51,11 @@ def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
     """Period by period, the worst of all that comes for one state: the bound is little above it."""
     hill = ("feedback.kind=sampled", "feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1")
     scenario = scene(*MEASURED) if name == "tiny" else load_scenario("static").with_assignments(hill)
-    system, h, parts = scenario.system(), scenario.problem().period, 40
+    system, h, parts = scenario.system(), scenario.problem().period, 10
     observer, n = system.observer, system.n
     left, reached = np.eye(n), np.zeros(n)
     step, small = expm(system.A * h), expm(system.A * h / parts)
-    for _ in range(2000):
+    for _ in range(600):
         back = left @ observer.rest @ expm(system.A * h / parts / 2)
         for _ in range(parts if np.abs(left).max() > 1e-9 else 0):
             reached += np.linalg.norm(back @ system.D, axis=1) * system.w_max * h / parts
@@ -66,15 +66,20 @@ def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
     assert np.all(reached >= 0.98 * system.navigation)
 
 
-def test_observers_flown_for_real_stay_within_their_bounds_and_use_them():
-    for name, more in (("plain", ()), ("late", (*LATE, "timing.jitter_s=0.0"))):
-        schedule = observed(name, *more)
-        for substeps in (1, 4):
-            runs, off = fly_delayed(schedule, 60, 1, substeps)
-            assert np.all(off <= 1) and off.max() > 0.8 and not runs.metrics().collided.any()
-        assert falsify(schedule, 100, 1).failure is None
-        still = simulate(schedule, 3, initial="center", disturbance="none")
-        assert np.ptp(still.states, axis=0).max() == 0 and not still.metrics().collided.any()
+@pytest.mark.parametrize(
+    ("name", "more", "substeps"),
+    [
+        ("plain", (), 1),
+        *(pytest.param("late", LATE, q, marks=pytest.mark.slow) for q in (1, 4)),
+    ],
+)
+def test_observers_flown_for_real_stay_within_their_bounds_and_use_them(name, more, substeps):
+    schedule = observed(name, *more)
+    runs, off = fly_delayed(schedule, 60, 1, substeps)
+    assert np.all(off <= 1) and off.max() > 0.75 and not runs.metrics().collided.any()
+    assert falsify(schedule, 50, 1).failure is None
+    still = simulate(schedule, 3, initial="center", disturbance="none")
+    assert np.ptp(still.states, axis=0).max() == 0 and not still.metrics().collided.any()
 
 
 def test_errors_of_a_phase_count_in_its_steps_alone():
@@ -137,12 +142,9 @@ def test_forged_observers_are_refused(tmp_path):
 
     half = [[(float.fromhex(x) / 2).hex() for x in row] for row in data["observer"]["gain"]]
     less = [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]
-    for verdict in (
-        judged({"gain": half}),
-        judged({"noise": [(0.001).hex()] * 2}),
-        judged(estimate_error=less),
-    ):
-        assert verdict.outcome == "REJECTED"
+    for verdict in (judged({"gain": half}), judged(estimate_error=less)):
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    assert judged({"noise": [(0.001).hex()] * 2}).outcome == "REJECTED"
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
