@@ -3,14 +3,14 @@
     python -m benchmarks.policies [FOLDER]
 
 NumPy alone, seeds fixed. Trained with Adam and weight decay: a smooth imitation is what a tube stays narrow
-around. Each reads the error, scaled to about 1, and its output 1 stands for full thrust.
+around. Each reads the error, scaled to about 1, `yielding` the relative position of another body besides, and
+its output 1 stands for full thrust.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,12 @@ FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "policies"
 TINY = Path(__file__).resolve().parents[1] / "tests" / "polaris" / "data" / "tiny.toml"
 STEPS, BATCH, RATE, DECAY = 3000, 512, 3e-3, 1.0
 SCALES = (0.1, 0.5, 1.0, 2.0)
-"""Sizes of the errors trained on, as shares of the scale."""
+PLACES = (0.2, 0.5, 1.0, 2.0)
+"""Sizes of the errors, and of the relative positions, trained on, as shares of the scale."""
+
+
+Law = Callable[[Array], Array]
+"""Commands (R, m), as shares of the limits, for what is read (R, r)."""
 
 
 def first_law(name: str | Path) -> tuple[LinearSystem, Array]:
@@ -41,24 +46,45 @@ def shortcut() -> tuple[LinearSystem, Array]:
     return system, lqr_gain(system, np.ones(4), np.ones(2))
 
 
-ASKED: dict[str, tuple[Callable[[], tuple[LinearSystem, Array]], list[float], int]] = {
-    "fuel_saver": (partial(first_law, "static"), [60.0, 60.0, 60.0, 1.0, 1.0, 1.0], 32),
-    "hasty": (partial(first_law, TINY), [1.0, 1.0, 1.0, 1.0], 16),
-    "shortcut": (shortcut, [1.0, 1.0, 1.0, 1.0], 64),
+def tracking(system: LinearSystem, gain: Array) -> tuple[Law, int]:
+    """``clip(gain error)``, and its number of outputs."""
+    return lambda read: np.clip(read @ gain.T / system.u_max, -1, 1), system.m
+
+
+def yielding() -> tuple[Law, int]:
+    """The first law of `dynamic`; while another body is near it aims higher, cross-track."""
+    law, m = tracking(*first_law("dynamic"))
+
+    def aside(read: Array) -> Array:
+        error = read[:, :6].copy()
+        error[:, 2] += 130.0 * np.exp(-np.sum(read[:, 6:] ** 2, axis=1) / (2 * 170.0**2))
+        return law(error)
+
+    return aside, m
+
+
+ASKED: dict[str, tuple[Callable[[], tuple[Law, int]], list[float], int]] = {
+    "fuel_saver": (lambda: tracking(*first_law("static")), [60.0, 60.0, 60.0, 1.0, 1.0, 1.0], 32),
+    "hasty": (lambda: tracking(*first_law(TINY)), [1.0, 1.0, 1.0, 1.0], 16),
+    "shortcut": (lambda: tracking(*shortcut()), [1.0, 1.0, 1.0, 1.0], 64),
+    "yielding": (yielding, [60.0, 60.0, 60.0, 1.0, 1.0, 1.0, 600.0, 600.0, 600.0], 32),
 }
-"""By name of the file: what is imitated, size of the errors, width of the layers."""
+"""By name of the file: what is imitated, size of what is read, width of the layers."""
 
 
-def train(system: LinearSystem, gain: Array, size: Array, width: int, seed: int = 0) -> list[Array]:
-    """Weights and biases of two tanh layers and a linear one that imitate ``clip(gain error) / u_max``."""
-    rng = np.random.default_rng(seed)
-    dims = [system.n, width, width, system.m]
+def train(law: Law, m: int, size: Array, width: int, decay: float = DECAY) -> list[Array]:
+    """Weights and biases of two tanh layers and a linear one that imitate a law of errors, and of a place."""
+    rng, errors = np.random.default_rng(0), min(len(size), 6)
+    dims = [len(size), width, width, m]
     W = [rng.normal(size=(b, a)) / np.sqrt(a) for a, b in zip(dims, dims[1:], strict=False)]
     P = [*W, *(np.zeros(d) for d in dims[1:])]
     first, second = [0 * p for p in P], [0 * p for p in P]
     for step in range(STEPS):
-        z = rng.uniform(-1, 1, (BATCH, system.n)) * rng.choice(SCALES, (BATCH, 1))
-        wanted = np.clip((z * size) @ gain.T / system.u_max, -1, 1)
+        z = rng.uniform(-1, 1, (BATCH, len(size)))
+        z[:, :errors] *= rng.choice(SCALES, (BATCH, 1))
+        if len(size) > errors:
+            z[:, errors:] *= rng.choice(PLACES, (BATCH, 1))
+        wanted = law(z * size)
         a = np.tanh(z @ P[0].T + P[3])
         b = np.tanh(a @ P[1].T + P[4])
         out = (b @ P[2].T + P[5] - wanted) / BATCH
@@ -71,7 +97,7 @@ def train(system: LinearSystem, gain: Array, size: Array, width: int, seed: int 
             second[i] = 0.999 * second[i] + 0.001 * slope**2
             moved = first[i] / (1 - 0.9 ** (step + 1))
             moved = moved / (np.sqrt(second[i] / (1 - 0.999 ** (step + 1))) + 1e-8)
-            P[i] = P[i] - rate * (moved + (DECAY * P[i] if i < 3 else 0))
+            P[i] = P[i] - rate * (moved + (decay * P[i] if i < 3 else 0))
     return P
 
 
@@ -101,7 +127,8 @@ def main(folder: Path = FOLDER) -> None:
     """Train and write all of them."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, (imitated, size, width) in ASKED.items():
-        write_onnx(folder / f"{name}.onnx", train(*imitated(), np.array(size), width))
+        decay = 1.5 if name == "yielding" else DECAY
+        write_onnx(folder / f"{name}.onnx", train(*imitated(), np.array(size), width, decay))
         print(name, (folder / f"{name}.onnx").stat().st_size, "bytes")
 
 

@@ -101,7 +101,7 @@ from .synthesis.error_bounds import ErrorBounds as ErrorBounds
 from .synthesis.get_safety import Safety as Safety
 from .synthesis.get_safety import get_safety as get_safety
 from .synthesis.neural import NeuralController as NeuralController
-from .synthesis.neural import Policy as Policy
+from .synthesis.policy import Policy as Policy
 from .synthesis.problem import Problem as Problem
 from .synthesis.problem import Zonotope as Zonotope
 from .synthesis.recoverable import Margin as Margin

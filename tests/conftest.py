@@ -19,10 +19,10 @@ settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile(PROFILE)
 
 FIRST = (
-    *("rta/test_methods", "polaris/test_random_scenarios", "test_docs", "polaris/test_synthesis"),
-    *("campaign/test_campaign", "polaris/test_corruptions", "rta/test_comparison", "rta/test_streams"),
-    *("polaris/test_certificate", "polaris/test_planning", "polaris/test_forged_runs"),
-    *("polaris/test_figures", "reach/test_containment", "reach/test_exact_answers", "reach/test_hybrid"),
+    *("test_docs", "polaris/test_error_sources", "campaign/test_campaign", "polaris/test_random_scenarios"),
+    *("polaris/test_arrival", "polaris/test_figures", "polaris/test_planning", "polaris/test_closed_loops"),
+    *("rta/test_runtime", "polaris/test_tradeoff", "asif/test_always", "polaris/test_forged_runs"),
+    *("rta/test_methods", "polaris/test_synthesis", "polaris/test_certificate", "polaris/test_cli"),
 )
 """Files that take longest: workers begin with them, so that none is left with one when others are done."""
 

@@ -97,3 +97,14 @@ def scheduled(name):
         return scenario, synthesize(scenario)
 
     return kept(name, make)
+
+
+@cache
+def printed(name, *more):
+    """The same by the printed algorithms alone: U along one reference that was planned without it."""
+
+    def make():
+        scenario = load_scenario(name, ["recoverable.recourse=none", *more])
+        return scenario, synthesize(scenario)
+
+    return kept("-".join(["printed", name, *more]), make)

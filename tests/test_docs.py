@@ -35,6 +35,8 @@ from typer.testing import CliRunner
 import polaris
 from polaris.cli.app import app
 
+from .kept import scheduled
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
@@ -183,6 +185,8 @@ def test_page_does_what_it_shows(path, shell, monkeypatch):
     import matplotlib.pyplot as plt
 
     plt.switch_backend("agg")
+    if path.name == "README.md":  # its own command makes the same in another process
+        monkeypatch.setattr("polaris.synthesize", lambda scenario: scheduled(scenario.name)[1])
     namespace, printed = {"__name__": path.stem}, None
     for block in blocks(path):
         where = f"{block.page}:{block.line}"
@@ -329,6 +333,11 @@ def test_version_is_the_same_everywhere():
 # -- the built pages ---------------------------------------------------------------------------------
 
 
+def on_built_pages(test):
+    """A test of the built pages: `.ci/run` runs it beside the quick tests, for building takes long."""
+    return pytest.mark.slow(pytest.mark.built(test))
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The documentation, built as `make docs` builds it."""
@@ -342,6 +351,7 @@ def site(tmp_path_factory):
     return place
 
 
+@on_built_pages
 @pytest.mark.parametrize("page", INTERFACES.values())
 def test_interface_page_shows_docstrings_as_tables(page, site):
     """Each name has a heading; sections of docstrings are tables, none a heading of the page."""
@@ -362,6 +372,7 @@ def formulas(text, kind):
     return [found[2] for found in FORMULA.finditer(UNREAD.sub("", text)) if found[1] == kind]
 
 
+@on_built_pages
 @pytest.mark.parametrize("path", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
 def test_every_formula_is_one(path, site):
     """No dollar and no command of TeX is left outside of what MathJax sets; display stays on display."""
@@ -373,6 +384,7 @@ def test_every_formula_is_one(path, site):
     assert not stray
 
 
+@on_built_pages
 def test_pages_need_no_network(site):
     """Scripts and styles come with the pages; links may lead elsewhere."""
     for page in site.glob("*.html"):

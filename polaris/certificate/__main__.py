@@ -8,10 +8,7 @@ import sys
 def main(arguments: list[str]) -> int:
     """Check one certificate and print the verdict.
 
-    Returns
-    -------
-    int
-        0 verified, 5 rejected, 6 unknown, 7 statistical, 2 if there was nothing to check.
+    Gives 0 verified, 5 rejected, 6 unknown, 7 statistical, 2 if there was nothing to check.
     """
     if len(arguments) != 1 or arguments[0].startswith("-"):
         print("usage: python -m polaris.certificate RUN_OR_FILE", file=sys.stderr)

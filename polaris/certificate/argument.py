@@ -8,6 +8,7 @@ from flint import arb, arb_mat
 
 from .arrival import Arrival
 from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
+from .bodies import Whereabouts
 from .document import Document
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
@@ -64,7 +65,8 @@ class Argument:
         self.document, self.record, self.stated = document, record, stated or Stated()
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        self.pilots = [Pilot(law, self.plant, document.slopes, document.fits) for law in document.laws]
+        known = self.plant, document.slopes, document.fits
+        self.pilots = [Pilot(law, *known, Whereabouts.of(document, law, self.plant)) for law in document.laws]
         self.gain = self.pilots[0].gain
         self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])

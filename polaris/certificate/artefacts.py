@@ -26,11 +26,8 @@ NEEDED = (
 )
 """Files that belong to a run; the last three are hashed, not read."""
 
-MOST_DOTS = 1000
-"""Most dots between two of ``= , { [`` or the end of a line in a scenario; its keys need two."""
-
-SUMMARY = "summary.json"
-"""Has wall times, so it has no hash; what it claims is compared."""
+MOST_DOTS = 1000  # most dots between two of ``= , { [`` or the end of a line in a scenario; its keys need two
+SUMMARY = "summary.json"  # has wall times, so it has no hash; what it claims is compared
 
 
 def has_artefacts(document: Document, folder: Path) -> bool:
@@ -112,8 +109,7 @@ def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
 
 # -- the summary ------------------------------------------------------------------------------------
 
-ROUNDING = 1e-9
-"""Difference between sums that were added up in another order, relative to them."""
+ROUNDING = 1e-9  # difference between sums that were added up in another order, relative to them
 
 
 def check_summary(

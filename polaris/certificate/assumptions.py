@@ -85,7 +85,7 @@ class Premises:
             *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
             *([SATELLITES] if self.satellites else []),
             *self._of_hardware(),
-            "experimental controllers: each obeys its declared model",
+            "experimental controllers: each obeys its declared model, told of obstacles what theirs allow",
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),
         ]
@@ -151,7 +151,8 @@ def _of_samples(
         f" most {most}; that is wrong with a probability of {doubt} over the samples ({flights} flights,"
         f" {outside} outside, seed {seed}, attempt {attempts}); of flights that leave them nothing is known",
         "distribution: a flight's initial state is uniform in the generators of the initial set, its"
-        " disturbance piecewise constant as simulated at random; flights are independent, and nobody looked"
-        " what other seeds say",
-        "no drift: the boxes answer in flight as they answered the samples, by time and state alone",
+        " disturbance and the errors of estimates and thrusters piecewise constant as simulated at random;"
+        " flights are independent, and nobody looked what other seeds say",
+        "no drift: the boxes answer in flight as they answered the samples: begun afresh with every flight"
+        " and asked once in every control period of it, whoever flies",
     ]

@@ -8,15 +8,11 @@ from flint import arb, arb_mat
 
 from .verdict import Rejected, Undecided
 
-PRECISION = 128
-"""Bits of the midpoints."""
-
-TERMS = 8
-"""Terms of the Taylor series of an exponential over an interval of time."""
+PRECISION = 128  # bits of the midpoints
+TERMS = 8  # terms of the Taylor series of an exponential over an interval of time
 
 
-Number = arb | float
-"""An entry: a float is exact."""
+Number = arb | float  # an entry: a float is exact
 
 
 def matrix(rows: Sequence[Sequence[Number]], columns: int | None = None) -> arb_mat:

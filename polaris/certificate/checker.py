@@ -16,8 +16,7 @@ from .inputs import check_inputs
 from .plants import MOST_BITS, precision_for
 from .verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
 
-NAME = "certificate.json"
-"""The certificate's name in a run folder."""
+NAME = "certificate.json"  # the certificate's name in a run folder
 
 FAILURES = (
     *(ArithmeticError, ValueError, TypeError, LookupError, AttributeError),
@@ -33,10 +32,6 @@ def verify(path: str | Path) -> Verdict:
     ----------
     path : path
         If other files of the run folder lie beside the certificate, it is compared with them too.
-
-    Returns
-    -------
-    Verdict
 
     Raises
     ------

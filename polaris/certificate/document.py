@@ -248,13 +248,11 @@ class Document:
             raise ValueError("modes must be known")
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
-            if sum(sizes[name] for name in law.reads) != len(law.input_scale):
+            if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
-            if law.kind == "black_box" and (self.estimate or self.thrusters):
-                raise Undecided("controllers", f"{law.name} under errors is not followed")
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]

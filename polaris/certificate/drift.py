@@ -34,10 +34,8 @@ from .parts import Abort, Departure
 from .verdict import Rejected, Undecided
 from .zonotopes import Zonotope
 
-SLACK = 1e-9
-"""By how much a horizon and a distance may fall short, relative to them: they are rounded."""
-MOST_PARTS = 20_000
-"""Most parts of steps over which a drift is followed."""
+SLACK = 1e-9  # by how much a horizon and a distance may fall short, relative to them: they are rounded
+MOST_PARTS = 20_000  # most parts of steps over which a drift is followed
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,10 @@ GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
 
 
+READ = "error|state|time|reference_input|(relative_)?(position|velocity):"
+"""What a network reads; of a body, before its name."""
+
+
 def grid(sizes: str, item: Shape = HEX) -> Shape:
     """Lists in lists; the names of their lengths, ``*`` for any, from the outside."""
     for size in reversed(sizes.split()):
@@ -33,7 +37,11 @@ _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inpu
 # fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
 _NETWORK = {
-    "name": NAME, "inputs": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+    "name": NAME, "inputs": Rows(Text(pattern=f"{READ}.+"), 1, 100),
+    "bodies?": Rows({
+        "name": NAME, **every(Either((grid("d"), None)), "center_m velocity_m_s"),
+        **every(Either((grid("n"), None)), "state state_half_widths"), "thrust_accel_max_m_s2": HEX,
+    }, 1, 64),
     "input_scale": grid("*"), "output_scale": grid("m"),
     "own_states?": grid("* n"), "own_inputs?": grid("* m"),
     "layers": Rows(Kinds({

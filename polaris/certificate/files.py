@@ -11,14 +11,9 @@ from pathlib import Path
 
 from .verdict import Rejected, Undecided
 
-LARGEST = 256 * 2**20
-"""Largest file whose contents are read [bytes]."""
-
-LARGEST_SCENARIO = 4 * 2**20
-"""Largest scenario file [bytes]."""
-
-LARGEST_HASHED = 16 * 2**30
-"""Largest file that is hashed [bytes]."""
+LARGEST = 256 * 2**20  # largest file whose contents are read [bytes]
+LARGEST_SCENARIO = 4 * 2**20  # largest scenario file [bytes]
+LARGEST_HASHED = 16 * 2**30  # largest file that is hashed [bytes]
 
 
 def contents(path: Path, most: int = LARGEST) -> bytes:

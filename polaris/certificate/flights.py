@@ -9,6 +9,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
+from .bodies import Whereabouts
 from .drift import Departures
 from .motion import Arc, Motion, Path, Plant, Push
 from .networks import Policy
@@ -36,6 +37,8 @@ class Pilot:
     """
     fits: list[list[Matrix] | None] = field(default_factory=list)
     """By step and period, the affine functions that samples of a black box say its commands are near."""
+    told: Whereabouts | None = None
+    """Of the bodies that a network reads."""
     _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -61,7 +64,8 @@ class Pilot:
     @cached_property
     def policy(self) -> Policy:
         """Of a network."""
-        return Policy(self.law, self.plant)
+        assert self.told is not None
+        return Policy(self.law, self.plant, self.told)
 
     @cached_property
     def noise(self) -> list[arb]:
@@ -87,7 +91,7 @@ class Pilot:
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
-            most = d.support(self.commands)
+            most = d.through(self.commands).tops()
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
             tops = self.clipped(_ranges(u, most))
@@ -109,7 +113,7 @@ class Pilot:
             tops = sums(plant.u_max, plant.thruster_error(plant.u_max))
             return Period(plant.open, arb_mat(d.c.nrows(), 1), Push.in_box(plant.B, tops))
         if self.law.kind == "neural":
-            command = self.policy.command(d, self.policy.known(base, k, i))
+            command = self.policy.command(d, *self.policy.known(base, k, i))
             push = Push.in_zonotope(plant.B, command.V)
             error = plant.push(plant.thruster_error(command.most))
             return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
@@ -117,9 +121,12 @@ class Pilot:
         if fit is not None:
             n, rows = d.c.nrows(), fit[i]
             K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
-            push = Push.in_box(plant.B, [arb(row[n + 1]) for row in rows])
-            return Period(plant.loop(-K), plant.B * (c - u), push)
-        found = self.clipped(_ranges(u, d.support(self.commands)))
+            bands = [arb(row[n + 1]) for row in rows]
+            ranges = zip(plant.u_max, _ranges(c, d.through(above(K, -K)).tops()), bands, strict=True)
+            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
+            error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
+            return Period(plant.loop(-K), plant.B * (c - u), push, error, most)
+        found = self.clipped(_ranges(u, d.through(self.commands).tops()))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [
                 smallest((top, 1.02 * x.upper() + 1e-3 * top))
@@ -135,7 +142,7 @@ class Pilot:
         kind, plant = self.law.kind, self.plant
         error = plant.push(sums(self.noise, plant.thruster_error(most)))
         linear = Period(self.loop(), arb_mat(d.c.nrows(), 1), None, error)
-        reach = d.support(self.commands)
+        reach = d.through(self.commands).tops()
         if not plant.sampled:
             reach = linear.within(self.commands, d, reach)
         ranges = _ranges(u, reach)
@@ -165,7 +172,7 @@ class Period:
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""
-        return d.image(self.motion.phi).moved(self.motion.gamma * self.g)
+        return d.through(self.motion.phi).moved(self.motion.gamma * self.g)
 
     def after(self, end: Zonotope) -> Zonotope:
         """The set at the next node, from `ends`."""
@@ -185,7 +192,7 @@ class Period:
         """
         motion = self.motion
         bend, last = motion.disturbance_along(rows)
-        first = sums(motion.bow(rows, d.image(motion.closed).moved(self.g)), bend)
+        first = sums(motion.bow(rows, d.through(motion.closed).moved(self.g)), bend)
         for push in (self.push, self.error):
             if push is not None:
                 first = sums(first, motion.push_bend(rows, push))
@@ -195,7 +202,7 @@ class Period:
     def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
         """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
         first, last = self.extra(rows, d)
-        ends = sums(self.ends(d).support(rows), last)
+        ends = sums(self.ends(d).through(rows).tops(), last)
         return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
 
 
@@ -279,7 +286,7 @@ def _clipped(
     """
     plant, rows = pilot.plant, pilot.commands
     commands = list(zip(plant.u_max, u.entries(), strict=True))
-    at_node = d.support(rows)
+    at_node = d.through(rows).tops()
     ranges = _ranges(u, at_node)
     if not plant.sampled:
         pushes = [(-top - x, top - x) for top, x in commands]

@@ -10,6 +10,7 @@ from flint import arb, arb_mat
 
 from .allocation import check_allocation, per_axis
 from .balls import matrix, require, row_sums
+from .bodies import bodies_of
 from .document import Document
 from .lqr import check_gain, positive_definite
 from .navigation import measured_errors
@@ -224,6 +225,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         if law.kind == "neural":
             top = spec["output_scale_N"]
             _need("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
+            _need("controllers", "bodies", law.bodies, bodies_of(law.reads, scenario))
             ones = [1.0] * len(law.input_scale)
             _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
             tops = top if isinstance(top, list) else [top] * len(document.u_max)

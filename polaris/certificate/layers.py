@@ -38,4 +38,4 @@ def network_of(law: dict[str, Any]) -> dict[str, Any]:
     ):
         raise ValueError(f"inputs or outputs of {law['name']} do not fit")
     scales = {name: law[name] for name in ("input_scale", "output_scale")}
-    return {"reads": law["inputs"], "layers": layers, **scales}
+    return {"reads": law["inputs"], "layers": layers, "bodies": law.get("bodies", []), **scales}

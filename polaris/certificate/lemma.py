@@ -18,8 +18,7 @@ from .lqr import positive_definite
 from .motion import Motion
 from .verdict import Rejected
 
-DOUBLINGS = 6
-"""How often the memory of the loop is doubled to see whether the decay lasts."""
+DOUBLINGS = 6  # how often the memory of the loop is doubled to see whether the decay lasts
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,7 @@ class Needs:
     motion: Motion  # the safety controller's loop
     memory: Memory
     rows: arb_mat  # shape (r, n)
+    _bowed: dict[tuple[int, int], tuple[Zonotope, list[arb]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def carried(self) -> list[arb_mat]:
@@ -210,9 +211,15 @@ class Needs:
 
     def booked(self, start: Zonotope, lag: int) -> list[arb]:
         """What is booked between nodes for one set, for the periods next to node l: no more than `bend`."""
-        later = [start.image(self.motion.closed * self.memory.powers[at]) for at in {lag, max(lag - 1, 0)}]
-        bows = [self.motion.closer_bow(self.rows, rate) for rate in later]
+        bows = [self._bow(start, at) for at in {lag, max(lag - 1, 0)}]
         return [largest(each) for each in zip(*bows, strict=True)]
+
+    def _bow(self, start: Zonotope, lag: int) -> list[arb]:
+        """How far one set bends within the period after node l, once: two lags ask."""
+        if (id(start), lag) not in self._bowed:
+            rate = start.image(self.motion.closed * self.memory.powers[lag])
+            self._bowed[id(start), lag] = start, self.motion.closer_bow(self.rows, rate)
+        return self._bowed[id(start), lag][1]
 
     def per_norm(self, inverse: arb_mat) -> list[list[arb]]:
         """What a unit ball of ``norm(V e, 2)`` needs at lag l, given ``V^-1``."""

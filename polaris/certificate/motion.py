@@ -140,6 +140,7 @@ class Motion:
     held: arb_mat | None = None  # the gain, if its input is held
     error: list[arb] = field(default_factory=list)  # bounds on the error of every input, if there is any
     _asked: dict[int, tuple[arb_mat, list[arb], list[arb]]] = field(default_factory=dict, repr=False)
+    _bent: dict[int, tuple[arb_mat, arb_mat, arb_mat]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _exponentials(self) -> tuple[arb_mat, arb_mat]:
@@ -174,22 +175,29 @@ class Motion:
 
         The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with ``e^{X s}``.
         """
-        return self.lesser_bow(rows, rate.size(), rate.image(self.X).size())
+        return self.lesser_bow(rows, rate.size(), rate.through(self.X).size())
 
     def closer_bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
         """The same, or ``|row X rate| + h |row X e^{X s}| |X rate|``, the first part of the whole set."""
         turned = rate.image(self.X)
         size, along = turned.size(), turned.image(rows).size() * (self.plant.h**2 / 8)
-        third = (along + self.bend(rows) * size * self.plant.h).entries()
+        third = (along + self._bends(rows)[0] * size * self.plant.h).entries()
         return [
             a if a <= b else b for a, b in zip(self.lesser_bow(rows, rate.size(), size), third, strict=True)
         ]
 
     def lesser_bow(self, rows: arb_mat, rate: arb_mat, turned: arb_mat) -> list[arb]:
         """The same from bounds on ``|rate|`` and ``|X rate|``, shapes (n, 1)."""
-        first = self.bend(rows) * rate
-        second = magnitude(rows * self.over * (self.plant.h**2 / 8)) * turned
-        return [a if a <= b else b for a, b in zip(first.entries(), second.entries(), strict=True)]
+        bend, more = self._bends(rows)
+        both = (bend * rate).entries(), (more * turned).entries()
+        return [a if a <= b else b for a, b in zip(*both, strict=True)]
+
+    def _bends(self, rows: arb_mat) -> tuple[arb_mat, arb_mat]:
+        """`bend` and the same without X, once for the same rows."""
+        if id(rows) not in self._bent:
+            more = magnitude(rows * self.over * (self.plant.h**2 / 8))
+            self._bent[id(rows)] = rows, self.bend(rows), more
+        return self._bent[id(rows)][1:]
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 

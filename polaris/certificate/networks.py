@@ -8,6 +8,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import above, beside, column, diagonal, identity, largest, matrix, row_sums, smallest, sums
+from .bodies import Whereabouts
 from .layers import Layer
 from .motion import Arc, Plant
 from .parts import Law
@@ -35,6 +36,7 @@ class Policy:
 
     law: Law
     plant: Plant
+    told: Whereabouts
 
     @cached_property
     def reads(self) -> arb_mat:
@@ -42,6 +44,7 @@ class Policy:
         n, m = self.plant.A.nrows(), self.plant.B.ncols()
         blocks = {"error": -identity(n), "state": identity(n)}
         blocks |= {"time": arb_mat(1, n), "reference_input": arb_mat(m, n)}
+        blocks |= {name: self.told.less(name, identity(n)) for name in self.law.reads if ":" in name}
         return diagonal(self.law.input_scale) * above(*(blocks[name] for name in self.law.reads))
 
     @cached_property
@@ -55,19 +58,25 @@ class Policy:
         into = diagonal([x / top for x, top in zip(self.law.output_scale, tops, strict=True)])
         return [*own, (into, none), Layer("clip", low=-1.0, high=1.0), (diagonal(tops), none)]
 
-    def known(self, base: Arc, k: int, i: int) -> arb_mat:
-        """What it reads on its reference itself, at node i of step k."""
+    def known(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
+        """What it reads on its reference itself, at node i of step k, and generators of that."""
         n = self.plant.A.nrows()
         time = self.plant.h * self.plant.q * k
         parts = {"error": arb_mat(n, 1), "state": base.nodes[i], "time": column([time])}
         parts["reference_input"] = base.u
-        return diagonal(self.law.input_scale) * above(*(parts[name] for name in self.law.reads))
+        spread = {name: arb_mat(part.nrows(), self.told.width) for name, part in parts.items()}
+        for name in (name for name in self.law.reads if ":" in name):
+            middle, spread[name] = self.told.at(name, k * self.plant.q + i)
+            parts[name] = middle + self.told.less(name, base.nodes[i])
+        scale = diagonal(self.law.input_scale)
+        read, rest = (scale * above(*(found[name] for name in self.law.reads)) for found in (parts, spread))
+        return read, rest
 
-    def command(self, d: Zonotope, known: arb_mat) -> Command:
+    def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> Command:
         """What it commands over a set of states relative to its reference."""
-        M, c, V = self.reads, known, arb_mat(known.nrows(), 0)
+        M, c, V = self.reads, known, rest
         if self.plant.estimate:
-            V = M * diagonal(self.plant.estimate)
+            V = beside(V, M * diagonal(self.plant.estimate))
         for layer in self.layers:
             if isinstance(layer, tuple):
                 M, c, V = layer[0] * M, layer[0] * c + layer[1], layer[0] * V

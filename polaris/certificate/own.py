@@ -19,11 +19,8 @@ from .parts import Law
 from .plants import plant_of, within_limits
 from .verdict import Rejected
 
-SLACK = 1e-9
-"""Rounding of a stored state or command, relative to the numbers that it is made from."""
-
-EXPONENTIAL = 1e-14
-"""Rounding of a matrix exponential, relative to the largest numbers it makes."""
+SLACK = 1e-9  # rounding of a stored state or command, relative to the numbers that it is made from
+EXPONENTIAL = 1e-14  # rounding of a matrix exponential, relative to the largest numbers it makes
 
 Goal = Callable[[Document, list[float], str, str], None]
 """Check that a state lies in the scenario's goal, naming a claim and whose state it is."""

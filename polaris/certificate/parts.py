@@ -48,6 +48,7 @@ class Law:
     input_scale: Vector = field(default_factory=list)
     output_scale: Vector = field(default_factory=list)
     layers: list[Layer] = field(default_factory=list)
+    bodies: list[dict[str, Any]] = field(default_factory=list)  # that it reads, and how each moves
 
     @property
     def work(self) -> int:

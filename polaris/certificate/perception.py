@@ -17,14 +17,12 @@ from .parts import UnsafeSet
 from .satellites import Satellite
 from .verdict import Rejected
 
-SLACK = 1e-9
-"""Rounding of unit normals: how far one may be turned. What that moves is booked."""
+SLACK = 1e-9  # rounding of unit normals: how far one may be turned. What that moves is booked.
 
 ROUNDED = 1e-12
 """Rounding of offsets, and of directions of edges, relative to the numbers that they are made from."""
 
-SLOPE = 1e-6
-"""Least sine of the angle of a cone, and of the angle between two of its facets."""
+SLOPE = 1e-6  # least sine of the angle of a cone, and of the angle between two of its facets
 
 
 def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:

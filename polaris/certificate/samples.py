@@ -9,8 +9,7 @@ from flint import arb
 from .balls import require
 from .verdict import Rejected
 
-SLACK = 1e-9
-"""By how much the bound may be off its exact value, relative to it: rounding."""
+SLACK = 1e-9  # by how much the bound may be off its exact value, relative to it: rounding
 
 
 def check_statement(said: dict[str, Any]) -> str:

@@ -38,7 +38,7 @@ class Satellite:
         self.pushes = [(plant.D, arb(document.w_max))]
         thrust = spec.get("thrust_accel_max_m_s2", 0.0)
         if thrust:
-            self.pushes.append((_acceleration_input(document, item.name), arb(thrust)))
+            self.pushes.append((acceleration_input(document, item.name), arb(thrust)))
 
     def check(self) -> None:
         """Check all steps; each is divided until its polytope is shown to do, or no further."""
@@ -98,7 +98,7 @@ class Satellite:
         return gained
 
 
-def _acceleration_input(document: Document, name: str) -> arb_mat:
+def acceleration_input(document: Document, name: str) -> arb_mat:
     """How an acceleration of the position enters the state: E with ``C E = 0`` and ``C A E = I``.
 
     In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from .file_keys import READ
 from .structure import Either, Kinds, Real, Rows, Text, Whole, conform, every
 from .verdict import Rejected
 
@@ -136,9 +137,9 @@ SCENARIO = {
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
         "black_box": {"name": NAME, "weight?": WORTH, "probability?": Real(least=1e-5, most=0.5),
-                      "confidence?": Real(least=0.5, most=1 - 1e-9)},
+                      "confidence?": Real(least=0.5, most=1 - 1e-9), "memory?": bool},
         "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
-                   "inputs?": Rows(Text(("error", "state", "time", "reference_input")), 1, 4),
+                   "inputs?": Rows(Text(pattern=READ + NAME.pattern), 1, 100),
                    "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},
     }), 1, 8),
     "schedule?": {

@@ -15,8 +15,7 @@ from typing import Any
 
 from .verdict import Rejected
 
-LARGEST = 1e12
-"""Largest magnitude of a number in a scenario."""
+LARGEST = 1e12  # largest magnitude of a number in a scenario
 
 Shape = Any
 Lengths = dict[str, dict[int, str]]

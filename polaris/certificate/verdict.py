@@ -9,21 +9,13 @@ VERIFIED, STATISTICAL, REJECTED, UNKNOWN = "VERIFIED", "STATISTICAL", "REJECTED"
 EXIT_CODES = {VERIFIED: 0, REJECTED: 5, UNKNOWN: 6, STATISTICAL: 7}
 """Exit codes by outcome; 2 means that there was nothing to check (no such file, python-flint missing)."""
 
-LONGEST = 1000
-"""Most characters of a witness: it may quote what it found."""
+LONGEST = 1000  # most characters of a witness: it may quote what it found
 
 
 class Failed(Exception):
-    """A claim of the certificate is not confirmed.
+    """A claim, by its name in docs/certificate.md, is not confirmed: where, how, and perhaps by how much.
 
-    Parameters
-    ----------
-    claim : str
-        Which claim: one of the names in docs/certificate.md.
-    witness : str
-        Where and how it fails.
-    excess : float or None
-        By how much, in the unit that the witness names.
+    The excess is in the unit that the witness names.
     """
 
     outcome = UNKNOWN

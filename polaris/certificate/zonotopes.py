@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations, product
 
 from flint import arb, arb_mat
@@ -13,20 +14,49 @@ NOTHING = 1e-8
 """Share of a set's extent that generators may come to which are merged whatever their number."""
 
 
-@dataclass(frozen=True)
+class Generators:
+    """Generators, what matrices make of them and how far they reach, each made once."""
+
+    def __init__(self, G: arb_mat) -> None:
+        self.G = G
+        self._images: dict[int, tuple[arb_mat, Generators]] = {}
+
+    @cached_property
+    def widths(self) -> list[arb]:
+        """How far every coordinate may be from the centre's."""
+        return row_sums(self.G)
+
+    def image(self, M: arb_mat) -> Generators:
+        """Of the set mapped by a matrix."""
+        if id(M) not in self._images:
+            self._images[id(M)] = M, Generators(M * self.G)
+        return self._images[id(M)][1]
+
+
+@dataclass(frozen=True, eq=False)
 class Zonotope:
     """A zonotope."""
 
     c: arb_mat  # centre, shape (n, 1)
     G: arb_mat  # generators, one per column, shape (n, g)
+    made: Generators | None = field(default=None, repr=False)  # of the same, if it is known
 
     def image(self, M: arb_mat) -> Zonotope:
         """The set mapped by a matrix."""
         return Zonotope(M * self.c, M * self.G)
 
+    def through(self, M: arb_mat) -> Zonotope:
+        """The same by a matrix that is asked for again, of this set or of it moved."""
+        found = self._made.image(M)
+        return Zonotope(M * self.c, found.G, found)
+
+    @cached_property
+    def _made(self) -> Generators:
+        return self.made or Generators(self.G)
+
     def moved(self, v: arb_mat) -> Zonotope:
         """The set moved by a vector (n, 1)."""
-        return Zonotope(self.c + v, self.G)
+        return Zonotope(self.c + v, self.G, self._made)
 
     def grown(self, *generators: arb_mat) -> Zonotope:
         """Minkowski sum with zonotopes about zero, given by their generators."""
@@ -40,10 +70,14 @@ class Zonotope:
         """``max row x`` over the set, for every row."""
         return sums((rows * self.c).entries(), self.spread(rows))
 
+    def tops(self) -> list[arb]:
+        """``max x_i`` over the set."""
+        return sums(self.c.entries(), self._made.widths)
+
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
         centre = self.c.entries()
-        return magnitude(column([abs(c) + most for c, most in zip(centre, row_sums(self.G), strict=True)]))
+        return magnitude(column([abs(c) + most for c, most in zip(centre, self._made.widths, strict=True)]))
 
     def reduced(self, most: int) -> Zonotope:
         """Enclosing set with exact centre and at most `most` exact generators.
@@ -54,7 +88,7 @@ class Zonotope:
         """
         n, count = self.G.nrows(), self.G.ncols()
         table = self.G.tolist()
-        extent = [max(float(x.mid()), 1e-300) for x in row_sums(self.G)]
+        extent = [max(float(x.mid()), 1e-300) for x in self._made.widths]
         kept: list[int] = list(range(count))
         if count > n:
             sizes = [[abs(float(table[i][j].mid())) / extent[i] for i in range(n)] for j in range(count)]

@@ -6,14 +6,14 @@ import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Assignments, Json, Quiet, drawing, finish, print_json, verb
+from .shell import Assignments, BlackBoxes, Json, Quiet, drawing, finish, print_json, verb
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
@@ -54,6 +54,7 @@ SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
 @verb("campaign")
 def campaign_command(
     options: Options,
+    asked: BlackBoxes,
     scenarios: list[str] = Argument(..., metavar="NAME_OR_FILE...", help="Bundled scenarios, or files."),
 ) -> int | None:
     """Fly many runs over scenarios and grids of values, and count the violations.
@@ -74,25 +75,33 @@ def campaign_command(
     with stages.stage("load"):
         loaded = [load_scenario(name) for name in scenarios]
     inspected = [one for one in loaded if not isinstance(one, ScheduleScenario)]
+    if inspected and asked.black_box:
+        raise ScenarioError("--black-box", asked.black_box, "is for switching schedules")
     if inspected:
         _fly_inspection(loaded, inspected[0], options, crew, stages)
         return None
     from ..runs.campaign import run_campaign
 
     plan = _plan(loaded, options, stages)
+    if asked.black_box:
+        if options.workers or scheduler:
+            rule = "must be left out: black boxes are asked by one process"
+            raise ScenarioError("--workers, --scheduler", scheduler or options.workers, rule)
+        crew = nullcontext(local(1))
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
-    with crew as executor, stages.stage("runs"):
+    with crew as executor, asked.running() as boxes, stages.stage("runs"):
         stages.note("waiting for the first batch")
-        progress, fresh = stages.counting("{:,} of {:,} runs"), not options.resume
+        progress, plan = stages.counting("{:,} of {:,} runs"), plan.asking(boxes)
         folder = run_campaign(
-            plan, out, executor=executor, fresh=fresh, worst=options.worst, progress=progress
+            plan, out, executor=executor, fresh=not options.resume, worst=options.worst, progress=progress
         )
     return _finish(folder, options)
 
 
 @verb("campaign-replay")
 def replay_command(
+    asked: BlackBoxes,
     campaign: str = Argument(..., metavar="DIR", help="Folder of a campaign."),
     case: int | None = Option(None, min=0, help="Number of the case."),
     batch: int | None = Option(None, min=0, help="Number of the batch."),
@@ -121,7 +130,8 @@ def replay_command(
         raise ScenarioError("campaign-replay", None, "needs --case, --batch and --run, or --worst")
     else:
         chosen = case, batch, run
-    found = replay_run(folder, *chosen, mode)
+    with asked.running() as boxes:
+        found = replay_run(replace(folder, plan=folder.plan.asking(boxes)), *chosen, mode)
     if as_json:
         print_json(found.row)
     else:

@@ -11,7 +11,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ClockWarning, ScenarioError
-from .shell import Assignments, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
 class _Compare(TyperCommand):
@@ -54,7 +54,7 @@ class Options:
 
 
 @verb("compare", cls=_Compare)
-def compare_command(scenario: Name, options: Options) -> None:
+def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None:
     """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
     from .console import ShownStages
 
@@ -67,6 +67,7 @@ def compare_command(scenario: Name, options: Options) -> None:
         from ..runs.atomic import check_target
         from ..runs.comparison import write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
+        from ..simulation.sampled import with_boxes
         from ..synthesis.synthesize import synthesize
 
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
@@ -75,20 +76,21 @@ def compare_command(scenario: Name, options: Options) -> None:
         half = None if given is None else np.squeeze(_numbers("--estimate-error", given))
         named = None if options.methods is None else options.methods.replace(" ", "").split(",")
         selected(named, tuning)  # what does not exist is refused before the synthesis
-    with stages.stage("schedule"):
-        schedule = synthesize(loaded)
-    with stages.stage("flights"):
-        comparison = compare_methods(
-            DecisionGrid.of(schedule, options.period, options.latency, half),
-            options.runs,
-            options.seed,
-            methods=named,
-            tuning=tuning,
-            progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
-        )
-    with stages.stage("folder"):
-        draw = drawing(options.figures)
-        folder = write_comparison(target, loaded, comparison, draw=draw, stages=stages)
+    with asked.running() as boxes:
+        with stages.stage("schedule"):
+            schedule = with_boxes(loaded, boxes).schedule if boxes else synthesize(loaded)
+        with stages.stage("flights"):
+            comparison = compare_methods(
+                DecisionGrid.of(schedule, options.period, options.latency, half),
+                options.runs,
+                options.seed,
+                methods=named,
+                tuning=tuning,
+                progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
+            )
+        with stages.stage("folder"):
+            draw = drawing(options.figures)
+            folder = write_comparison(target, loaded, comparison, draw=draw, stages=stages)
     finish(folder, True, options.as_json, options.quiet)
 
 
@@ -134,7 +136,7 @@ class TradeoffOptions:
 
 
 @verb("tradeoff")
-def tradeoff_command(scenario: Name, options: TradeoffOptions) -> None:
+def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes) -> None:
     """Find the front of share of U against velocity change against switches: a run folder for each price.
 
     Or how both change with any number of the scenario. What was stopped goes on where it was.
@@ -146,16 +148,18 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions) -> None:
     if options.sweep and options.prices is not None:
         raise ScenarioError("--prices", options.prices, "must be left out with --sweep")
     prices = PRICES if options.prices is None else _numbers("--prices", options.prices)
-    folder = tradeoff(
-        scenario,
-        options.out,
-        dict(map(_sweep, options.sweep)) or prices,
-        share=options.share,
-        overrides=options.assignments or (),
-        draw=drawing(options.figures),
-        stages=ShownStages(options.quiet or options.as_json),
-        executor=local(options.workers),
-    )
+    with asked.running() as boxes:
+        folder = tradeoff(
+            scenario,
+            options.out,
+            dict(map(_sweep, options.sweep)) or prices,
+            share=options.share,
+            overrides=options.assignments or (),
+            draw=drawing(options.figures),
+            stages=ShownStages(options.quiet or options.as_json),
+            executor=None if boxes else local(options.workers),
+            black_boxes=boxes,
+        )
     unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] == "none"]
     if unproven:  # even if asked to be quiet
         typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)

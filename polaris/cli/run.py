@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import shlex
-from contextlib import ExitStack
 from typing import Any, Literal
 
 import typer
 from typer import Argument, Option
 
-from ..model.errors import ScenarioError
-from .shell import Assignments, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
 @verb("run")
 def run(
     scenario: Name,
+    asked: BlackBoxes,
     out: str | None = Option(None, metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     assignments: Assignments = None,
     solver: Literal["facets", "highs", "gurobi"] | None = Option(
@@ -27,10 +25,6 @@ def run(
     figures: Figures = True,
     as_json: Json = False,
     quiet: Quiet = False,
-    black_box: list[str] | None = Option(
-        None, metavar="NAME=COMMAND", help="Program that a black box of the scenario is; repeatable."
-    ),
-    answer_s: float = Option(10.0, "--answer-within", help="Time that it has for each answer [s]."),
 ) -> None:
     """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
 
@@ -43,20 +37,13 @@ def run(
     stages = ShownStages(quiet or as_json)
     with stages.stage("load"):
         from ..runs.campaign.workers import local
-        from ..runs.program import program
         from ..runs.run import run as run_scenario
         from ..scenario.scenario import load_scenario
 
         loaded = load_scenario(scenario, overrides)
         if not quiet:
             _tell_doubts(loaded, err=True)
-    with ExitStack() as programs:
-        boxes = {}
-        for text in black_box or ():
-            name, equals, command = text.partition("=")
-            if not equals or name in boxes:
-                raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
-            boxes[name] = programs.enter_context(program(shlex.split(command), answer_s))
+    with asked.running() as boxes:
         flying: dict[str, Any] = {"draw": drawing(figures), "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule":

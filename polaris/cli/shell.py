@@ -9,8 +9,8 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -20,10 +20,11 @@ import typer
 
 from reach.numerics.errors import ReachError
 
-from ..model.errors import ClockWarning, PolarisError
+from ..model.errors import ClockWarning, PolarisError, ScenarioError
 
 if TYPE_CHECKING:
     from ..runs.folder import RunFolder
+    from ..synthesis.black_box import Ask
 
 app = typer.Typer(
     name="polaris",
@@ -74,6 +75,34 @@ Figures = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+@dataclass
+class BlackBoxes:
+    """Programs that are black boxes: a group of options of its own."""
+
+    black_box: list[str] | None = typer.Option(
+        None, metavar="NAME=COMMAND", help="Program that a black box of the scenario is; repeatable."
+    )
+    answer_within: float = typer.Option(10.0, help="Time that it has for each answer [s].")
+
+    @contextmanager
+    def running(self) -> Iterator[dict[str, Ask]]:
+        """What is asked of them, by their names, for as long as the ``with`` statement lasts."""
+        from ..runs.program import program
+
+        with ExitStack() as programs:
+            found: dict[str, Ask] = {}
+            for text in self.black_box or ():
+                name, equals, command = text.partition("=")
+                if not equals or name in found:
+                    raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
+                try:
+                    words = shlex.split(command)
+                except ValueError as error:
+                    raise ScenarioError("--black-box", text, f"has no command: {error}") from error
+                found[name] = programs.enter_context(program(words, self.answer_within))
+            yield found
 
 
 def _version(wanted: bool) -> None:

@@ -16,8 +16,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from .inspection import Inspection
 
-DEEPER = 0.1
-"""A third of the room that there must be between the limits, as a share of them."""
+DEEPER = 0.1  # a third of the room that there must be between the limits, as a share of them
 
 
 def velocity_error(x: Array, n: float) -> Array:
@@ -46,11 +45,7 @@ class Ellipses:
 
     Their semi-minor axes are between `least` [m], > 0 (no point of the trajectory is nearer to the chief),
     and `largest` [m], half the largest distance in the plane; their amplitude `cross_track` [m] is bounded.
-
-    Raises
-    ------
-    ScenarioError
-        If they leave no room of at least three times `DEEPER` between `least` and `largest`.
+    There must be room of at least three times `DEEPER` between `least` and `largest`.
     """
 
     mean_motion: float

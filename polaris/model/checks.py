@@ -11,11 +11,8 @@ from numpy.typing import ArrayLike
 from .errors import ScenarioError
 from .system import Array, as_finite
 
-MAX_STEPS = 100_000
-"""Most steps of one scenario; a plan of more could not be solved anyway."""
-
-MOST_ROWS = 100
-"""Most facets of one polytope: its faces are enumerated for exact distances."""
+MAX_STEPS = 100_000  # most steps of one scenario; a plan of more could not be solved anyway
+MOST_ROWS = 100  # most facets of one polytope: its faces are enumerated for exact distances
 
 
 def number(field: str, value: object, rule: str = "must be a finite number", least: float = -np.inf) -> float:

@@ -17,11 +17,8 @@ from .errors import ScenarioError
 from .obstacle import Obstacle
 from .system import Array, LinearSystem
 
-UNKNOWN = -1
-"""Mode number of samples whose mode is not known."""
-
-TOGETHER = 4000
-"""Points of whose rays the entries are worked out at a time: what fits into fast memory."""
+UNKNOWN = -1  # mode number of samples whose mode is not known
+TOGETHER = 4000  # points of whose rays the entries are worked out at a time: what fits into fast memory
 
 States = Mapping[str, ArrayLike]
 
@@ -33,25 +30,10 @@ def signed_distances(
     system: LinearSystem | None = None,
     states: States | None = None,
 ) -> Array:
-    """Exact Euclidean distance to every true unsafe set, negative inside.
+    """Distance (O, ...) [m] of positions p (..., d) at times t (...) to true unsafe sets, negative inside.
 
-    Parameters
-    ----------
-    obstacles : sequence of Obstacle, length O
-        Keep-in sets count as the distance to leaving them.
-    t : array_like, shape (...)
-        Times [s], broadcast against p.
-    p : array_like, shape (..., d)
-        Positions [m].
-    system : LinearSystem, optional
-        Needed if another satellite is among the obstacles.
-    states : mapping, optional
-        True states (..., n) of other satellites, by name; default their nominal ones.
-
-    Returns
-    -------
-    ndarray, shape (O, ...)
-        [m]
+    Keep-in sets count as the distance to leaving them. A system is needed if another satellite is among the
+    obstacles; `states` are true states (..., n) of these by name, by default their nominal ones.
     """
     out = np.empty((len(obstacles), *np.broadcast_shapes(np.shape(t), np.shape(p)[:-1])))
     for o, obstacle in enumerate(obstacles):
@@ -67,17 +49,10 @@ def ray_ttc(
     system: LinearSystem | None = None,
     states: States | None = None,
 ) -> Array:
-    """Seconds until a straight ray enters each obstacle, both keeping their velocity of time t.
+    """Seconds (O, ...) until straight rays enter each obstacle, both keeping their velocity of time t.
 
-    Parameters
-    ----------
-    v : array_like, shape (..., d)
-        Velocity of the chaser [m/s]. Others as in `signed_distances`.
-
-    Returns
-    -------
-    ndarray, shape (O, ...)
-        0 if inside, inf if it never enters (moving away, a miss, no relative speed).
+    Velocities v of the chaser are (..., d) [m/s], all else is as in `signed_distances`. 0 if inside, inf if
+    never.
     """
     shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1], np.shape(v)[:-1])
     out = np.empty((len(obstacles), *shape))
@@ -108,33 +83,18 @@ def _parts(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Closest:
-    """Closest approach of every run, at the sampled times; shapes (...,).
+    """Closest approach of every run, at the sampled times; shapes (...,)."""
 
-    Attributes
-    ----------
-    distance : ndarray
-        Smallest signed distance [m]; inf where there is no obstacle.
-    time : ndarray
-        When it was reached first [s]; nan where there is no obstacle.
-    obstacle : ndarray of int
-        Index of the obstacle; -1 where there is none.
-    """
-
-    distance: Array
-    time: Array
-    obstacle: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+    distance: Array  # smallest signed distance [m]; inf where there is no obstacle
+    time: Array  # when it was reached first [s]; nan where there is no obstacle
+    obstacle: np.ndarray[tuple[int, ...], np.dtype[np.int64]]  # its index; -1 if there is none
 
 
 def closest(distances: ArrayLike, t: ArrayLike) -> Closest:
-    """Minimum over obstacles and time.
+    """Minimum over obstacles and time of `signed_distances` (O, ..., T) at times (T,) or (..., T) [s].
 
-    Parameters
-    ----------
-    distances : array_like, shape (O, ..., T)
-        From `signed_distances`. Between samples a run may come closer by at most half of what it
-        travels relative to the obstacle from one sample to the next.
-    t : array_like, shape (T,) or (..., T)
-        Times [s].
+    Between samples a run may come closer by at most half of what it travels relative to the obstacle from one
+    sample to the next.
     """
     values = np.asarray(distances, dtype=float)
     if values.ndim < 2 or values.shape[-1] == 0:
@@ -177,18 +137,10 @@ def _modes(modes: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
 
 
 def mode_shares(t: ArrayLike, modes: ArrayLike) -> dict[int, Array]:
-    """Share of the time spent in each mode that occurs (0 is S, 1 is U, `UNKNOWN` stays its own).
+    """Share of the time in each mode that occurs (0 is S, 1 is U, `UNKNOWN` stays its own), each (...,).
 
-    Parameters
-    ----------
-    t : array_like, shape (..., K) or (..., K+1)
-        When each mode begins [s], and the end of the run.
-    modes : array_like of int, shape (..., K)
-
-    Returns
-    -------
-    dict
-        Mode to shares, shape (...,); they add up to 1. A run of no length counts its samples.
+    Modes (..., K) begin at t (..., K), or (..., K+1) with the end of the run [s]. Shares add up to 1; a run
+    of no length counts its samples.
     """
     values = _modes(modes)
     lengths = _durations(t, values.shape[-1])
@@ -223,18 +175,11 @@ def count_switches(
 
 
 def delta_v(t: ArrayLike, u: ArrayLike, mass: float, norm: int = 1) -> Array:
-    """Velocity change spent, ``sum |u| dt / mass`` [m/s], shape (...,).
+    """Velocity change spent, ``sum |u| dt / mass`` [m/s], shape (...,), of inputs (..., K, m) [N].
 
-    Parameters
-    ----------
-    t : array_like, shape (..., K) or (..., K+1)
-        When each input begins [s], and the end of the run.
-    u : array_like, shape (..., K, m)
-        Inputs [N], held from one time to the next.
-    mass : float
-        [kg]; 1 where the input is an acceleration.
-    norm : {1, 2}
-        1: one thruster per axis, as the limits ``|u_i| <= u_max,i`` say. 2: one engine that turns.
+    They are held from one of the times t (..., K) or (..., K+1) [s] to the next; the mass [kg] is 1 where
+    they are accelerations. Norm 1: one thruster per axis, as the limits ``|u_i| <= u_max,i`` say. 2: one that
+    turns.
     """
     positive("mass", mass, "kg")
     if norm not in (1, 2):

@@ -26,6 +26,10 @@ class ScenarioError(PolarisError):
         super().__init__(f"{prefix}{field}: got {shown}; {rule}")
 
 
+class NoAnswer(ScenarioError):
+    """A black box gave no answer, or none that is a command; with another it may go well."""
+
+
 class SynthesisInfeasible(PolarisError):
     """No safe synthesis exists under the stated conditions.
 

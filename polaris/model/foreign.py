@@ -17,8 +17,7 @@ import numpy as np
 
 from .system import Array
 
-LONGEST = 1000
-"""Entries of one value that are kept; more are no measurement of anything."""
+LONGEST = 1000  # entries of one value that are kept; more are no measurement of anything
 
 LISTS = (list, tuple, deque, range)
 BUFFERS = (memoryview, array)
@@ -26,15 +25,9 @@ BUFFERS = (memoryview, array)
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """Stands for a value that is no numbers.
+    """Stands for a value that is no numbers."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of its type.
-    """
-
-    kind: str
+    kind: str  # name of its type
 
 
 def kind_of(value: object) -> str:

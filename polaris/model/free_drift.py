@@ -16,11 +16,8 @@ from .errors import ScenarioError
 from .shapes import Shape
 from .system import Array, LinearSystem
 
-CHUNK = 2_000_000
-"""Numbers held at once."""
-
-MOST_HALVINGS = 12
-"""Most halvings of a coarse interval."""
+CHUNK = 2_000_000  # numbers held at once
+MOST_HALVINGS = 12  # most halvings of a coarse interval
 
 
 class Drifting(Protocol):
@@ -49,37 +46,14 @@ def drift_ttc(
     states: Mapping[str, ArrayLike] | None = None,
     tolerance: float = 1e-3,
 ) -> Array:
-    """Seconds until the chaser, with its thrusters off, enters each obstacle.
+    """Seconds (O, ...) until the chaser, its thrusters off, enters each obstacle; 0 inside, inf if never.
 
-    Other satellites drift too; rigid obstacles keep their velocity. Coarse intervals in which the
-    distance cannot reach zero (it changes no faster than the path is long, and the path bends no
-    more than a bound) are dropped; the others are halved until the path is straight to within
-    `tolerance`, and then clipped as straight rays. No pass is missed, however brief, if it goes
-    deeper than `tolerance`.
-
-    Parameters
-    ----------
-    obstacles : sequence of Obstacle, length O
-    system : LinearSystem
-    t : array_like, shape (...)
-        Times [s] of the states.
-    x : array_like, shape (..., n)
-    horizon : float
-        How far to look [s], > 0.
-    states : mapping, optional
-        True states (..., n) at times t of other satellites, by name; default their nominal ones.
-    tolerance : float
-        [m], > 0.
-
-    Returns
-    -------
-    ndarray, shape (O, ...)
-        0 if inside, inf if not within the horizon.
-
-    Raises
-    ------
-    ScenarioError
-        On wrong shapes, numbers that are not finite, or a horizon that is not positive.
+    Other satellites drift too; rigid obstacles keep their velocity. Coarse intervals in which the distance
+    cannot reach zero (it changes no faster than the path is long, and the path bends no more than a bound)
+    are dropped; the others are halved until the path is straight to within `tolerance` [m], and then clipped
+    as straight rays. No pass is missed, however brief, if it goes deeper than that. Times (...) [s] are those
+    of the states (..., n); `states` are true ones of other satellites, by name, by default their nominal
+    ones.
     """
     positive("horizon", horizon, "s")
     positive("tolerance", tolerance, "m")

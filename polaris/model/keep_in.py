@@ -19,8 +19,7 @@ from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
 
-MOST_CORNERS = 8192
-"""Of a zonotope that is compared with a cone corner by corner."""
+MOST_CORNERS = 8192  # of a zonotope that is compared with a cone corner by corner
 
 
 @dataclass(frozen=True, eq=False)

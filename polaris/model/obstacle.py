@@ -199,6 +199,16 @@ class RigidObstacle(Anchored):
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
+    def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
+        """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d).
+
+        What is not known of it is how late the clock is by which it moves.
+        """
+        t, speed = np.arange(count) * h, np.abs(self._v)
+        size = np.abs(self.anchor) + t[:, None] * speed
+        half = np.hstack([system.timing.clock * speed + ROUNDING * size, ROUNDING * (speed + 0 * size)])
+        return np.hstack(self.motion(t)), half
+
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """One timed polytope: the motion is linear in time, so nothing but round-off is added."""
         self._check_cells(system, delta, cells, len(self.anchor))

@@ -151,12 +151,8 @@ def perceive(
 ) -> tuple[TimedPolytope, ...]:
     """Timed polytopes that contain every unsafe set, in the order given, over some cells of `delta` [s].
 
-    Each facet of a keep-in set becomes one set with ``keep_in=True``.
-
-    Raises
-    ------
-    ScenarioError
-        If two share a name, or one does not fit the system.
+    Each facet of a keep-in set becomes one set with ``keep_in=True``. `ScenarioError` if two share a name, or
+    one does not fit the system.
     """
     seen: set[str] = set()
     for obstacle in obstacles:

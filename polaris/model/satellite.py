@@ -94,7 +94,7 @@ class SatelliteObstacle(Obstacle):
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 while not bow <= wanted and parts <= MOST_PARTS:
-                    offsets, bow = self._cover(system, normals, delta, cells, parts)
+                    offsets, bow, _ = self._cover(system, normals @ system.position, delta, cells, parts)
                     parts *= 2
         except Unresolved as error:  # beyond floating point
             raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule) from error
@@ -103,11 +103,11 @@ class SatelliteObstacle(Obstacle):
         return (TimedPolytope(self.name, normals, offsets, static=False),)
 
     def _cover(
-        self, system: LinearSystem, normals: Array, delta: float, cells: int, parts: int
-    ) -> tuple[Array, float]:
-        """Offsets (cells, 2, F) [m] that hold over whole cells, and the largest allowance for bend.
+        self, system: LinearSystem, rows: Array, delta: float, cells: int, parts: int
+    ) -> tuple[Array, float, Array]:
+        """Offsets (cells, 2, F) that hold over cells, the largest allowance for bend, supports at nodes.
 
-        With ``c = C' n``, the support of the position set at t is
+        For a row c (``C' n`` of a facet), the support of the states at t is
         ``c' e^{At} x0 + |c' e^{At}| dx + radius`` and, for every input M with its bound a (`pushes`),
         ``a int_0^t norm(c' e^{As} M) ds``.
         Between nodes h apart, each term is at most its chord plus: ``h^2/8`` times the largest
@@ -118,19 +118,19 @@ class SatelliteObstacle(Obstacle):
         """
         A, h = system.A, delta / parts
         far, near = powers(expm(A * delta), cells - 1), powers(expm(A * h), parts)
-        rows = (normals @ system.position) @ far[:, None] @ near  # (cells, parts+1, F, n)
+        carried = rows @ far[:, None] @ near  # (cells, parts+1, F, n)
         half, grown = np.asarray(self.state_half_widths), growth(A, h)
-        middle = rows @ self._x0
+        middle = carried @ self._x0
         nominal = np.abs((near @ (far @ self._x0)[:, None, :, None])[:, :-1, :, 0])
-        bent = np.abs(rows[:, :-1] @ A @ A) @ grown
-        bow = h**2 / 8 * (bent @ half + nominal @ (np.abs(normals @ system.position @ A @ A) @ grown).T)
-        node = middle + np.abs(rows) @ half + self.radius
-        size = np.abs(rows) @ (np.abs(self._x0) + half) + self.radius
+        bent = np.abs(carried[:, :-1] @ A @ A) @ grown
+        bow = h**2 / 8 * (bent @ half + nominal @ (np.abs(rows @ A @ A) @ grown).T)
+        node = middle + np.abs(carried) @ half + self.radius
+        size = np.abs(carried) @ (np.abs(self._x0) + half) + self.radius
         for M, accel in self.pushes(system):
-            rate = accel * np.linalg.norm(rows @ M, axis=-1)
+            rate = accel * np.linalg.norm(carried @ M, axis=-1)
             excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(M), axis=-1)
-            each = (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(normals))
-            gained = np.vstack([np.zeros(len(normals)), np.cumsum(each, axis=0)])
+            each = (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(rows))
+            gained = np.vstack([np.zeros(len(rows)), np.cumsum(each, axis=0)])
             steps = np.arange(cells)[:, None] * parts + np.arange(parts + 1)
             node = node + gained[steps]
             size = size + gained[steps]
@@ -142,7 +142,14 @@ class SatelliteObstacle(Obstacle):
         s = np.linspace(0.0, 1.0, parts + 1)[:, None]
         chord = lifted[:, :1] * (1 - s) + lifted[:, -1:] * s
         lift = np.maximum((lifted - chord).max(axis=1), 0.0)
-        return np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1), float(bow.max())
+        return np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1), float(bow.max()), node[:, 0]
+
+    def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
+        """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d)."""
+        rows = np.vstack([system.position, system.velocity])
+        most = self._cover(system, np.vstack([rows, -rows]), h, count, 1)[2] - self.radius
+        high, low = most[:, : len(rows)], -most[:, len(rows) :]
+        return (high + low) / 2, (high - low) / 2
 
     def pushes(self, system: LinearSystem) -> tuple[tuple[Array, float], ...]:
         """Inputs that move it, each with the bound on its 2-norm: the disturbance, and its own thrust.
@@ -185,9 +192,9 @@ class SatelliteObstacle(Obstacle):
         """Vertices [m] of the over-approximating polytope at time t, shape (V, d)."""
         self._fits(system)
         normals = self._normals(system)
-        if t > 0:
-            return Polytope(normals, self._cover(system, normals, t, 1, 64)[0][0, 1]).vertices()
         rows = normals @ system.position
+        if t > 0:
+            return Polytope(normals, self._cover(system, rows, t, 1, 64)[0][0, 1]).vertices()
         spread = np.abs(rows) @ np.asarray(self.state_half_widths)
         return Polytope(normals, rows @ self._x0 + spread + self.radius).vertices()
 

@@ -19,8 +19,7 @@ from .errors import ScenarioError
 from .system import Array
 from .tolerances import ROUNDING
 
-CHUNK = 1_000_000
-"""Numbers held at once while distances to a polytope are computed."""
+CHUNK = 1_000_000  # numbers held at once while distances to a polytope are computed
 
 
 class Shape(Protocol):

@@ -12,21 +12,11 @@ from .errors import ScenarioError
 
 @dataclass(frozen=True)
 class Thrusters:
-    """Errors of what is applied, at any time and however they change (docs/theory.md, Lemma 23).
+    """Errors of what is applied, at any time and however they change (docs/theory.md, Lemma 23)."""
 
-    Parameters
-    ----------
-    along : float
-        Of every input, as a share of its own command.
-    across : float
-        Of every input, as a share of the 2-norm of all commands.
-    bit : float
-        Of every input, whatever its command [N].
-    """
-
-    along: float = 0.0
-    across: float = 0.0
-    bit: float = 0.0
+    along: float = 0.0  # of every input, as a share of its own command
+    across: float = 0.0  # of every input, as a share of the 2-norm of all commands
+    bit: float = 0.0  # of every input, whatever its command [N]
 
     def __post_init__(self) -> None:
         sizes = (self.along, self.across, self.bit)

@@ -21,15 +21,13 @@ SOLVER_BOOK_M = 1e-3
 """Length [m] by which planned clearances exceed what the re-check demands, so that solver
 tolerances (row feasibility and integrality times the per-row M) cannot turn into a violation."""
 
-SOLVER_BOOK_INPUT = 1e-6
-"""Share of the input limit that the planner leaves unused, for the same reason."""
+SOLVER_BOOK_INPUT = 1e-6  # share of the input limit that the planner leaves unused, for the same reason
 
 GOAL = 1e-6
 """Largest violation of a goal condition, relative to its scale, that still counts as met. The
 violation itself is not ignored: the end condition starts from the state really reached."""
 
-TIME = 1e-9
-"""Relative slack when asking whether one duration divides another."""
+TIME = 1e-9  # relative slack when asking whether one duration divides another
 
 
 FARTHEST = 1e6

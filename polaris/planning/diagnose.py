@@ -18,8 +18,7 @@ from .search import Candidate, PathSearch
 from .tree import branch
 
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
-EFFORT = 1000
-"""Most linear programs solved to find by how much margins must give way."""
+EFFORT = 1000  # most linear programs solved to find by how much margins must give way
 
 
 def unreachable(rows: Rows, deadline: float) -> NoReturn:

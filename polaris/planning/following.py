@@ -20,29 +20,17 @@ MOST = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """A law as the planner sees it: the constant input ``F x_k + f_k`` over step k.
+    """A law as the planner sees it: the constant input ``F x_k + f_k`` over step k."""
 
-    Parameters
-    ----------
-    F : ndarray, shape (m, n)
-    f : ndarray, shape (K, m)
-    """
-
-    F: Array
-    f: Array
+    F: Array  # (m, n)
+    f: Array  # (K, m)
 
     @classmethod
     def of(cls, system: LinearSystem, transition: Array, own: Reference) -> Followed:
         """The constant inputs that come closest to a law about its own reference.
 
-        Parameters
-        ----------
-        system : LinearSystem
-        transition : ndarray, shape (n, n)
-            Of the law's error over a step.
-        own : Reference
-            What the law follows. About it the error moves by `transition`; a constant input that moves it
-            likewise is found by least squares, velocities weighed by the step.
+        About it the error moves by `transition` (n, n) in a step; a constant input that moves it likewise is
+        found by least squares, velocities weighed by the step.
         """
         Ad, Bd = discretize(system.A, system.B, own.delta)
         weight = np.ones(system.n)
@@ -52,15 +40,7 @@ class Followed:
 
 
 class FollowingSearch(PathSearch):
-    """A path search whose inputs follow a law, but for departures at a price (see `set_prices_of_departure`).
-
-    Parameters
-    ----------
-    rows : Rows
-    deadline : float
-        See `PathSearch`.
-    law : Followed
-    """
+    """A path search whose inputs follow a law, but for departures at a price: `set_prices_of_departure`."""
 
     def __init__(self, rows: Rows, deadline: float, law: Followed) -> None:
         super().__init__(rows, deadline, 2 * rows.N)

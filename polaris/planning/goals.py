@@ -20,25 +20,14 @@ class GoalConditions:
     """Linear conditions on the last state x: ``E x = e``, ``G x <= g``, and one of each group.
 
     Rows are scaled so that a residual is a length [m] (velocities are divided by a rate).
-
-    Attributes
-    ----------
-    E, e : ndarray, shapes (n_e, n), (n_e,)
-        Equalities.
-    G, g : ndarray, shapes (n_g, n), (n_g,)
-        Inequalities.
-    one_of : tuple of (ndarray, ndarray), shapes (J, n), (J,)
-        For each group, at least one row must satisfy ``N x >= c``.
-    scale : float
-        Length [m] to which residuals are compared.
     """
 
-    E: Array
+    E: Array  # equalities, (n_e, n) and (n_e,)
     e: Array
-    G: Array
+    G: Array  # inequalities, (n_g, n) and (n_g,)
     g: Array
-    one_of: tuple[tuple[Array, Array], ...] = ()
-    scale: float = 1.0
+    one_of: tuple[tuple[Array, Array], ...] = ()  # groups (J, n), (J,): one row of each has ``N x >= c``
+    scale: float = 1.0  # length [m] to which residuals are compared
 
     def residual(self, x: Array) -> float:
         """Largest violation at x [m]; 0 if all conditions hold."""

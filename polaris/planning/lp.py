@@ -14,17 +14,11 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import SOLVER_FEASIBILITY
 
-FAR = 1e6
-"""Range of what is unlimited: no row of the planner gets as many lengths away from its bound."""
+FAR = 1e6  # range of what is unlimited: no row of the planner gets as many lengths away from its bound
 
 
 class GrowingLP:
-    """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high`` with rows added and taken back.
-
-    Parameters
-    ----------
-    cost, low, high : ndarray, shape (n,)
-    """
+    """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high`` with rows added and taken back."""
 
     def __init__(self, cost: Array, low: Array, high: Array) -> None:
         import highspy

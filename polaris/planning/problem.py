@@ -30,47 +30,24 @@ IN_VIEW = "in_view"
 class PlanProblem:
     """One planning problem (section III-C): steer from `x0` to `goal` and keep clear of `unsafe`.
 
-    Parameters
-    ----------
-    system : LinearSystem
-    x0 : ndarray, shape (n,)
-        State at time 0.
-    K : int
-        Number of steps.
-    delta : float
-        Length of a step [s].
-    unsafe : tuple of TimedPolytope
-        Unsafe sets. Each covers at least ``K + tail_cells`` cells, or is static (then it is held).
-    margins : tuple of ndarray, each of shape (K, F)
-        Per unsafe set, the clearance [m] the reference must keep from each facet, should that facet
-        be the separating one, over the whole of the cell (the error tube; the bow of the path
-        between waypoints is *not* included, the planner takes care of it).
-    u_limit : ndarray, shape (K, m)
-        Tightened input limits, ``|nu_k,i| <= u_limit[k, i]``.
-    goal : Goal
-    objective : {"margin_then_fuel", "distance", "fuel"}
-        `fuel`: least velocity change. `distance`: largest smallest clearance (eq. 19), at any price.
-        `margin_then_fuel`: `extra_margin` on top of `margins`, or as much of it as there is; then
-        least velocity change.
-    extra_margin : float
-        Clearance [m] wanted on top of `margins`; more is useless. Read by `margin_then_fuel` (and by
-        `distance` as a cap on what is maximised, if positive).
-    tail_cells : int
-        Cells after K in which coasting from the last state must stay clear too, with the margins of
-        the last cell and no extra margin.
+    Of the objectives `fuel` is the least velocity change; `distance` the largest smallest clearance (eq. 19),
+    at any price; `margin_then_fuel` the `extra_margin` on top of `margins`, or as much of it as there is,
+    then the least velocity change. Of each facet, should it be the separating one, the clearance in `margins`
+    is kept over the whole of the cell (the error tube; the bow of the path between waypoints is *not*
+    included, the planner takes care of it).
     """
 
     system: LinearSystem
-    x0: Array
-    K: int
-    delta: float
-    unsafe: tuple[TimedPolytope, ...]
-    margins: tuple[Array, ...]
-    u_limit: Array
+    x0: Array  # state at time 0, (n,)
+    K: int  # number of steps
+    delta: float  # length of a step [s]
+    unsafe: tuple[TimedPolytope, ...]  # over at least ``K + tail_cells`` cells, or static (then it is held)
+    margins: tuple[Array, ...]  # clearance [m] from each facet of each unsafe set, (K, F)
+    u_limit: Array  # tightened input limits ``|nu_k,i| <= u_limit[k, i]``, (K, m)
     goal: Goal
     objective: Objective = "margin_then_fuel"
-    extra_margin: float = 0.0
-    tail_cells: int = 0
+    extra_margin: float = 0.0  # clearance [m] wanted on top; of `distance` a cap on it, if positive
+    tail_cells: int = 0  # cells of coasting after K, clear with the margins of the last cell and no extra one
 
     def __post_init__(self) -> None:
         put, sys = object.__setattr__, self.system

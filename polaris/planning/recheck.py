@@ -20,8 +20,7 @@ from ..model.tolerances import ROUNDING
 from .problem import Plan, PlanProblem, relative_gap
 from .reference import Reference
 
-ARCS = 8
-"""Parts of a cell."""
+ARCS = 8  # parts of a cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +83,7 @@ def certified(
     status: str,
     **found: Any,
 ) -> Plan:
-    """Re-check inputs and make a `Plan` of them, with `found` for its remaining fields.
-
-    Raises
-    ------
-    NotCertified
-        If a clearance, a limit or the goal does not hold.
-    """
+    """Re-check inputs and make a `Plan` of them, with `found` for the rest; `NotCertified` if one fails."""
     K = problem.K
     check = recheck(problem, nu)
     shape = (len(problem.unsafe), problem.cells)

@@ -22,8 +22,7 @@ from .reference import Reference
 SEGMENTS = (1, 2, 4, 8, 16, 32)
 
 
-Key = tuple[int, int]
-"""A disjunction: (unsafe set, cell), or (-1, group) for one of the goal's."""
+Key = tuple[int, int]  # a disjunction: (unsafe set, cell), or (-1, group) for one of the goal's
 
 
 @dataclass(frozen=True, eq=False)

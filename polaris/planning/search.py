@@ -20,8 +20,7 @@ from .recheck import recheck
 from .reference import Reference
 from .rows import Key, Rows
 
-GOAL_SLACK = 1e-9
-"""Share of the goal's scale by which a disjunction of the goal may be missed unnoticed."""
+GOAL_SLACK = 1e-9  # share of the goal's scale by which a disjunction of the goal may be missed unnoticed
 
 ROW_SLACK = 10 * SOLVER_FEASIBILITY
 """Length, in units of `Rows.length`, by which a path may miss rows that its program did not state."""

@@ -23,8 +23,7 @@ from .tree import Outcome, branch
 MARGIN_SHARE = 0.75
 """Share of the effort left that the largest margin may take in all, so that least fuel gets its own."""
 
-BOOKED_MOST = 0.05
-"""Largest length [m] booked on any row for which "no solution exists" is still said."""
+BOOKED_MOST = 0.05  # largest length [m] booked on any row for which "no solution exists" is still said
 
 MARGIN_TRADE = 1e-4
 """Where the full margin is out of reach: share of it that may be traded for a velocity change as

@@ -25,8 +25,7 @@ from .search import Candidate, PathSearch
 DIVE_EVERY, DIVE_EVERY_WANTING = 10, 2
 """Splits between two dives from the best open node for a better path; more often while there is none."""
 
-LOOK_AT = 8
-"""Cells of which all facets are priced when a node is split."""
+LOOK_AT = 8  # cells of which all facets are priced when a node is split
 
 
 @dataclass(order=True)

@@ -22,41 +22,24 @@ from .method import Method
 from .method_result import MethodResult, flown, measure
 from .methods import METHODS
 
-BATCH = 100
-"""Runs flown at a time, to bound the memory used."""
+BATCH = 100  # runs flown at a time, to bound the memory used
 
 Tuning = Mapping[str, float]
 
-SHOWN = 3
-"""Runs per method kept for pictures."""
+SHOWN = 3  # runs per method kept for pictures
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Some flights of one method, for pictures.
+    """Some flights of one method, for pictures."""
 
-    Attributes
-    ----------
-    labels : tuple of str
-        ``closest``, ``run 0``, ...
-    times : ndarray, shape (N+1,)
-    states : ndarray, shape (r, N+1, n)
-    inputs : ndarray, shape (r, N, m)
-    modes : ndarray of int, shape (r, N)
-        0 is S, 1, 2, ... U, -1 a filtered input.
-    nearest : ndarray, shape (3, N+1)
-        Least, mean and largest distance over all runs [m].
-    decisions : list of dict
-        Those of the run closest to an unsafe set: time, mode, margin, reason.
-    """
-
-    labels: tuple[str, ...]
-    times: Array
-    states: Array
-    inputs: Array
-    modes: NDArray[np.int_]
-    nearest: Array
-    decisions: list[dict[str, Any]]
+    labels: tuple[str, ...]  # ``closest``, ``run 0``, ...
+    times: Array  # (N+1,)
+    states: Array  # (r, N+1, n)
+    inputs: Array  # (r, N, m)
+    modes: NDArray[np.int_]  # (r, N): 0 is S, 1, 2, ... U, -1 a filtered input
+    nearest: Array  # least, mean and largest distance over all runs [m], (3, N+1)
+    decisions: list[dict[str, Any]]  # of the run closest to a set: time, mode, margin, reason
 
 
 @dataclass(frozen=True, eq=False)

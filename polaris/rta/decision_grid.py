@@ -16,6 +16,7 @@ from ..model.checks import non_negative, of_kind, positive
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
+from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import Clearance
 from ..synthesis.controllers import AffineController, Controller
 from ..synthesis.neural import NeuralController
@@ -219,7 +220,10 @@ class DecisionGrid:
         cells = self.clearance.cells if mode == 0 else self.clearance.planned
         k = min(node // self.clearance.q, cells - 1)
         own = self.own[mode][node] if mode in self.own else self.xi[node]
-        return self.controllers[mode].command(k, self.xi[node], own, x)
+        law, at = self.controllers[mode], (k, self.xi[node], own, x)
+        if isinstance(law, BlackBox | NeuralController):
+            return law.command(*at, (node - k * self.clearance.q) * self.h)
+        return law.command(*at)
 
     def clipped(self, mode: int, node: int, x: Array) -> Array:
         """The same as the thrusters apply it."""

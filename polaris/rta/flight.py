@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.integration import Integrator, columns
+from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
+from ..synthesis.black_box import BlackBox
 from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
 
@@ -67,7 +68,7 @@ class Conditions:
         """One run from the middle of the initial set, exactly known."""
         x0, last = grid.schedule.safety.problem.initial_set.c[None], grid.decisions * grid.nodes
         none = np.zeros((grid.decisions, 1, grid.system.n))
-        return cls(x0, np.zeros((last, 1, columns(grid.system)[-1].stop)), none, 0)
+        return cls(x0, np.zeros((last, 1, Engine(grid).columns[-1].stop)), none, 0)
 
     def only(self, run: int) -> Conditions:
         """Those of one run."""
@@ -175,12 +176,26 @@ class Engine(Integrator):
         self.grid, sampled = grid, grid.tracking.feedback.sampled
         parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
-        self.parts = columns(self.system)
+        self._asked: dict[int, Array] = {}
+        self._rows: slice | NDArray[np.bool_] = slice(None)
 
     def desired(self, mode: int, node: int, x: Array, w: Array) -> Array:
-        """Clipped command of a law that sees states with the errors that are among what disturbs."""
-        eta = w[:, self.parts[1]]
-        return self.grid.clipped(mode, node, x + eta if eta.size else x)
+        """Clipped command of a law that sees states with the errors that are among what disturbs.
+
+        To be called once for every node, before `step`: black boxes are asked here, for all runs.
+        """
+        eta = w[:, self.columns[1]]
+        seen = x + eta if eta.size else x
+        boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
+        self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
+        told = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
+        return np.asarray(np.clip(told, -self.system.u_max, self.system.u_max))
+
+    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
+        """As `Integrator.command`; black boxes have answered in `desired`."""
+        if number in self._asked:
+            return self._asked[number][self._rows]
+        return super().command(number, k, half, x, later)
 
     def step(
         self, node: int, flying: NDArray[np.int_], u: Array, x: Array, w: Array
@@ -191,18 +206,19 @@ class Engine(Integrator):
             return self._under(int(present[0]), node, u, x, w)
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
-            chosen = flying == mode
+            self._rows = chosen = flying == mode
             for whole_, part in zip(
                 out, self._under(mode, node, u[chosen], x[chosen], w[chosen]), strict=True
             ):
                 whole_[chosen] = part
+        self._rows = slice(None)
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        w, eta, thrust = (w[:, part] for part in self.parts)
+        w, *errors = (w[:, part] for part in self.columns)
         # The same at every step of the period.
-        self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
-        self.thrust = np.broadcast_to(thrust, (self.steps, *thrust.shape)) if thrust.size else None
+        held = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
+        self.eta, self.thrust, self.shares = held
         if mode != FILTERED:
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w] * self.substeps)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..model.errors import NotCertified
 from ..model.system import Array
+from ..synthesis.black_box import BlackBox
 from .decision_grid import DecisionGrid
 
 FILTERED = -1
@@ -126,6 +127,8 @@ class Method(ABC):
         What it can be tuned by.
     delayed : bool
         Whether it decides on a measurement, so that the latency passes before a decision takes effect.
+    predicts : bool
+        Whether it asks U what it would command elsewhere, which a black box with memory must not be.
     place : int
         Where it stands in tables.
     settings : dict of str to float
@@ -139,6 +142,7 @@ class Method(ABC):
     reasons: ClassVar[tuple[str, ...]]
     options: ClassVar[tuple[Option, ...]] = ()
     delayed: ClassVar[bool] = True
+    predicts: ClassVar[bool] = False
     place: ClassVar[int] = 100
 
     def __init_subclass__(cls) -> None:
@@ -155,6 +159,10 @@ class Method(ABC):
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> Method:
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
+        if cls.predicts and any(isinstance(law, BlackBox) and law.memory for law in grid.controllers):
+            raise NotCertified(
+                "it would ask what a black box with memory answers in flights that are not flown"
+            )
         try:
             return cls(grid, **options)
         except NotCertified:

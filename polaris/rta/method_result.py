@@ -16,8 +16,7 @@ from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight
 from .method import FILTERED, Claim
 
-UNCHANGED = 0
-"""Reason of a filter's decision that lets the desired input pass (`Method.reasons`)."""
+UNCHANGED = 0  # reason of a filter's decision that lets the desired input pass (`Method.reasons`)
 
 DEFINITIONS = {
     "min_distance_m": "signed distance to the nearest true unsafe set, least over each run; negative inside",
@@ -44,8 +43,7 @@ DEFINITIONS = {
 LEAST = ("min_distance_m", "mean_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share")
 """Metrics of which little is bad."""
 
-PER_RUN = (*LEAST, "switches", "delta_v_m_s", "deviation")
-"""Metrics of which every run has its own."""
+PER_RUN = (*LEAST, "switches", "delta_v_m_s", "deviation")  # metrics of which every run has its own
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ..model.compiled import compiled
 from ..model.system import Array
 
-PRIMAL = 1e-11
-"""As in `polaris.rta.projection`."""
+PRIMAL = 1e-11  # as in `polaris.rta.projection`
 
 DESIRED, FILTERED, LEFT = 0, 1, -1
 """How an input came about: as in `polaris.rta.projection`, or left to the solver."""
@@ -23,8 +22,7 @@ Statuses = NDArray[np.int8]
 Program = tuple[Array, Index, Array]
 """Rows by their entries that may be other than zero (T, w), the columns of these, and least values (T,)."""
 
-MET = 1e-13
-"""Violation of a row of length 1 at which the method stops."""
+MET = 1e-13  # violation of a row of length 1 at which the method stops
 
 
 @compiled

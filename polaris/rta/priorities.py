@@ -17,22 +17,16 @@ from .vertex import STEPS, lowest
 
 Flags = NDArray[np.bool_]
 
-MET = 1e-9
-"""Shortage, in parts of the limit, up to which a row of length 1 counts as met."""
-
-SPARE = 1e-7
-"""By how much more than need be a row that cannot be met may be missed, in parts of the limit."""
+MET = 1e-9  # shortage, in parts of the limit, up to which a row of length 1 counts as met
+SPARE = 1e-7  # by how much more than need be a row that cannot be met may be missed, in parts of the limit
 
 SURE = 0.01
 """Multiplier from which a row is settled with its program's shortage; the largest one always is.
 
 What settled rows are given may let a row of multiplier p be missed by ``SPARE / p`` less than it is."""
 
-GAP = 1e-9
-"""A program counts as solved if its shortage is no more than this above what the multipliers prove."""
-
-EXACT = 1e-12
-"""... and no settled row is missed by more than this."""
+GAP = 1e-9  # a program counts as solved if its shortage is no more than this above what the multipliers prove
+EXACT = 1e-12  # ... and no settled row is missed by more than this.
 
 
 @dataclass(frozen=True, eq=False)

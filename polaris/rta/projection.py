@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from .priorities import least_violation
 
-PRIMAL = 1e-11
-"""Violation [N] of a row of length 1 that the solver may leave."""
+PRIMAL = 1e-11  # violation [N] of a row of length 1 that the solver may leave
 
 FEW = 8
 """Up to so many programs go to the solver at once, independent ones as one; more are first tried in

@@ -14,8 +14,7 @@ from ..model.foreign import kind_of, numbers, real
 from ..model.system import Array
 from ..model.tolerances import FARTHEST
 
-MEMORY = 60.0
-"""Time [s] for which the last good state is propagated in place of an unknown one."""
+MEMORY = 60.0  # time [s] for which the last good state is propagated in place of an unknown one
 
 
 class Craft(Protocol):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..synthesis.neural import stacked
+from ..synthesis.policy import Senses, stacked
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Engine
 from .method import FILTERED
@@ -28,7 +28,7 @@ TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
 class TrainingFlights:
     """R flights of one scene. A policy commands an input, held for a decision period.
 
-    It reads the numbers that a `polaris.synthesis.neural.Policy` reads, in the same order: what was trained
+    It reads the numbers that a `polaris.synthesis.policy.Policy` reads, in the same order: what was trained
     can be flown as a controller of ``kind = "neural"``. It is paid, per period,
     ``period / T * (1 / (1 + d / length) - effort * mean(|u| / u_max))`` for a distance d [m] at the period's
     end to the reference of the first experimental controller (the safe one if that has none), and one less
@@ -70,11 +70,10 @@ class TrainingFlights:
         grid, n = self.grid, self.grid.system.n
         if grid.delay:
             raise ScenarioError("latency", grid.latency, "must be 0 for training")
-        sizes = {"error": n, "state": n, "time": 1, "reference_input": grid.system.m}
-        names = set(self.inputs)
-        if not names or not names <= sizes.keys() or len(names) < len(self.inputs):
-            rule = f"must name each at most once, of {', '.join(sizes)}"
-            raise ScenarioError("inputs", list(self.inputs), rule)
+        unsafe = grid.schedule.safety.problem.unsafe
+        self.senses = Senses.of(grid.system, tuple(self.inputs), unsafe, "inputs")
+        self._bodies = self.senses.whereabouts(grid.period, grid.decisions + 1)
+        self._told = np.zeros((self.runs, self._bodies[0].shape[1]))  # share of what is not known of them
         self.engine, self.target = Engine(grid), grid.own.get(1, grid.xi)
         law = grid.controllers[min(1, len(grid.controllers) - 1)]
         self._nu = getattr(law, "own", grid.clearance.reference).nu
@@ -82,7 +81,7 @@ class TrainingFlights:
         ends = self.target[nodes[[0, -1]]] @ grid.system.position.T
         self._length = self.length or 0.1 * (float(np.linalg.norm(ends[1] - ends[0])) or 1.0)
         half = np.abs(grid.schedule.safety.problem.initial_set.G).sum(axis=1)
-        most = np.abs(self._read(np.arange(len(nodes)), grid.xi[nodes] + half)).max(axis=0)
+        most = np.abs(self._read(np.arange(len(nodes)), grid.xi[nodes] + half, 0.0)).max(axis=0)
         self.scale = 1 / np.where(most > 0, most, 1.0)
         if self.input_scale is not None:
             if np.shape(self.input_scale) != self.scale.shape:
@@ -120,22 +119,24 @@ class TrainingFlights:
             self._left -= 1
             self.x[run], self._w[:, run] = self._drawn.x0[self._left], self._drawn.w[:, self._left]
             self._errors[:-1, run] = self._drawn.errors[:, self._left]
+            self._told[run] = rng.uniform(-1, 1, self._told.shape[1])
         self.k[chosen] = self._flown[chosen] = 0
 
     def observe(self) -> Array:
         """What policies read of the states as measured, shape (R, r)."""
-        return self._read(self.k, self.x + self._errors[self.k, np.arange(self.runs)]) * self.scale
+        return (
+            self._read(self.k, self.x + self._errors[self.k, np.arange(self.runs)], self._told) * self.scale
+        )
 
-    def _read(self, k: NDArray[np.int_], x: Array) -> Array:
+    def _read(self, k: NDArray[np.int_], x: Array, told: Array | float) -> Array:
         grid = self.grid
         step = np.minimum(k * grid.nodes // grid.clearance.q, len(self._nu) - 1)
-        parts = {
-            "error": self.target[k * grid.nodes] - x,
-            "state": x,
-            "time": (step * grid.tracking.delta)[:, None],
-            "reference_input": self._nu[step],
-        }
-        return stacked(self.inputs, parts)
+        known = (
+            (step * grid.tracking.delta)[:, None],
+            self._nu[step],
+            self._bodies[0][k] + told * self._bodies[1][k],
+        )
+        return stacked(tuple(self.inputs), self.senses.parts(self.target[k * grid.nodes], x, *known))
 
     def advance(self, u: Array, moving: NDArray[np.bool_] | None = None) -> dict[str, NDArray[Any]]:
         """Fly a decision period with inputs (R, m), clipped to the limits; some flights may stand still.

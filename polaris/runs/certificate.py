@@ -14,12 +14,14 @@ import numpy as np
 from reach.networks.network import Affine
 from reach.numerics.linear import growth
 
+from ..certificate.bodies import MOVES
 from ..certificate.document import FORMAT, VERSION, canonical, digest
 from ..model.allocation import Allocation
 from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
+from ..scenario.fields import python_name
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
@@ -156,7 +158,13 @@ def described(law: NeuralController) -> dict[str, Any]:
         for layer in policy.network.layers
     ]
     scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
-    return {"inputs": list(policy.inputs), **scales, "layers": layers}
+    moves = {key: (python_name(key), none) for key, none in MOVES.items()}
+    bodies = [
+        {"name": body.name, **{key: getattr(body, *given) for key, given in moves.items()}}
+        for body in law.senses.bodies
+    ]
+    read = {"bodies": bodies} if bodies else {}
+    return {"inputs": list(policy.inputs), **scales, "layers": layers, **read}
 
 
 def _samples(schedule: Schedule) -> dict[str, Any]:

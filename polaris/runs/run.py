@@ -62,10 +62,6 @@ def run(
         What is asked of a schedule's black boxes, by their names: called with a time [s], states (R, n) and
         the state (n,) of the safe reference, it returns commands (R, m). A scenario file starts no program.
 
-    Returns
-    -------
-    RunFolder
-
     Raises
     ------
     ScenarioError

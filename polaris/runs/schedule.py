@@ -30,7 +30,7 @@ from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS
-from ..simulation.sampled import Sampled, synthesize_sampled
+from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis import get_safety, synthesize
 from ..synthesis.black_box import Ask
 from ..synthesis.controllers import AffineController
@@ -80,6 +80,8 @@ def digest(schedule: Schedule) -> str:
         elif isinstance(law, NeuralController):
             found.update(canonical(hexadecimal(described(law))).encode())
             arrays += [law.own.chi, law.own.nu]
+    fits = (getattr(step.tube, "fit", None) for step in schedule.steps)
+    arrays += [fit for fit in fits if fit is not None]
     for array in arrays:
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
@@ -95,20 +97,11 @@ def fly_schedule(
             replace(problem, planner=replace(problem.planner, progress=stages.planner))
         )
     with stages.stage("experimental controllers"):
-        experimental = scenario.controllers(safety, boxes)
+        experimental = () if boxes else scenario.controllers(safety)
     with stages.stage("schedule"):
         counting, sampled = stages.counting("schedule: step {} of {}"), None
         if boxes:
-            probability, confidence = scenario.asked
-            sampled = synthesize_sampled(
-                scenario,
-                safety,
-                experimental,
-                probability=probability,
-                confidence=confidence,
-                seed=scenario.simulation.seed,
-                progress=counting,
-            )
+            sampled = with_boxes(scenario, boxes, safety, counting)
             schedule = sampled.schedule
         else:
             schedule = synthesize.synthesize(scenario, safety, experimental, progress=counting, recourse=True)
@@ -229,6 +222,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
             "failure": None if worst.failure is None else str(worst.failure),
             "least_m": files.finite(float(min(sets, default=np.inf))),
             "leave_sets": sampled.adverse,
+            "repeats": sampled.repeats,
         }
     return {"proven_share": sampled.proven.share(), "worst_found": told}
 

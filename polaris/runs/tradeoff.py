@@ -21,6 +21,7 @@ from ..model.errors import (
 from ..model.version import versions
 from ..scenario.base import parse_assignment
 from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
 from .folder import SCENARIO, Draw, RunFolder, read_json, write_folder
@@ -32,8 +33,8 @@ from .stages import Stages
 
 PRICES = (0.0, 0.02, 0.06, 0.1, 0.2, 0.5)  # prices of velocity change, if none are given
 
-# Folder of a point, its scenario, and whether that it has no schedule is a result.
-Point = tuple[Path, ScheduleScenario, bool]
+# Folder of a point, its scenario, whether that it has no schedule is a result, and what boxes are asked.
+Point = tuple[Path, ScheduleScenario, bool, Mapping[str, Ask] | None]
 Values = Mapping[str, tuple[str, float | None]]  # field and value of every point, by the name of its folder
 
 PRICE, RECOURSE = "schedule.delta_v_price", "recoverable.recourse"
@@ -49,6 +50,7 @@ def tradeoff(
     draw: Draw | None = None,
     stages: Stages | None = None,
     executor: Executor | Workers | None = None,
+    black_boxes: Mapping[str, Ask] | None = None,
 ) -> RunFolder:
     """Find what the time of U costs, or what it hangs on: a scenario's schedules at several values of a key.
 
@@ -75,6 +77,8 @@ def tradeoff(
         Told how many points there are.
     executor : concurrent.futures.Executor or Workers, optional
         Who computes points, as in `run_campaign`; by default this process.
+    black_boxes : mapping, optional
+        As for `polaris.run`; then this process computes all points anew: no folder tells whose they are.
 
     Returns
     -------
@@ -90,6 +94,10 @@ def tradeoff(
         As a `PolarisError` with their exit code, if a price has no schedule.
     """
     stages = stages or Stages()
+    if black_boxes and executor is not None:
+        raise ScenarioError(
+            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
+        )
     if isinstance(scenario, ScheduleScenario):
         scenario = scenario.with_assignments(overrides)
     else:
@@ -109,7 +117,9 @@ def tradeoff(
         points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
-        _compute(points, target, swept, workers_of(executor), stages.counting("{} of {} points"))
+        missing = [(target / name, one, swept, black_boxes) for name, one in points.items()]
+        missing = [point for point in missing if black_boxes or not _whole(*point[:2])]
+        _compute(missing, len(points), target, workers_of(executor), stages.counting("{} of {} points"))
         rows = [_row(target, name, *values[name]) for name in points]
     with stages.stage("folder"):
         chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
@@ -168,16 +178,15 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
 
 
 def _compute(
-    points: Mapping[str, ScheduleScenario],
+    missing: Sequence[Point],
+    count: int,
     target: Path,
-    swept: bool,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Write the run folders of all points that are not there yet."""
-    missing = [(target / name, one, swept) for name, one in points.items() if not _whole(target / name, one)]
-    done = len(points) - len(missing)
-    progress(done, len(points))
+    """Write the run folders of the points that are not there yet, of so many in all."""
+    done = count - len(missing)
+    progress(done, count)
 
     def keep(point: Point, failure: tuple[str, int] | None) -> None:
         nonlocal done
@@ -187,7 +196,7 @@ def _compute(
                 target.rmdir()
             raise failed(f"{point[0].name}: {failure[0]}", failure[1])
         done += 1
-        progress(done, len(points))
+        progress(done, count)
 
     one_each = replace(workers, window=lambda: max(workers.window() // AHEAD, 1))  # none waits to be cut off
     with going_on(lambda: f"points that are done are kept in {target}"):
@@ -197,11 +206,11 @@ def _compute(
 
 def _write_point(point: Point) -> tuple[str, int] | None:
     """Write the run folder of a point, in whatever process; else why there is none, and its exit code."""
-    folder, scenario, swept = point
+    folder, scenario, swept, boxes = point
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # the table tells
-            run(scenario, folder)
+            run(scenario, folder, black_boxes=boxes)
     except (SynthesisInfeasible, NotCertified) as error:
         if not swept:
             return str(error), error.exit_code

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from reach.numerics.errors import ReachError
 
 from ..model.errors import OutOfTime, ScenarioError
 from ..model.hill import elliptical_nmt
+from ..model.obstacle import Obstacle
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import SOLVER_BOOK_INPUT
 from ..planning.problem import PlanProblem
@@ -21,7 +22,8 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController, Policy, check_exact
+from ..synthesis.neural import NEEDS_SAMPLES, NeuralController
+from ..synthesis.policy import Policy, Senses
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
 from .scene_tables import Affine, Experimental, Neural, hill_rate
@@ -46,9 +48,9 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 
 
 def read_policies(
-    model: ScenarioModel, system: LinearSystem, folder: Path | None
+    model: ScenarioModel, system: LinearSystem, unsafe: Sequence[Obstacle], folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
-    """Networks of a scenario and their files, by the name of their controller; black boxes are checked too.
+    """Networks of a scenario and their files, by the name of their controller.
 
     Raises
     ------
@@ -62,7 +64,6 @@ def read_policies(
         if not isinstance(model.feedback, SampledFeedback):
             raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
         if isinstance(spec, BlackBoxTable):
-            check_exact(system)
             continue
         file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
@@ -75,7 +76,7 @@ def read_policies(
         thrust = np.array(spec.output_scale_N, dtype=float)
         thrust = np.full(system.m, thrust) if thrust.ndim == 0 else thrust
         policy = Policy(network, spec.inputs, scale, thrust)
-        policy.check(system, path)
+        policy.check(Senses.of(system, spec.inputs, unsafe, f"{path}.inputs"), path)
         found[spec.name] = file, policy
     return found
 
@@ -84,7 +85,7 @@ def build_controllers(
     model: ScenarioModel,
     safety: Safety,
     policies: Mapping[str, tuple[Path, Policy]],
-    boxes: Mapping[str, Ask],
+    boxes: Mapping[str, Ask | None],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
     named = [spec.name for _, spec in model.controllers() if isinstance(spec, BlackBoxTable)]
@@ -98,12 +99,12 @@ def build_controllers(
         if not isinstance(spec, BlackBoxTable):
             found.append(_build(spec, path, safety, policies))
             continue
-        if spec.name not in boxes:
+        ask = boxes.get(spec.name)
+        if ask is None:
             rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
             raise ScenarioError(path, spec.name, rule)
-        seed = model.simulation.seed
-        system, reference = safety.problem.system, safety.reference
-        found.append(BlackBox(spec.name, system, reference, safety.tracking, boxes[spec.name], seed=seed))
+        known = safety.problem.system, safety.reference, safety.tracking, ask
+        found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
     return tuple(found)
 
 
@@ -114,8 +115,9 @@ def _build(
     system = safety.problem.system
     if isinstance(spec, Neural):
         own = own_reference(spec.reference, None, safety, f"{path}.reference")
+        policy, unsafe = policies[spec.name][1], safety.problem.unsafe
         return NeuralController(
-            spec.name, system, policies[spec.name][1], safety.reference, own, safety.tracking
+            spec.name, system, policy, safety.reference, own, safety.tracking, tuple(unsafe)
         )
     if isinstance(spec, AnyThrustTable):
         return AnyThrust(spec.name, system, safety.reference, safety.tracking)

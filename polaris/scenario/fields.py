@@ -168,6 +168,9 @@ Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict()]
 VersionOne = Annotated[Literal[1], BeforeValidator(_whole)]
 Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN, max_length=64)]
+_READ = rf"^(error|state|time|reference_input|(relative_)?(position|velocity):{NAME_PATTERN[1:-1]})$"
+Input = Annotated[str, Strict(), Field(pattern=_READ)]
+"""What a network may read."""
 
 _ENTRIES = Field(min_length=1, max_length=100)
 Vector = Annotated[tuple[Number, ...], _ENTRIES, BeforeValidator(_plain)]

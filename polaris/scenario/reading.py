@@ -165,7 +165,7 @@ _RULES = {
     "string_type": "must be text in quotes",
     "tuple_type": "must be a list",
     "list_type": "must be a list",
-    "string_pattern_mismatch": f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}",
+    "string_pattern_mismatch": "must be of the form {pattern}",
     "string_too_short": "must not be empty",
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
@@ -180,6 +180,8 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
         return f"must be a number of at most {LARGEST:g}"
     if kind == "too_short":
         return f"must have at least {counted(context['min_length'], 'entry', 'entries')}"
+    if context.get("pattern") == NAME_PATTERN:
+        return f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}"
     if kind == "value_error":
         return printable(str(context.get("error", message)))
     if kind in _RULES:

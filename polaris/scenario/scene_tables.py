@@ -274,18 +274,19 @@ class Neural(ScenarioPart):
     """A feed-forward network that is evaluated once a control period, clipped at the thrust limits.
 
     Needs sampled feedback. Each number that it reads is multiplied by its entry of `input_scale`, its outputs
-    by `output_scale_N`; what it reads is taken at the start of the period, the time at that of the step.
+    by `output_scale_N`; what it reads is taken at the start of the period, the time at that of the step. Of
+    an obstacle it is told any state that the declared motion allows then, relative to its own estimate.
     """
 
     kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
     name: f.Name = unit("-", "Its name in tables and figures.")
     path: f.Text = unit("-", min_length=6, max_length=1000, pattern=r"\.onnx$")
     """The ONNX file, from the folder of the scenario; a run folder holds a copy, beside its scenario."""
-    inputs: tuple[Literal["error", "state", "time", "reference_input"], ...] = unit(
-        "-", default=("error",), min_length=1, max_length=4
-    )
+    inputs: tuple[f.Input, ...] = unit("-", default=("error",), min_length=1, max_length=100)
     """What it reads, in this order: `error` (reference - x, n numbers), `state` (n), `time` (start of the
-    step [s], 1), `reference_input` (m)."""
+    step [s], 1), `reference_input` (m); of an obstacle NAME `position:NAME` (d [m]) and
+    `velocity:NAME` (d [m/s]), and `relative_position:NAME` and `relative_velocity:NAME`, the same less the
+    chaser's own."""
     input_scale: f.Vector | None = unit("-", default=None)
     """What each number that it reads is multiplied by; 1 without it."""
     output_scale_N: f.PositivePerAxis = unit(
@@ -309,6 +310,9 @@ class BlackBox(ScenarioPart):
     """With which a flight may leave the bands of all black boxes; the least one given counts."""
     confidence: f.Real = unit("-", default=0.999, ge=0.5, le=1 - 1e-9)
     """Of the statement that it is no more; the highest one given counts."""
+    memory: bool = unit("-", default=False)
+    """Whether its answers depend on what it was asked earlier in a flight. A question at time 0 begins new
+    flights, one for each row; a callable with a `reset` is taken to have memory."""
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
 
 

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..synthesis.black_box import Ask
     from ..synthesis.controllers import Controller
     from ..synthesis.get_safety import Safety
-    from ..synthesis.neural import Policy
+    from ..synthesis.policy import Policy
     from ..synthesis.problem import Problem
     from ..synthesis.search import SwitchingRules
 
@@ -130,7 +130,9 @@ class ScheduleScenario(Scenario):
         """Where the reference must end."""
         return self.model.goal.build(self.system())
 
-    def controllers(self, safety: Safety, boxes: Mapping[str, Ask] | None = None) -> tuple[Controller, ...]:
+    def controllers(
+        self, safety: Safety, boxes: Mapping[str, Ask | None] | None = None
+    ) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
 
         Parameters
@@ -152,10 +154,11 @@ class ScheduleScenario(Scenario):
         return build_controllers(self.model, safety, self.policies(), boxes or {})
 
     @property
-    def asked(self) -> tuple[float, float]:
-        """Probability and confidence of the statement about its black boxes."""
+    def asked(self) -> dict[str, Any]:
+        """Probability, confidence and seed of the statement about its black boxes."""
         specs = [spec for spec in self.model.experimental if isinstance(spec, BlackBox)]
-        return min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        said = min(spec.probability for spec in specs), max(spec.confidence for spec in specs)
+        return {"probability": said[0], "confidence": said[1], "seed": self.simulation.seed}
 
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:
@@ -164,7 +167,7 @@ class ScheduleScenario(Scenario):
             return {}
         from .experimental import read_policies
 
-        return read_policies(self.model, self.system(), self.folder)
+        return read_policies(self.model, self.system(), self.obstacles(), self.folder)
 
     def text_elsewhere(self) -> str:
         """TOML with the whole paths of networks; their digests are noted, as the text stands for them."""

@@ -15,8 +15,7 @@ from .metrics import Metrics
 from .run_metrics import evaluate
 from .simulate import simulate
 
-BATCH = 1000
-"""Runs simulated at a time, to bound the memory used."""
+BATCH = 1000  # runs simulated at a time, to bound the memory used
 
 
 @dataclass(frozen=True, eq=False)

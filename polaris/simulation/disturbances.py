@@ -14,7 +14,7 @@ from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
-from .integration import Integrator, columns
+from .integration import Integrator
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
 
@@ -28,10 +28,11 @@ def disturbances(
     Also the direction, at time 0, in which the initial error of each worst-case run counts, (worst, n).
     """
     system, steps = flight.system, flight.steps
-    p, places = system.p, columns(system)
+    p, places = system.p, flight.columns
     w = np.zeros((steps, n, places[-1].stop))
     adjoint = np.zeros((0, system.n))
-    if kind == "none" or (system.w_max == 0 and system.ideal):
+    told = places[-1].stop - places[-1].start
+    if kind == "none" or (system.w_max == 0 and system.ideal and not told):
         return w, adjoint
     worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
     if worst:
@@ -40,7 +41,7 @@ def disturbances(
     if count:
         longest = flight.steps_per_cell * 4
         w[:, worst:, :p] = _piecewise(steps, count, p, longest, rng) * system.w_max
-        for part, size in zip(places[1:], (flight.known, np.ones(system.m)), strict=True):
+        for part, size in zip(places[1:], (flight.known, np.ones(system.m), np.ones(told)), strict=True):
             if part.start < part.stop:
                 drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
                 far = np.max(np.abs(drawn), axis=2, keepdims=True)
@@ -90,7 +91,8 @@ def adjoint_worst_case(
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
-    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``. A network
+    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``; so does what
+    networks are told of bodies. A network
     answers with its gradient at the states that it was flown through, `about` (R or 1, nodes + 1, n), by
     default those of the undisturbed flight from the middle of the initial set.
 
@@ -102,8 +104,8 @@ def adjoint_worst_case(
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
-    adjoint, (own, eta, errors) = np.zeros((len(rows), system.n)), columns(system)
-    w = np.zeros((steps, len(rows), errors.stop))
+    adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
+    w = np.zeros((steps, len(rows), told.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits = 2 ** np.arange(system.m)
     for step in range(steps - 1, -1, -1):
@@ -119,7 +121,8 @@ def adjoint_worst_case(
         number = int(numbers[step])
         if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
             about = _undisturbed(flight) if about is None else about
-            answer = _answered(flight, number, step, about[:, step // flight.substeps], kick)
+            answer, heard = _answered(flight, number, step, about[:, step // flight.substeps], kick)
+            w[step, :, told.start : told.start + heard.shape[1]] = np.sign(heard)
             carried = carried + answer
             direction[:, own.stop :] += answer
         along = direction[:, own]
@@ -135,26 +138,29 @@ def adjoint_worst_case(
     return w, free, adjoint
 
 
-def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> Array:
+def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> tuple[Array, Array]:
     """What a network that held its command at states x (R or 1, n) adds to the adjoint, (R, n).
 
-    A black box is taken for the affine function that it was fitted with, where it was.
+    And how much what it is told of bodies counts, (R, 2d per body), per what is not known. A black box is
+    taken for the affine function that it was fitted with, where it was.
     """
     law, (k, place) = flight.schedule.controllers[number], divmod(step, flight.steps_per_cell)
     if isinstance(law, BlackBox):
         fit = getattr(flight.schedule.steps[k].tube, "fit", None)
-        return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2])
+        return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2]), x[:, :0]
     assert isinstance(law, NeuralController)
     own = flight.own.get(number, flight.safe)[k, 2 * (place - place % flight.substeps)]
-    free = np.abs(law.command(k, own, own, x)) < flight.system.u_max
-    return law.pullback(k, own, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free)
+    passed = place // flight.substeps * law.tracking.flow.h
+    free = np.abs(law.command(k, own, own, x, passed)) < flight.system.u_max
+    back = law.pullback(k, own, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free, passed)
+    return back @ law.loop.C, back @ law.sight * law.told[1][k, law.node(passed)]
 
 
 def _undisturbed(flight: Integrator) -> Array:
     """States of the flight from the middle of the initial set, shape (1, nodes + 1, n)."""
     flight.free = None
     centre = flight.schedule.safety.problem.initial_set.c[None]
-    return flight.run(centre, np.zeros((flight.steps, 1, columns(flight.system)[-1].stop))).states
+    return flight.run(centre, np.zeros((flight.steps, 1, flight.columns[-1].stop))).states
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:

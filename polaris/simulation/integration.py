@@ -29,11 +29,15 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float, first:
     return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
 
 
-def columns(system: LinearSystem) -> tuple[slice, slice, slice]:
-    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact."""
+def columns(system: LinearSystem, told: int = 0) -> tuple[slice, slice, slice, slice]:
+    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact.
+
+    Last, what networks are told of bodies, as shares of what is not known of them.
+    """
     first = system.p
     second = first + system.n * bool(np.any(system.navigation))
-    return slice(first), slice(first, second), slice(second, second + system.m * (not system.thrusters.exact))
+    third = second + system.m * (not system.thrusters.exact)
+    return slice(first), slice(first, second), slice(second, third), slice(third, third + told)
 
 
 class Integrator:
@@ -41,7 +45,9 @@ class Integrator:
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
-    of the largest that what is commanded allows, `thrust` (steps, R, m).
+    of the largest that what is commanded allows, `thrust` (steps, R, m). What networks are told of bodies is
+    off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of
+    satellites at the nodes, by name (R, N+1, n), it is the truth.
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -49,6 +55,8 @@ class Integrator:
         self.free: Array | None = None
         self.eta: Array | None = None
         self.thrust: Array | None = None
+        self.shares: Array | None = None
+        self.bodies: dict[str, Array] = {}
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
         self.thrusters = self.system.thrusters
@@ -57,6 +65,8 @@ class Integrator:
         self.steps_per_cell = self.q * substeps
         self.safe = safety.reference.fine(2 * self.steps_per_cell)
         self.own = {}
+        laws = [law for law in schedule.controllers if isinstance(law, NeuralController)]
+        self.columns = columns(self.system, max((law.told[0].shape[-1] for law in laws), default=0))
         self._schemes: dict[int, tuple[list[Array], list[Array]]] = {}
         for number, controller in enumerate(schedule.controllers):
             if (
@@ -96,9 +106,23 @@ class Integrator:
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, half + later]
         own = self.own[number][k, half + later] if number in self.own else xi
+        passed = (half + later) / 2 * self.dt
+        if isinstance(controller, NeuralController):
+            told = self._told(controller, k, passed, step, len(x))
+            return controller.command(k, xi, own, x, passed, told)
         if isinstance(controller, BlackBox):
-            return controller.command(k, xi, own, x, (half + later) / 2 * self.dt)
+            return controller.command(k, xi, own, x, passed)
         return controller.command(k, xi, own, x)
+
+    def _told(self, law: NeuralController, k: int, passed: float, step: int, runs: int) -> Array | None:
+        """What a network is told of bodies some seconds after the start of cell k, (R, ...)."""
+        if self.bodies:
+            seen = {name: states[:, step // self.substeps] for name, states in self.bodies.items()}
+            return law.senses.seen(k * law.reference.delta + passed, seen, runs)
+        if self.shares is None:
+            return None
+        middle, half = (part[k, law.node(passed)] for part in law.told)
+        return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
@@ -155,12 +179,13 @@ class Integrator:
         Further columns, as `columns` has them, are the errors of the estimates and of the thrusters.
         """
         q, nodes = self.q, len(self.modes) * self.q
-        w, *errors = (w[..., part] for part in columns(self.system))
-        self.eta, self.thrust = (part if part.shape[2] else None for part in errors)
+        w, *errors = (w[..., part] for part in self.columns)
+        self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
         states[0] = x0
+        boxes = self._boxes()
         for k, number in enumerate(self.modes.tolist()):
             first, last = k * q, (k + 1) * q
             pushes = w[k * self.steps_per_cell : (k + 1) * self.steps_per_cell]
@@ -175,9 +200,17 @@ class Integrator:
             else:
                 states[first + 1 : last + 1], inputs[first:last], demanded[first:last], spent = flown
             delta_v += spent * self.dt / self.system.mass
+            for box in (box for box, end in boxes.items() if box != number and k < end):
+                for place in range(q):  # asked all along, whoever flies
+                    self.command(box, k, 2 * place * self.substeps, states[first + place])
         times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
-        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes)
+        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies)
+
+    def _boxes(self) -> dict[int, int]:
+        """Numbers of the black boxes that fly, and the last cell of each."""
+        flying = [i for i, law in enumerate(self.schedule.controllers) if isinstance(law, BlackBox)]
+        return {i: int(np.flatnonzero(self.modes == i)[-1]) for i in flying if i in self.modes}
 
     def _unclipped(self, number: int, k: int, x: Array, w: Array) -> tuple[Array, Array, Array, Array] | None:
         """Fly a cell under a linear law that nothing clips in it: one product per step; else None.

@@ -34,8 +34,7 @@ DEFINITIONS = {
 """What each number of a summary means, and how it joins the runs."""
 
 
-CONFIDENCE = 0.95
-"""Of every interval and bound."""
+CONFIDENCE = 0.95  # of every interval and bound
 
 POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
     ("min_ttc_s", "min_ttc_free_drift_s", "switches", "delta_v_m_s", "deviation", "violations"), (0.0, np.inf)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ class Runs:
         Velocity change [m/s]: the integral of the 1-norm of the input over the mass.
     modes : ndarray of int, shape (cells,)
         Mode of every step.
+    bodies : dict of str to ndarray, shapes (R, N+1, n)
+        True states of other satellites where a network was told of them.
     """
 
     schedule: Schedule
@@ -50,11 +52,13 @@ class Runs:
     demanded: Array
     delta_v: Array
     modes: NDArray[np.int_]
+    bodies: Mapping[str, Array] = field(default_factory=dict)
 
     def some(self, chosen: slice | list[int]) -> Runs:
         """Some of the runs."""
         parts = ("states", "inputs", "demanded", "delta_v")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
+        bodies = {name: states[chosen] for name, states in self.bodies.items()}
+        return replace(self, bodies=bodies, **{name: getattr(self, name)[chosen] for name in parts})
 
     @property
     def positions(self) -> Array:
@@ -109,7 +113,7 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
     system, obstacles, times, x = problem.system, tuple(problem.unsafe), runs.times, runs.states
     R, N = x.shape[0], x.shape[1] - 1
     h, q = float(times[1] - times[0]), N // len(runs.modes)
-    truth = true_states(obstacles, system, times, R, rng)
+    truth = true_states(obstacles, system, times, R, rng) | dict(runs.bodies)
     p, v = x @ system.position.T, x @ system.velocity.T
     distances = signed_distances(obstacles, times, p, system, truth)
     nearest = closest(distances, times)

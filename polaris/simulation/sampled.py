@@ -7,7 +7,7 @@ many of them leave any band is held against the asked probability by the exact b
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, binom
 
-from ..synthesis.black_box import BlackBox, FittedSegment
+from ..synthesis.black_box import Ask, BlackBox, FittedSegment
 from ..synthesis.controllers import Controller
-from ..synthesis.get_safety import Safety
+from ..synthesis.get_safety import Safety, get_safety
 from ..synthesis.schedule import Schedule, Statement
 from ..synthesis.synthesize import synthesize
 from .falsification.search import Falsification, falsify
@@ -51,12 +51,16 @@ class Sampled:
     adverse : float
         Share of flights from corners of the initial set under worst-case disturbances that leave a band:
         what the statement, which is about flights drawn at random, says nothing of.
+    repeats : bool
+        Whether the first flights come out the same when they are flown again: if not, the boxes answer by
+        chance, or drift.
     """
 
     schedule: Schedule
     proven: Schedule
     worst: Falsification | None
     adverse: float = 0.0
+    repeats: bool = True
 
 
 def flights_needed(probability: float, doubt: float) -> int:
@@ -80,6 +84,23 @@ def outside(runs: Runs) -> NDArray[np.float64]:
             errors = runs.states[:, part] - arcs[step.k, :-1]
             most = np.maximum(most, step.tube.outside(errors, runs.inputs[:, part]))
     return np.asarray(most)
+
+
+def _drawn(schedule: Schedule, n: int, seed: int) -> Runs:
+    """Flights from the distribution that the statement is about."""
+    return simulate(schedule, n, seed, initial="random", disturbance="random")
+
+
+def with_boxes(
+    scenario: Any,
+    boxes: Mapping[str, Ask | None],
+    safety: Safety | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sampled:
+    """`synthesize_sampled` as a scenario wants it, with what is asked of its black boxes by their names."""
+    safety = get_safety(scenario) if safety is None else safety
+    laws = scenario.controllers(safety, boxes)
+    return synthesize_sampled(scenario, safety, laws, **scenario.asked, progress=progress)
 
 
 def synthesize_sampled(
@@ -123,15 +144,18 @@ def synthesize_sampled(
         flights, left = flights_needed(probability, doubt), 0
         for first in range(0, flights, BATCH):
             drawn = seed + MOST * (attempt + 1) + first  # no two attempts share flights
-            count = min(BATCH, flights - first)
-            runs = simulate(found, count, drawn, initial="random", disturbance="random")
+            runs = _drawn(found, min(BATCH, flights - first), drawn)
             left += int(np.count_nonzero(~(outside(runs) <= 1)))
+            if not first:
+                begun = runs
         most = at_most(left, flights, doubt)
         if most <= probability:
             said = Statement(most, confidence, flights, left, seed, attempt + 1)
             found = replace(found, statement=said)
             hostile = simulate(found, min(attacks, BATCH), seed, initial="corners", disturbance="worst")
             adverse = float(np.mean(~(outside(hostile) <= 1)))
-            return Sampled(found, proven, falsify(found, attacks, seed), adverse)
+            again = _drawn(found, len(begun.states), seed + MOST * (attempt + 1))
+            repeats = np.array_equal(begun.inputs, again.inputs)
+            return Sampled(found, proven, falsify(found, attacks, seed), adverse, repeats)
         laws = [replace(law, wider=law.wider * WIDEN) if isinstance(law, BlackBox) else law for law in laws]
     return Sampled(proven, proven, None)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
+from ..model.satellite import true_states
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
 from .delayed import Predicting
@@ -81,6 +82,11 @@ def simulate(
     if initial in ("corners", "mixed") and len(adjoint):
         # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
         x0[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
+    if flight.columns[-1].start < flight.columns[-1].stop and disturbance != "none":
+        # Networks that read where others are read the truth.
+        problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
+        times = np.asarray(np.arange(len(flight.modes) * flight.q + 1) * h, dtype=float)
+        flight.bodies = true_states(problem.unsafe, problem.system, times, n, rng)
     return flight.run(x0, w)
 
 

@@ -7,7 +7,7 @@ with a band about it. Whether commands keep to their bands is what sampled fligh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,21 +19,28 @@ from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
-from ..model.errors import ScenarioError
+from ..model.errors import NoAnswer, PolarisError, ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .controllers import AnyThrust, TubeSegment
-from .neural import NEEDS_SAMPLES, check_exact, no_tube, reduced
+from .controllers import AnyThrust, Controller, TubeSegment
+from .neural import NEEDS_SAMPLES, WIDER, NeuralController, misapplied, no_tube, reduced
 from .tracking import Tracking
 
 Ask = Callable[[float, Array, Array], Any]
-"""Commands (R, m) at a time [s] for states (R, n), beside the state (n,) of the safe reference."""
+"""Commands (R, m) at a time [s] for states (R, n), beside the state (n,) of the safe reference.
+
+The states are those that the box is told, errors of the estimate included. At time 0 flights begin, one for
+each row: until the next question at time 0 a row is always the same flight.
+"""
+
+Before = Sequence[tuple[Zonotope, Controller]]
+"""Of the steps so far: where each began, and who flew it."""
 
 SAMPLES = 400
 """Starts that shape the sets of a step; that these hold is asked of other flights."""
 
-WIDER = 2.0
+BANDS = 2.0
 """By how much the bands are wider than what the samples leave over."""
 
 NARROW = 1e-7
@@ -69,26 +76,22 @@ class BlackBox:
 
     Parameters
     ----------
-    name : str
-        Name in tables and figures.
-    system : LinearSystem
-        What it controls.
-    reference : Reference
-        The safe reference.
-    tracking : Tracking
-        The safety tracker, whose feedback must be sampled.
+    name, system, reference, tracking
+        As those of a `NeuralController`.
     ask : callable
-        See `Ask`; what it answers depends on what it is asked alone (it has no memory from one period to the
-        next, nor from one flight to another).
+        See `Ask`. If it has a ``reset``, that is called with the number of flights whenever they begin.
     wider : float
-        Scale of the bands, see `WIDER`.
+        Scale of the bands, see `BANDS`.
     seed : int
         Of the samples.
+    memory : bool
+        Whether answers depend on what was asked earlier in a flight. Bands are then fitted to flights
+        from the start on; what is said of them assumes neither.
 
     Raises
     ------
     ScenarioError
-        If feedback is not sampled, or estimates or thrusters have errors; on flying, if an answer is none.
+        If feedback is not sampled; `NoAnswer` on flying, if an answer is none.
     """
 
     name: str
@@ -96,13 +99,15 @@ class BlackBox:
     reference: Reference
     tracking: Tracking
     ask: Ask
-    wider: float = WIDER
+    wider: float = BANDS
     seed: int = 0
+    memory: bool = False
 
     def __post_init__(self) -> None:
         if not self.tracking.feedback.sampled:
             raise ScenarioError("feedback.kind", "continuous", NEEDS_SAMPLES)
-        check_exact(self.system)
+        if hasattr(self.ask, "reset"):
+            object.__setattr__(self, "memory", True)
 
     @property
     def anything(self) -> AnyThrust:
@@ -111,17 +116,25 @@ class BlackBox:
 
     def command(self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0) -> Array:
         """Thrust command before clipping, shape (..., m), some seconds after the start of step k."""
-        flat = x.reshape(-1, self.system.n)
-        answer = self.ask(k * self.reference.delta + later, flat.copy(), xi.copy())
+        flat, t = x.reshape(-1, self.system.n), k * self.reference.delta + later
+        if t == 0 and hasattr(self.ask, "reset"):
+            self.ask.reset(len(flat))
         shape = (len(flat), self.system.m)
         try:
-            found = np.array(answer, dtype=float)
+            answer = self.ask(t, flat.copy(), xi.copy())
+        except PolarisError:
+            raise
+        except Exception as error:  # whatever it is
+            rule = "must answer; it raised an error"
+            raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
+        try:
+            found = np.array(answer)
         except (TypeError, ValueError):
             found = np.zeros(0)
-        if found.shape != shape or not np.all(np.isfinite(found)):
+        if found.shape != shape or found.dtype.kind not in "fiu" or not np.all(np.isfinite(found)):
             rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"
-            raise ScenarioError(f"black box {self.name}", str(answer)[:60], rule)
-        return found.reshape(*x.shape[:-1], self.system.m)
+            raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule)
+        return found.astype(float).reshape(*x.shape[:-1], self.system.m)
 
     @cached_property
     def flow(self) -> LinearFlow:
@@ -129,17 +142,23 @@ class BlackBox:
         system = self.system
         return LinearFlow.continuous(system.A, system.D, system.w_max, self.tracking.flow.h)
 
-    def fly(self, start: Zonotope, k: int) -> FittedSegment:
-        """The reachable set over step k of all that commands within the bands, under any disturbance."""
-        system, fit = self.system, self._fitted(start, k)
+    def fly(self, start: Zonotope, k: int, before: Before = ()) -> FittedSegment:
+        """The reachable set over step k of all that commands within the bands, under any disturbance.
+
+        With memory they are fitted to flights from the initial set on, in which those `before` flew the
+        steps so far and the box was asked all along.
+        """
+        system, fit = self.system, self._fitted(start, k, before)
         n, rounding = system.n, self.reference.rounding[k]
         nodes, bows = [start], []
         for row in fit:
             e, K, c, r = nodes[-1], row[:, :n], row[:, n], row[:, n + 1]
             G = np.hstack([K @ e.G, np.diag(r)])
             after, bow = held_step(self.flow, system.B, e, Zonotope(K @ e.c + c - self.reference.nu[k], G))
-            nodes.append(reduced(after))
-            bows.append(bow + rounding)
+            most = np.abs(K @ e.c + c) + np.abs(G).sum(axis=1) * (1 + WIDER)
+            push, within = misapplied(system, self.flow, np.minimum(most, system.u_max))
+            nodes.append(reduced(after + push))
+            bows.append(bow + rounding + within)
             if not np.all(nodes[-1].extent < FARTHEST):
                 return FittedSegment(*no_tube(start, self._q), "its sets grow beyond all bounds")
         end = reduced(nodes[-1].inflate(rounding))
@@ -149,30 +168,48 @@ class BlackBox:
     def _q(self) -> int:
         return self.tracking.feedback.nodes_per_cell
 
-    def _fitted(self, start: Zonotope, k: int) -> Array:
+    def _fitted(self, start: Zonotope, k: int, before: Before) -> Array:
         """Affine functions and bands about what is commanded from all over a set, its corners too."""
-        system, rng, n = self.system, np.random.default_rng([self.seed, k]), self.system.n
-        b = rng.uniform(-1, 1, (SAMPLES, start.order_count))
+        system, rng, q = self.system, np.random.default_rng([self.seed, k]), self._q
+        first, laws = before[0][0] if before else start, [*(law for _, law in before), self]
+        b = rng.uniform(-1, 1, (SAMPLES, first.order_count))
         b[::2] = np.sign(b[::2])
-        tips = start.support_vector(np.vstack([np.eye(n), -np.eye(n)]))
-        e = np.vstack([start.c + b @ start.G.T, tips])
+        tips = first.support_vector(np.vstack([np.eye(system.n), -np.eye(system.n)]))
+        e = np.vstack([first.c + b @ first.G.T, tips])
         Ad, Bd = discretize(system.A, system.B, self.flow.h)
         Dd = discretize(system.A, system.D, self.flow.h)[1]
-        w = rng.normal(size=(self._q, len(e), system.p))
+        w = rng.normal(size=(len(laws) * q, len(e), system.p))
         w[:, ::3] = w[:1, ::3]  # the same way all along
         w *= system.w_max / np.maximum(np.linalg.norm(w, axis=2, keepdims=True), 1e-300)
-        fit = np.empty((self._q, system.m, n + 2))
-        for i, xi in enumerate(self.reference.fine(self._q)[k, :-1]):
-            u = np.clip(self.command(k, xi, xi, e + xi, i * self.flow.h), -system.u_max, system.u_max)
-            middle = e.mean(axis=0)
-            spread = np.abs(e - middle).max(axis=0)
-            seen = spread > NARROW * (np.abs(xi) + np.abs(e).max(axis=0))
-            scale = np.where(seen, spread, np.inf)
-            base = np.hstack([(e - middle) / scale, np.ones((len(e), 1))])
-            solved = np.linalg.lstsq(base, u, rcond=1e-9)[0]
-            K = (solved[:n] / scale[:, None]).T
-            left = np.abs(u - base @ solved).max(axis=0)
-            book = ROUNDING * (system.u_max + np.abs(K) @ (np.abs(xi) + np.abs(e).max(axis=0)))
-            fit[i] = np.column_stack([K, solved[n] - K @ middle, self.wider * left + book])
-            e = e @ Ad.T + (u - self.reference.nu[k]) @ Bd.T + w[i] @ Dd.T
-        return fit
+        eta = np.zeros((len(w), 1, system.n))
+        if np.any(system.navigation):
+            eta = system.navigation * rng.choice([-1.0, 1.0], (len(w), *e.shape))
+        fit, boxes = [], {id(law): law for law in laws if isinstance(law, BlackBox)}
+        own = {id(law): part.fine(q) for law in laws if (part := getattr(law, "own", None)) is not None}
+        nodes = self.reference.fine(q)[k - len(before) : k + 1, :-1].reshape(-1, system.n)
+        for node, xi in enumerate(nodes):
+            law, (past, i) = laws[node // q], divmod(node, q)
+            past, seen = past + k - len(before), e + xi + eta[node]
+            asked = {key: box.command(past, xi, xi, seen, i * self.flow.h) for key, box in boxes.items()}
+            if id(law) in asked:
+                u = asked[id(law)]
+            else:
+                at = past, xi, own[id(law)][past, i] if id(law) in own else xi, seen
+                u = law.command(*at, *([i * self.flow.h] if isinstance(law, NeuralController) else []))
+            u = np.clip(u, -system.u_max, system.u_max)
+            if node >= len(nodes) - q:
+                fit.append(self._line(e, u, xi))
+            e = e @ Ad.T + (u - self.reference.nu[past]) @ Bd.T + w[node] @ Dd.T
+        return np.array(fit)
+
+    def _line(self, e: Array, u: Array, xi: Array) -> Array:
+        """The affine function of errors (R, n) nearest to commands (R, m), and their band about it."""
+        middle, n = e.mean(axis=0), e.shape[1]
+        size, spread = np.abs(xi) + np.abs(e).max(axis=0), np.abs(e - middle).max(axis=0)
+        scale = np.where(spread > NARROW * size, spread, np.inf)
+        base = np.hstack([(e - middle) / scale, np.ones((len(e), 1))])
+        solved = np.linalg.lstsq(base, u, rcond=1e-9)[0]
+        K = (solved[:n] / scale[:, None]).T
+        left = np.abs(u - base @ solved).max(axis=0)
+        book = ROUNDING * (self.system.u_max + np.abs(K) @ size)
+        return np.asarray(np.column_stack([K, solved[n] - K @ middle, self.wider * left + book]))

@@ -56,11 +56,7 @@ def tail_length(tracking: Tracking) -> int:
 def coast(planned: Reference, tail: int) -> tuple[Reference, Array]:
     """The reference followed by its coasting tail, started from the exact natural motion next to it.
 
-    Returns
-    -------
-    reference : Reference
-    jump : ndarray, shape (n,)
-        ``|x_T - x*|`` elementwise, the step that the snap makes; zero where nothing was snapped.
+    And ``|x_T - x*|`` elementwise (n,), the step that the snap makes; zero where nothing was snapped.
     """
     last = planned.chi[-1]
     closed, _ = natural_motion(planned, last)

@@ -56,21 +56,11 @@ class ErrorBounds:
 def get_err_bounds(
     tracking: Tracking, method: str = "envelope", weight: ArrayLike | str = "auto"
 ) -> ErrorBounds:
-    """Compute the constants of Lemma 1.
+    """Compute the constants of Lemma 1; `ScenarioError` if the method is unknown or the weight is singular.
 
-    Parameters
-    ----------
-    tracking : Tracking
-    method : {"envelope", "lyapunov"}
-        ``lyapunov`` takes every constant from one contraction norm; ``envelope`` from the norms of
-        the transition itself, bounded between the nodes and beyond the last one.
-    weight : {"auto", "identity"} or array_like, shape (n,) or (n, n)
-        Weight of the norm: the contraction norm's, none (raw units, as printed), or given.
-
-    Raises
-    ------
-    ScenarioError
-        If the method is unknown or the weight is singular.
+    The method ``lyapunov`` takes every constant from one contraction norm; ``envelope`` from the norms of the
+    transition itself, bounded between the nodes and beyond the last one. The norm's weight, (n,) or (n, n),
+    is given, the contraction norm's (``auto``), or none (``identity``: raw units, as printed).
     """
     one_of("tracking.bound", method, ("envelope", "lyapunov"))
     tracking = tracking if tracking.system.ideal else replace(tracking, system=tracking.system.as_ideal())

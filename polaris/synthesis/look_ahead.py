@@ -14,14 +14,9 @@ from dataclasses import dataclass, field
 
 from reach.sets.zonotope import Zonotope
 
-SAFETY = 0
-"""Mode number of S."""
-
-APART = 12
-"""Schedules with as many switches or more are kept together."""
-
-EACH = 8
-"""Greedy schedules are made under every dwell time up to here."""
+SAFETY = 0  # mode number of S
+APART = 12  # schedules with as many switches or more are kept together
+EACH = 8  # greedy schedules are made under every dwell time up to here
 
 Prove = Callable[[Zonotope, int, int], Zonotope | None]
 """The set that a mode reaches from a set over a step, or None if it is not proven there."""
@@ -53,26 +48,14 @@ class _Path:
 
 @dataclass(frozen=True, eq=False)
 class LookAhead:
-    """The search, for K steps from a set.
-
-    Parameters
-    ----------
-    prove : callable
-        See `Prove`.
-    size : callable
-        How far a set reaches from the reference: of two schedules of equal worth, the nearer one is kept.
-    worth : tuple of float
-        Of one step under each mode; 0 for S.
-    beam : int
-        Schedules kept at each step for each number of switches and mode.
-    """
+    """The search, for K steps from a set."""
 
     start: Zonotope
     K: int
-    prove: Prove
-    size: Callable[[Zonotope], float]
-    worth: tuple[float, ...]
-    beam: int
+    prove: Prove  # see `Prove`
+    size: Callable[[Zonotope], float]  # reach from the reference: of two of equal worth, the nearer is kept
+    worth: tuple[float, ...]  # of one step under each mode; 0 for S
+    beam: int  # schedules kept at each step for each number of switches and mode
 
     def best(
         self, dwell: int, cap: int | None, progress: Callable[[int, int], None] | None = None

@@ -22,29 +22,17 @@ from ..model.tolerances import ROUNDING
 
 SPARE = 0.03
 """Share by which starts of the drift are enclosed wider than found: others merge generators otherwise."""
-GROUPS = 6
-"""Groups of periods whose starts are enclosed one by one where the step as a whole is not clear."""
-FINE = 0.1
-"""Largest angle [rad] by which the fastest mode turns in one part of a step."""
+GROUPS = 6  # groups of periods whose starts are enclosed one by one where the step as a whole is not clear
+FINE = 0.1  # largest angle [rad] by which the fastest mode turns in one part of a step
 
 
 @dataclass(frozen=True)
 class Abort:
-    """What is asked of the drift after all thrust stops.
+    """What is asked of the drift after all thrust stops."""
 
-    Parameters
-    ----------
-    horizon : float
-        For how long the drift must stay clear [s].
-    required : bool
-        Whether only schedules are kept whose drift stays clear from all of their steps.
-    keep_in : bool
-        Whether it must stay inside the keep-in sets as well.
-    """
-
-    horizon: float
-    required: bool = False
-    keep_in: bool = True
+    horizon: float  # for how long the drift must stay clear [s]
+    required: bool = False  # whether only schedules are kept whose drift stays clear from all their steps
+    keep_in: bool = True  # whether it must stay inside the keep-in sets as well
 
     def cells(self, delta: float) -> int:
         """Steps from the start of that in which thrust stops until the horizon is over, wherever it does."""
@@ -55,26 +43,15 @@ class Abort:
 class Drift:
     """What becomes of all flights whose thrust stops in some periods of one step.
 
-    Attributes
-    ----------
-    periods : int
-        How many periods, one after another.
-    start : Zonotope
-        A parallelotope around the states at the start of the step from which free motion leads to the states
-        in which thrust stops (docs/theory.md, Lemma 28).
-    facets : ndarray of int, shape (o, parts)
-        The facet of every unsafe set with most room in every part of the time from the start of the step on.
-    room : ndarray, shape (o, parts)
-        Distance from that facet at least [m].
-    middle : ndarray, shape (o, parts)
-        The same of the undisturbed drift from the middle of the start, at the ends of the parts.
+    The start is a parallelotope around the states at the start of the step from which free motion leads to
+    the states in which thrust stops (docs/theory.md, Lemma 28).
     """
 
-    periods: int
+    periods: int  # how many, one after another
     start: Zonotope
-    facets: NDArray[np.int_]
-    room: Array
-    middle: Array
+    facets: NDArray[np.int_]  # of every set with most room in each part from the step's start on, (o, parts)
+    room: Array  # distance from that facet at least [m], (o, parts)
+    middle: Array  # the same of the undisturbed drift from the start's middle, at the ends of the parts
 
     @property
     def clear(self) -> bool:
@@ -84,22 +61,12 @@ class Drift:
 
 @dataclass(frozen=True, eq=False)
 class FreeFlight:
-    """Free motion of a system over a horizon, and the unsafe sets as far ahead.
-
-    Parameters
-    ----------
-    abort : Abort
-    system : LinearSystem
-    unsafe : tuple of TimedPolytope
-        One per unsafe set, as far ahead as the drift from the last step is followed.
-    delta : float
-        Step of the schedule [s].
-    """
+    """Free motion of a system over a horizon, and the unsafe sets as far ahead."""
 
     abort: Abort
     system: LinearSystem
-    unsafe: tuple[TimedPolytope, ...]
-    delta: float
+    unsafe: tuple[TimedPolytope, ...]  # as far ahead as the drift from the last step is followed
+    delta: float  # step of the schedule [s]
 
     @property
     def cells(self) -> int:
@@ -206,17 +173,10 @@ class FreeFlight:
 
 @dataclass(frozen=True, eq=False)
 class PassiveSafety:
-    """From which steps of a flight the drift stays clear, all thrust stopping at any instant of them.
-
-    Attributes
-    ----------
-    flight : FreeFlight
-    drifts : tuple of tuple of Drift
-        Of every step, one for all or one after another.
-    """
+    """From which steps of a flight the drift stays clear, all thrust stopping at any instant of them."""
 
     flight: FreeFlight
-    drifts: tuple[tuple[Drift, ...], ...]
+    drifts: tuple[tuple[Drift, ...], ...]  # of every step, one for all or one after another
 
     @cached_property
     def clear(self) -> NDArray[np.bool_]:

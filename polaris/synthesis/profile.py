@@ -9,14 +9,11 @@ from scipy.signal import oaconvolve
 
 from ..model.system import Array
 
-ROUNDS = 60
-"""Most rounds of a bound that grows with the errors which it allows."""
-SETTLED, SPARE = 1e-4, 2e-3
-"""Relative change at which it counts as settled, and what is added to it then."""
+ROUNDS = 60  # most rounds of a bound that grows with the errors which it allows
+SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and what is added to it then
 SLOWER = 1.5
 """By how much slower the demand of sets that an experimental controller leaves falls than that of a ball."""
-FFT = 1e-13
-"""Round-off of sums of products by fast transforms, relative to the largest of them."""
+FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
 
 
 def summed(gains: Array, errors: Array) -> Array:
@@ -34,17 +31,9 @@ def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Calla
 
     Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as
     what errors demand that start with `level`, to what disturbances and the errors of the commands themselves
-    demand for ever: each round allows for the errors of the one before.
-
-    Parameters
-    ----------
-    norms : ndarray, shape (memory + 2, m)
-        What a ball of errors demands, period by period.
-    level, left, u_max : ndarray, shape (m,)
-        Demand right after the hand-over; what is added to it and is still left of it beyond the memory, and
-        the limits [N].
-    pushed : callable
-        `Tracking.pushed` of the gain's rows under a profile, errors of estimates included.
+    demand for ever: each round allows for the errors of the one before. `norms` is what a ball of errors
+    demands, period by period; `left` is added to the level and still left of it beyond the memory; `pushed`
+    is `Tracking.pushed` of the gain's rows under a profile, errors of estimates included.
     """
     ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
     shape = level * np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)

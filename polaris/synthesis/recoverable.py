@@ -90,16 +90,7 @@ class RecoverableSet(Protocol):
 
 
 def directed(value: float, form: str, up: bool = False) -> str:
-    """Text of a proven number, rounded to its safe side.
-
-    Parameters
-    ----------
-    value : float
-    form : str
-        Format of a float, such as ``.4g`` or ``.1%``.
-    up : bool
-        Upwards, as for what is needed; else downwards, as for what is left.
-    """
+    """Text of a proven number in a form as ``.4g``: rounded up (what is needed) or down (what is left)."""
     if not np.isfinite(value):
         return f"{value:{form}}"
     with localcontext() as context:

@@ -11,8 +11,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.system import Array
 from .affine_law import AffineLaw
 
-SLOPES = 8
-"""Different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept."""
+SLOPES = 8  # different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept
 
 
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
@@ -53,20 +52,10 @@ def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Z
 def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
     """How far a clipped law moves within one period, and how hard it can push, elementwise.
 
-    Parameters
-    ----------
-    extent : ndarray, shape (..., n)
-        Bound on ``|d|`` at the node.
-    command : ndarray, shape (..., m)
-        Bound on ``|Lambda_U d|`` at the node, plus what mu exceeds the limits by.
-    mu : ndarray, shape (m,)
-        The law's own reference input.
-
-    Returns
-    -------
-    moved, push : ndarray, shapes (..., n) and (..., m)
-        Bounds on ``|d(s) - d(0)|``, disturbance included, and on ``|clip(mu - Lambda_U d) - mu|``: at most
-        ``|Lambda_U d|``, as the clip has slope at most 1, and at most what the thrusters have.
+    From bounds on ``|d|`` at the node (..., n) and on ``|Lambda_U d|`` there (..., m), plus what mu (m,), the
+    law's own input, exceeds the limits by: bounds on ``|d(s) - d(0)|``, disturbance included, and on
+    ``|clip(mu - Lambda_U d) - mu|``: at most ``|Lambda_U d|``, as the clip has slope at most 1, and at most
+    what the thrusters have.
     """
     system, loose = law.system, law.open_flow
     most = system.u_max + np.abs(mu)

@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from reach.sets.zonotope import Zonotope
 
 from ..model.checks import non_negative, of_kind, one_of, positive, whole
 from ..model.errors import ScenarioError
+from .black_box import BlackBox
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
 from .look_ahead import SAFETY, LookAhead
@@ -109,7 +111,8 @@ class Search:
     """Controllers over one `Safety`, and the rules by which they take turns.
 
     `intended` holds the mode for which the reference was planned, step by step, if it was planned with U in
-    view; then no other experimental controller is tried.
+    view; then no other experimental controller is tried. `came` holds where the step began that ends in a
+    set, and its mode.
     """
 
     safety: Safety
@@ -118,6 +121,7 @@ class Search:
     progress: Callable[[int, int], None] | None = None
     begun: float = field(default_factory=time.perf_counter)
     intended: tuple[int, ...] | None = None
+    came: WeakKeyDictionary[Zonotope, tuple[Zonotope, int]] = field(default_factory=WeakKeyDictionary)
 
     @classmethod
     def over(
@@ -188,7 +192,10 @@ class Search:
     def tube(self, start: Zonotope, k: int, mode: int) -> TubeSegment | None:
         """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
         controller = self.controllers[mode]
-        tube = check_segment(controller, start, controller.fly(start, k), self.safety)  # GetReach
+        recalls = isinstance(controller, BlackBox) and controller.memory
+        flown = controller.fly(start, k, *([self._before(start)] if recalls else []))  # GetReach
+        tube = check_segment(controller, start, flown, self.safety)
+        self.came[tube.end] = start, mode
         if mode == SAFETY:
             return tube  # S stays safe from where it took over
         if tube.refused or not self.safety.recoverable.holds(k, tube.nodes, tube.bow):
@@ -197,6 +204,14 @@ class Search:
         if abort is not None and abort.required and not clear(drift_of(self.safety, tube, k)):
             return None
         return tube
+
+    def _before(self, reached: Zonotope) -> list[tuple[Zonotope, Controller]]:
+        """Where each of the steps began that lead to a set, and who flew it."""
+        found: list[tuple[Zonotope, Controller]] = []
+        while reached in self.came:
+            reached, mode = self.came[reached]
+            found.insert(0, (reached, self.controllers[mode]))
+        return found
 
     @cached_property
     def planned(self) -> tuple[int, ...]:

@@ -22,10 +22,8 @@ from .schedule import Schedule
 from .search import SwitchingRules
 from .undisturbed import FREE, Flights, Held
 
-NODES = 2000
-"""Most nodes of an integer program; what it has proven until then is used."""
-SLACK = 1e-4
-"""Steps by which its bound is lowered, for its tolerances."""
+NODES = 2000  # most nodes of an integer program; what it has proven until then is used
+SLACK = 1e-4  # steps by which its bound is lowered, for its tolerances
 ROWS, STEPS = 20_000, 500
 """Most rows that state the dwell time, and most steps of a schedule, for which an integer program is made."""
 
@@ -34,27 +32,17 @@ ROWS, STEPS = 20_000, 500
 class ShareBound:
     """Proven bound on the share of the time under experimental controllers, over all schedules of a scene.
 
-    Attributes
-    ----------
-    share : float
-        No schedule that keeps clear of the unsafe sets as perceived has more, along whatever reference and
-        with whatever safety controller, on the same steps and by the same dwell time and cap.
-    worth : float
-        The same of the shares of all modes, each weighted by the worth of its steps.
-    programs : int
-        Linear programs solved and flights looked at.
-    demands : int
-        Sets of steps that were proven too few.
-    ended : {"reached", "effort_limit", "none"}
-        Whether as many steps under S as the bound leaves could not be refuted, the effort ran out before, or
-        nothing was there to bound.
+    No schedule that keeps clear of the unsafe sets as perceived has more, along whatever reference and with
+    whatever safety controller, on the same steps and by the same dwell time and cap. It is ``reached`` where
+    as many steps under S as the bound leaves could not be refuted; else the effort ran out, or nothing was to
+    bound.
     """
 
     share: float
-    worth: float
-    programs: int = 0
-    demands: int = 0
-    ended: str = "none"
+    worth: float  # the same of the shares of all modes, each weighted by the worth of its steps
+    programs: int = 0  # linear programs solved and flights looked at
+    demands: int = 0  # sets of steps that were proven too few
+    ended: str = "none"  # reached, effort_limit or none
 
 
 class Master:

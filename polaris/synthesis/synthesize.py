@@ -56,10 +56,6 @@ def synthesize(
         Whether another reference than that of `safety` may be flown, if the problem asks for recourse; by
         default where no `safety` is given.
 
-    Returns
-    -------
-    Schedule
-
     Raises
     ------
     ScenarioError, SynthesisInfeasible, NotCertified
@@ -160,13 +156,8 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
     """The longest beginning of a schedule after which S alone keeps what the rules allow.
 
     Of several the most worthy: budget of velocity change, and what is required of the drift.
-
-    Raises
-    ------
-    SynthesisInfeasible
-        If S alone keeps the budget, but its drift is not clear, along any of their references.
-    NotCertified
-        If not even S alone keeps the budget along any of their references.
+    `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their
+    references; `NotCertified` if not even S alone keeps the budget along any of them.
     """
     kept, least, witness = [], min(schedule.spent for schedule in over), None
     for schedule in over:

@@ -24,19 +24,13 @@ from .get_safety import Safety
 from .saturation import clipped_map
 from .tracking import at_nodes
 
-FREE = 0
-"""A step in which any thrust within the limits is allowed, as under S."""
-PARTS = 4
-"""Held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)."""
-EACH = 60
-"""Most linear programs for one question; left open, it counts as possible."""
+FREE = 0  # a step in which any thrust within the limits is allowed, as under S
+PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)
+EACH = 60  # most linear programs for one question; left open, it counts as possible
 OPEN = 1e-6
 """Share of the scene's size by which a path may miss a facet that its linear program does not state."""
-STRETCH = (8, 4, 2, 1)
-"""Steps by which a window of an impossible flight is stretched, one after the other."""
-
-Held = tuple[int, ...]
-"""Mode whose law every step obeys, or `FREE`."""
+STRETCH = (8, 4, 2, 1)  # steps by which a window of an impossible flight is stretched, one after the other
+Held = tuple[int, ...]  # mode whose law every step obeys, or `FREE`
 
 
 class Flights:

@@ -11,34 +11,23 @@ from numpy.typing import NDArray
 from .schedule import Schedule
 from .search import SwitchingRules
 
-Mask = NDArray[np.bool_]
-"""Steps that S is meant to fly, shape (K,)."""
-WORSE = 10.0
-"""How much more a step counts by which a schedule is worse than the printed one."""
+Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
+WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
 
 
 @dataclass(frozen=True)
 class Worth:
     """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
 
-    Parameters
-    ----------
-    rules : SwitchingRules
-        Weights, prices and budget.
-    scale : float
-        Velocity change of S alone [m/s], the unit of the price of velocity change.
-    share, delta_v : float
-        Share of the time under U and velocity change [m/s] of the printed algorithms' schedule. Less of the
-        one or more of the other is worth `WORSE` times as much less: it is hardly ever preferred.
-    until : float
-        Instant [s] until which the printed one is proven safe.
+    Less share or more velocity change than the printed algorithms' schedule is worth `WORSE` times as much
+    less: it is hardly ever preferred.
     """
 
-    rules: SwitchingRules
-    scale: float
-    share: float
-    delta_v: float
-    until: float
+    rules: SwitchingRules  # weights, prices and budget
+    scale: float  # velocity change of S alone [m/s], the unit of the price of velocity change
+    share: float  # time under U of the printed algorithms' schedule
+    delta_v: float  # its velocity change [m/s]
+    until: float  # instant [s] until which it is proven safe
 
     @classmethod
     def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:

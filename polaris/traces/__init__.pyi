@@ -1,3 +1,7 @@
+from .evaluation import AgentMetrics as AgentMetrics
+from .evaluation import Separation as Separation
+from .evaluation import Spread as Spread
+from .evaluation import TraceMetrics as TraceMetrics
 from .evaluation import evaluate_trace as evaluate_trace
 from .export import Export as Export
 from .export import export_run as export_run
@@ -17,9 +21,5 @@ from .reading import parse_trace as parse_trace
 from .reading import read_trace as read_trace
 from .reading import trace_data as trace_data
 from .reading import write_trace as write_trace
-from .results import AgentMetrics as AgentMetrics
-from .results import Separation as Separation
-from .results import Spread as Spread
-from .results import TraceMetrics as TraceMetrics
 from .settings import Heading as Heading
 from .settings import restamp as restamp

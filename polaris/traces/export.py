@@ -61,10 +61,6 @@ def to_trace(
         True states (N+1, n) of other satellites, by name, or None for where they are nominally. They become
         balls about these instead.
 
-    Returns
-    -------
-    Export
-
     Raises
     ------
     ScenarioError

@@ -33,10 +33,6 @@ def read_trace(path: str | Path) -> Trace:
     path : path
         Strict JSON in UTF-8: NaN, infinities and keys that occur twice are refused, nothing is evaluated.
 
-    Returns
-    -------
-    Trace
-
     Raises
     ------
     ScenarioError

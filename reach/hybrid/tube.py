@@ -92,10 +92,6 @@ def hybrid_tube(
     horizon : float
     options : HybridOptions
 
-    Returns
-    -------
-    HybridTube
-
     Raises
     ------
     ReachError

@@ -133,13 +133,17 @@ class NetworkLoop:
         """Motion between two samples, the input apart."""
         return LinearFlow.continuous(self.A, self.D, self.w_max, self.h)
 
-    def command(self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0) -> Zonotope:
+    def command(
+        self, states: Zonotope, s: ArrayLike | float = 0.0, off: Any = 0.0, spread: Any = None
+    ) -> Zonotope:
         """The network over a set of states: the first generators are theirs, the others few."""
         s = per_row("offset of what is read", s, self.network.inputs)
         seen, extent = self.C @ states + s, states.extent
         if self.error is not None:
             seen = Zonotope(seen.c, np.hstack([seen.G, self.C * self.error]))
             extent = extent + self.error
+        if spread is not None:
+            seen = seen + Zonotope(np.zeros(seen.dim), spread)
         rounding = gamma(states.dim) * (np.abs(self.C) @ extent + np.abs(s)) + off
         out = self.network.enclose(seen, rounding)
         g = states.order_count
@@ -148,7 +152,7 @@ class NetworkLoop:
 
     @checked
     def step(
-        self, states: Zonotope, s: Any = 0.0, v: Any = 0.0, off: Any = 0.0
+        self, states: Zonotope, s: Any = 0.0, v: Any = 0.0, off: Any = 0.0, spread: Any = None
     ) -> tuple[Zonotope, Array, Zonotope]:
         """One period from a (single) set of states.
 
@@ -159,6 +163,8 @@ class NetworkLoop:
             What is added to what the network reads, and to what it commands.
         off : array_like, shape (r,)
             By how much what it reads may be off, elementwise.
+        spread : ndarray, shape (r, g), optional
+            Generators of what is added to what it reads and known as a set alone, as where another body is.
 
         Returns
         -------
@@ -170,7 +176,7 @@ class NetworkLoop:
             What the network commands.
         """
         require_single("the states", states)
-        command = self.command(states, s, off)
+        command = self.command(states, s, off, spread)
         drive = command.c + per_row("known input", v, command.dim)
         return *held_step(self.flow, self.B, states, Zonotope(drive, command.G)), command
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,10 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
-from .bands import Activation
-from .network import Affine, Network
+from .network import Activation, Affine, Network
 
-LARGEST = 64 * 2**20
-"""Bytes of a file beyond which it is refused: a controller is small."""
-WIDEST = 4096
-"""Most components of an input or a layer."""
+LARGEST = 64 * 2**20  # bytes of a file beyond which it is refused: a controller is small
+WIDEST = 4096  # most components of an input or a layer
 
 
 def read_onnx(path: str | Path) -> Network:
@@ -144,7 +142,7 @@ class _Reader:
         if more.get("to") not in (1, 11):
             raise ReachError("a Cast must be to float or double: others change values")
 
-    def _combine(self, kind: str, inputs: list[Any]) -> None:
+    def _combine(self, inputs: list[Any], _: dict[str, Any], kind: str) -> None:
         first = inputs[0] is None
         value = inputs[1] if first else inputs[0]
         if kind == "Div" and (not first or np.any(value == 0)):
@@ -187,10 +185,6 @@ def _activation(kind: str, default: float = 0.0) -> Callable[[_Reader, list[Any]
     return lambda reader, _, more: reader.layers.append(Activation(kind, more.get("alpha", default)))
 
 
-def _combining(kind: str) -> Callable[[_Reader, list[Any], dict[str, Any]], None]:
-    return lambda reader, inputs, _: reader._combine(kind, inputs)
-
-
 _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
     "Gemm": _Reader._gemm,
     "MatMul": _Reader._matmul,
@@ -201,6 +195,6 @@ _OPERATORS: dict[str, Callable[[_Reader, list[Any], dict[str, Any]], None]] = {
     "LeakyRelu": _activation("relu", 0.01),
     "Tanh": _activation("tanh"),
     "Sigmoid": _activation("sigmoid"),
-    **{kind: _combining(kind) for kind in ("Add", "Sub", "Mul", "Div")},
+    **{kind: partial(_Reader._combine, kind=kind) for kind in ("Add", "Sub", "Mul", "Div")},
     **dict.fromkeys(("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout"), lambda *_: None),
 }

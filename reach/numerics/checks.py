@@ -100,7 +100,7 @@ def _numbers(value: Any) -> Any:
 
 def _finite(value: Any) -> Any:
     found = _numbers(value)
-    return found if found is not _WRONG and np.all(np.isfinite(found)) else _WRONG
+    return found if found is not _WRONG and np.isfinite(found).all() else _WRONG
 
 
 def _is_specs(value: Any) -> bool:
@@ -156,7 +156,7 @@ def as_shaped(name: str, value: Any, wanted: str, fits: Callable[[tuple[int, ...
     """An array of finite floats whose shape fits what is wanted."""
     found = as_numbers(name, value)
     shaped = fits(found.shape)
-    if not shaped or not np.all(np.isfinite(found)):
+    if not shaped or not np.isfinite(found).all():
         raise ReachError(f"{name} must be {wanted}, got {'nan or inf' if shaped else f'shape {found.shape}'}")
     return found
 
@@ -171,7 +171,7 @@ def finite_fields(X: Any, *names: str) -> tuple[Array, ...]:
     """Fields of a frozen dataclass as arrays of finite floats, which replace what was given."""
     found = tuple(as_numbers(name, getattr(X, name)) for name in names)
     for name, values in zip(names, found, strict=True):
-        if not np.all(np.isfinite(values)):
+        if not np.isfinite(values).all():
             raise ReachError(f"{' and '.join(names)} must be finite numbers")
         object.__setattr__(X, name, values)
     return found

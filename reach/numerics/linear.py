@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -32,8 +34,14 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     block = np.zeros((n + m, n + m))
     block[:n, :n] = A
     block[:n, n:] = B
-    E = expm(block * h)
+    E = _exponential((block * h).tobytes(), n + m).copy()
     return E[:n, :n], E[:n, n:]
+
+
+@lru_cache(maxsize=1024)
+def _exponential(entries: bytes, n: int) -> Array:
+    """Of a matrix given by its entries, once: references of one system ask for the same again and again."""
+    return np.asarray(expm(np.frombuffer(entries).reshape(n, n)))
 
 
 @checked

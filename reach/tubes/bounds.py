@@ -87,15 +87,15 @@ def collect(
     def at_nodes(values: list[Array]) -> Array:
         return np.concatenate([values[0], *(part[1:] for part in values[1:])])
 
-    def over_steps(name: str) -> Array:
-        return np.concatenate([getattr(block, name) for _, block in found])
-
     first, attained, rows = (
         at_nodes([getattr(block, name) for _, block in found]) for name in ("first", "attained", "rows")
     )
     states, rates = (at_nodes([block.size[i] for _, block in found]) for i in (0, 1))
     steps = np.repeat([h for h, _ in found], [len(block.bow) for _, block in found])
-    upper, lower, bow, bend = map(over_steps, ("upper", "lower", "bow", "bend"))
+    upper, lower, bow, bend = (
+        np.concatenate([getattr(block, name) for _, block in found])
+        for name in ("upper", "lower", "bow", "bend")
+    )
     # Where steps differ they are powers of two of the horizon, so that their sum is exact.
     times = np.r_[0.0, horizon * np.cumsum(steps / horizon)]
     if not np.ptp(steps):

@@ -105,10 +105,6 @@ def support_tube(
     max_seconds : float, optional
         Wall time after which to give up.
 
-    Returns
-    -------
-    SupportTube
-
     Raises
     ------
     ReachError

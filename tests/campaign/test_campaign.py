@@ -50,6 +50,8 @@ def test_table_has_one_row_per_run_with_everything_that_was_measured(flown):
     assert len(found) == 2 * 2 * RUNS
     keys = {(row["case"], row["batch"], row["run"], row["mode"]) for row in found}
     assert len(keys) == len(found)
+    seeds = {(row["case"], row["batch"]): (row["seed"], row["seed_truth"]) for row in found}
+    assert len(set(seeds.values())) == len(seeds), "every batch draws its own"
     for margin, mode in ((0.3, "polaris"), (0.4, "experimental")):
         mine = [row for row in found if row["planner.extra_margin_m"] == margin and row["mode"] == mode]
         assert len(mine) == RUNS and {row["scenario"] for row in mine} == {"tiny"}

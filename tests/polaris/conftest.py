@@ -9,11 +9,9 @@ from polaris.model.hill import clohessy_wiltshire
 from polaris.model.obstacles import BoxObstacle
 from polaris.planning.goals import EllipticalNMT
 from polaris.planning.reference import Reference
-from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.problem import Problem
-from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import lqr_gain
 from reach.sets.zonotope import Zonotope
 
@@ -23,16 +21,6 @@ from ..kept import kept, scheduled
 def synthesised(name):
     """(scenario, schedule) of a bundled scenario."""
     return scheduled(name)
-
-
-def printed(name):
-    """The same by the printed algorithms alone: U along one reference that was planned without it."""
-
-    def make():
-        scenario = load_scenario(name, ["recoverable.recourse=none"])
-        return scenario, synthesize(scenario)
-
-    return kept(f"printed-{name}", make)
 
 
 @cache

@@ -31,6 +31,10 @@ TREES = (CERTIFICATE, "scenario.toml", "schedule.json", "gains.json", "summary.j
 TABLES = ("schedule.csv", "reference.csv")
 
 
+COARSE = 'feedback={kind="sampled",period_s=0.5}'
+"""Two periods a step instead of nine: sets of few generators, in which a forgery is soon refused for good."""
+
+
 def make(assignments, folder):
     """A run of a variant of the tiny scene in which U flies in the middle, too."""
     variant = ["tracking.R=[60,60]", "simulation.runs=2", *assignments]

@@ -26,7 +26,7 @@ from polaris.synthesis.arrival import SOON, _correcting, _distance, _needs, _to_
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
-from .forging import CERTIFICATE, Forger, Lie, make
+from .forging import CERTIFICATE, COARSE, Forger, Lie, make
 from .random_scenarios import synthesised as random_scene
 from .random_scenarios import written
 from .tiny import TINY, synthesised
@@ -34,7 +34,7 @@ from .tiny import TINY, synthesised
 VARIANTS = {
     "reached": ["recoverable.recourse=in_view"],
     "too narrow": ["goal.tolerance_m=0.01"],
-    "any state": ['goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
+    "any state": [COARSE, 'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
     "a box": [
         'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}',
         "recoverable.recourse=in_view",

@@ -26,6 +26,7 @@ from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
+from reach.numerics.linear import discretize
 
 from .tiny import TINY
 
@@ -209,6 +210,31 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow(sampled):
         chord = path[0] + (path[-1] - path[0]) * (fine / 0.2)[:, None]
         furthest = np.maximum(furthest, np.abs((path - chord) @ rows.T).max(axis=0))
     assert np.all(furthest <= bound) and np.any(furthest > 0.3 * bound)
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_what_a_set_needs_between_nodes_is_covered(sampled):
+    """Rows of a set that S has taken over peak within periods of the loop, beyond both of their ends."""
+    A, B, K, h = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[1.5, 1.8]]), 0.4
+    b = matrix(B.tolist())
+    plant = Plant(matrix(A.tolist()), b, b, matrix([[1, 0]]), [arb(1)], arb(0.0), arb(h), sampled)
+    motion, rows = plant.loop(matrix(K.tolist())), np.vstack([np.eye(2), -np.eye(2), K, -K])
+    start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
+    needs = Needs(motion, Memory.of(motion, start.size(), 1), matrix(rows.tolist()))
+    tube = np.array([[float(x) for x in each] for each in needs.tube(start)])
+    c, G, beyond, tight = values(start.c)[:, 0], values(start.G), 0.0, 0.0
+    within = []
+    for s in np.linspace(0, h, 41):
+        Ad, Bd = discretize(A, B, s)
+        within.append(rows @ (Ad - Bd @ K if sampled else expm((A - B @ K) * s)))
+    for lag in range(12):
+        moved = np.linalg.matrix_power(values(motion.phi), lag)
+        reached = np.array([M @ moved @ c + np.abs(M @ moved @ G).sum(axis=1) for M in within])
+        covered = np.maximum(tube[lag], tube[lag + 1])
+        assert np.all(reached <= covered + 1e-12)
+        beyond = max(beyond, np.max(reached - np.maximum(reached[0], reached[-1])))
+        tight = max(tight, np.max(reached.max(axis=0) / covered))
+    assert beyond > 1e-3 and tight > 0.95
 
 
 def bits(verdict):

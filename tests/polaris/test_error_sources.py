@@ -13,6 +13,7 @@ import pytest
 
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import PRECISION
+from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document
 from polaris.certificate.lemma import Stated
 from polaris.certificate.verdict import Record
@@ -35,7 +36,7 @@ from reach.numerics.linear import discretize
 
 from ..kept import ROOT, kept
 from .closed_loops import attack, attack_monitor
-from .forging import CERTIFICATE, Forger, make
+from .forging import CERTIFICATE, COARSE, Forger, make
 from .random_scenarios import random_scenario
 from .test_closed_loops import PRINTED, judge, monitored
 from .tiny import TINY
@@ -98,18 +99,19 @@ def test_a_few_proofs_hold_with_errors_at_their_worst():
         found = attack(schedule, 60, seed)
         judge(seed, found)
         tight.append(found.tight)
-        assert falsify(schedule, 300, seed).failure is None
+        assert falsify(schedule, 150, seed).failure is None
     assert np.median(tight) > 0.5
 
 
 def test_errors_left_out_of_the_proof_break_it():
     """The same attacks refute a schedule that was made without the errors."""
-    over = []
+    over = 0.0
     for seed in FEW:
-        schedule, wrong = synthesize(exact(seed)), 20 * made(seed)[0].system().navigation
-        object.__setattr__(schedule.safety.problem.system, "estimate_error", wrong)
-        over.append(attack(schedule, 60, seed).over)
-    assert max(over) > 1e-3
+        if over <= 1e-3:
+            schedule, wrong = synthesize(exact(seed)), 20 * made(seed)[0].system().navigation
+            object.__setattr__(schedule.safety.problem.system, "estimate_error", wrong)
+            over = max(over, attack(schedule, 60, seed).over)
+    assert over > 1e-3
 
 
 @pytest.mark.slow
@@ -219,7 +221,9 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
 def test_a_profile_allows_for_the_errors_of_its_own_commands():
     """Commands at the profile, all errors at their worst signs: the response keeps to it, from rest too."""
     scenario = load_scenario(TINY).with_assignments([ERRORS[0], *ERRORS[2:4]])
-    safety = synthesize(scenario).safety
+    schedule = synthesize(scenario)
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    safety = schedule.safety
     tracking, flow, gain = safety.tracking, safety.tracking.flow, safety.tracking.gain
     profile, part = tracking.profile, tracking.system.thrusters.part
     assert np.all(np.diff(profile, axis=0) <= 0) and np.all(profile[0] < tracking.system.u_max)
@@ -375,7 +379,7 @@ def test_every_place_where_the_docs_say_an_error_enters_is_there():
 
 def test_forged_errors_are_refused(tmp_path):
     """The scenario's bounds are the certificate's: no smaller ones pass, wherever they are written."""
-    forger = Forger(make(ERRORS, tmp_path), tmp_path)
+    forger = Forger(make([COARSE.replace("0.5", "0.25"), *ERRORS], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     names = forger.honest["assumptions"]
     data = forger.tree(CERTIFICATE)

@@ -22,7 +22,7 @@ from polaris.simulation.orbit.truth import declared, fly_true
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from .conftest import synthesised
+from ..kept import printed
 
 SPACECRAFT = ["static", "dynamic", "keep_out", "hold_point"]
 ETA = 0.0012
@@ -102,7 +102,7 @@ def test_near_circular_orbits_ripple_as_little_as_j2_lets_them():
 
 
 def test_without_j2_drag_and_distance_the_linear_model_is_left():
-    schedule = synthesised("static")[1]
+    schedule = printed("static")[1]
     far = fly_true(schedule, BARE, 2, initial="center", substeps=1)
     linear = simulate(schedule, 2, initial="center", disturbance="none", substeps=1)
     assert np.abs(far.runs.states - linear.states)[..., :3].max() < 0.5
@@ -180,7 +180,7 @@ def test_two_digits_round_up():
     "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
 )
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
-    found = model_error(*synthesised(name), samples=40_000)
+    found = model_error(*printed(name), samples=40_000)
     assert found.covered, found.summary()
     assert 0.5 * found.bound < found.sampled <= found.bound
     assert found.bound > 0.7 * found.declared, "the declared bound is not idle either"
@@ -192,7 +192,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
-    scenario, schedule = synthesised(name)
+    scenario, schedule = printed(name)
     env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max
     flown = fly_true(schedule, env, 40, substeps=1)
     metrics = flown.runs.metrics()
@@ -237,7 +237,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     scenario = load_scenario("static", ERRORS)
     env, schedule = Environment.of(scenario), synthesize(scenario)
     system = schedule.safety.problem.system
-    flown = fly_true(schedule, env, 12, substeps=1)
+    flown = fly_true(schedule, env, 8, substeps=1)
     metrics = flown.runs.metrics()
     assert flown.within.all() and flown.residual.max() < system.w_max and not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1 and farthest(schedule, flown) <= 1 + 1e-6
@@ -245,11 +245,11 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     plain = synthesize(load_scenario("static", ERRORS[:4]))
     for name in ("estimate_error", "thrusters"):
         object.__setattr__(plain.safety.problem.system, name, getattr(system, name))
-    assert farthest(plain, fly_true(plain, env, 12, substeps=1)) > 1.1
+    assert farthest(plain, fly_true(plain, env, 8, substeps=1)) > 1.1
 
 
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
-    scenario, schedule = synthesised("static")
+    scenario, schedule = printed("static")
     region = visited(schedule)
     flown = fly_true(schedule, Environment.of(scenario), 20, tail=True, substeps=1)
     K, q = schedule.safety.problem.K, schedule.safety.clearance.q
@@ -261,7 +261,7 @@ def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
 
 
 def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is_covered():
-    scenario, schedule = synthesised("dynamic")
+    scenario, schedule = printed("dynamic")
     safety, env = schedule.safety, Environment.of(scenario)
     satellite = next(o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle))
     rng = np.random.default_rng(2)

@@ -18,7 +18,7 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
 from .closed_loops import held
-from .forging import CERTIFICATE, Forger, make
+from .forging import CERTIFICATE, COARSE, Forger, make
 from .test_error_sources import exact
 from .tiny import TINY
 
@@ -162,7 +162,7 @@ def test_orbits_are_those_of_the_mean_motion():
 @pytest.fixture(scope="module")
 def forger(tmp_path_factory):
     folder = tmp_path_factory.mktemp("passive")
-    return Forger(make(["abort.drift_s=10.0", "tank.delta_v_m_s=20.0"], folder), folder)
+    return Forger(make([COARSE, "abort.drift_s=10.0", "tank.delta_v_m_s=20.0"], folder), folder)
 
 
 def test_forged_drifts_are_refused(forger):

@@ -187,7 +187,9 @@ def test_where_u_alone_collides_less_than_everything_is_reached(name):
     assert bound.ended == "reached" and bound.programs < 100
 
 
-@pytest.mark.parametrize("seed", (*BOUNDED, 37, 41, 65, 68))
+@pytest.mark.parametrize(
+    "seed", [*BOUNDED, 37, *(pytest.param(s, marks=pytest.mark.slow) for s in (41, 65, 68))]
+)
 def test_no_random_schedule_beats_the_bound(seed, tmp_path):
     scenario, schedule = random_schedule(seed, tmp_path)
     bound = share_bound(schedule, scenario.switching_rules(), 200)

@@ -53,7 +53,7 @@ def computed(folder, monkeypatch):
     """Names of the points that are computed, which are copied from those that are known."""
     names = []
 
-    def run(scenario, place):
+    def run(scenario, place, **_):
         names.append(place.name)
         shutil.rmtree(place, ignore_errors=True)
         shutil.copytree(folder.path / place.name, place)
@@ -170,7 +170,7 @@ def test_points_of_other_scenarios_and_versions_are_computed_again(copied, compu
 def test_an_interrupted_one_goes_on_from_there(folder, computed, tmp_path, monkeypatch):
     run, counted = module.run, []
 
-    def interrupted(scenario, place):
+    def interrupted(scenario, place, **_):
         if place.name == "price-3":
             raise KeyboardInterrupt
         run(scenario, place)
@@ -191,7 +191,7 @@ import os, shutil, signal, sys
 from polaris.runs import schedule, tradeoff
 known, out, tiny, *overrides = sys.argv[1:]
 run = tradeoff.run
-def copying(scenario, place):
+def copying(scenario, place, **_):
     if place.name == "price-0":
         shutil.copytree(f"{known}/price-0", place)
     else:
@@ -260,7 +260,7 @@ def test_a_value_without_a_schedule_is_a_result_and_the_rest_is_as_run_alone(swe
 
 def test_what_is_infeasible_is_not_asked_again(swept, tmp_path, monkeypatch):
     copied = Path(shutil.copytree(swept.path, tmp_path / "one"))
-    monkeypatch.setattr(module, "run", lambda scenario, place: 1 / 0)
+    monkeypatch.setattr(module, "run", lambda scenario, place, **_: 1 / 0)
     again = polaris.tradeoff(TINY, copied, {KEY: [0.05, 1, 2]}, share=0.2, overrides=FEW)
     assert again.summary["points"] == swept.summary["points"]
     with pytest.raises(ZeroDivisionError):  # another scenario

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from reach.networks.bands import Activation
 from reach.networks.loop import NetworkLoop
-from reach.networks.network import Affine, Network
+from reach.networks.network import Activation, Affine, Network
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope

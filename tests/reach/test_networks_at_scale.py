@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from reach.networks.bands import Activation
-from reach.networks.network import Affine, Network
+from reach.networks.network import Activation, Affine, Network
 from reach.sets.zonotope import Zonotope
 
 KINDS = [

@@ -9,9 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polaris.report.html.comparison_report import _log, stretches
-from polaris.report.html.page import script_json
+from polaris.report.html.page import (
+    Cell,
+    Measure,
+    badge,
+    escaped,
+    number_cell,
+    script_json,
+    shown,
+    table,
+    text_cell,
+)
 from polaris.report.html.scene import plain
-from polaris.report.html.tables import Cell, Measure, badge, escaped, number_cell, shown, table, text_cell
 from polaris.report.html.timelines import MOST, kept
 from polaris.report.scene.geometry import ball, boxed, cut_surface, hull, polyhedron
 from polaris.report.scene.palette import method_style as style_of

@@ -10,13 +10,9 @@ from polaris.rta.flight import Conditions, Engine
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.estimate import Measurement
 
-from ..kept import scheduled
+from .scenes import robot as robot_schedule
 
 HALF = 0.01
-
-
-def robot_schedule():
-    return scheduled("robot")[1]
 
 
 @cache

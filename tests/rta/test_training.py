@@ -11,9 +11,13 @@ from gymnasium.error import ResetNeeded  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit  # noqa: E402
 
-from benchmarks.training import commanded, train, unpacked  # noqa: E402
-from polaris.model.errors import PolarisError, ScenarioError  # noqa: E402
+from benchmarks.policies import write_onnx  # noqa: E402
+from benchmarks.training import commanded, folded, train, unpacked  # noqa: E402
+from polaris.certificate.checker import verify_document  # noqa: E402
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible  # noqa: E402
+from polaris.rta.arena import compare_methods  # noqa: E402
 from polaris.rta.decision_grid import DecisionGrid  # noqa: E402
+from polaris.runs.certificate import certificate  # noqa: E402
 from polaris.runs.training import (  # noqa: E402
     InspectionEnv,
     Shield,
@@ -21,8 +25,10 @@ from polaris.runs.training import (  # noqa: E402
     SwitchingVectorEnv,
     VectorShield,
 )
-from polaris.scenario.scenario import load_scenario  # noqa: E402
-from polaris.synthesis.neural import NeuralController, Policy  # noqa: E402
+from polaris.scenario.reading import write_toml  # noqa: E402
+from polaris.scenario.scenario import bundled_files, load_scenario  # noqa: E402
+from polaris.synthesis.neural import NeuralController  # noqa: E402
+from polaris.synthesis.policy import Policy  # noqa: E402
 from polaris.synthesis.synthesize import synthesize  # noqa: E402
 from reach.networks.network import Affine, Network  # noqa: E402
 
@@ -74,6 +80,22 @@ def test_environments_pass_the_check_of_the_library(name, shielded):
     if shielded:
         Shield(env)
     check_env(env, skip_render_check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(bundled_files()))
+def test_every_bundled_scenario_passes_it_or_is_refused(name):
+    scenario = load_scenario(name)
+    if scenario.kind not in ("schedule", "inspection") or name == "infeasible":
+        with pytest.raises((ScenarioError, SynthesisInfeasible)):
+            (SwitchingEnv if scenario.kind == "schedule" else InspectionEnv)(scenario)
+        return
+    env = InspectionEnv(scenario) if scenario.kind == "inspection" else SwitchingEnv(scheduled(name)[1])
+    for told in ({"intervened"}, {"intervened", "proven" if scenario.kind == "inspection" else "margin"}):
+        check_env(env.unwrapped, skip_render_check=True)
+        env.reset(seed=1)
+        assert told <= env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4].keys()
+        env = Shield(env, penalty=0.5)
 
 
 def test_they_are_registered_under_names():
@@ -136,21 +158,23 @@ def test_what_does_not_fit_is_told():
 def test_observations_are_what_a_network_reads_in_flight():
     """A network that hands its inputs on commands what the environment shows, up to its scales."""
     reads, schedule = ("error", "state", "time", "reference_input"), sampled()
-    env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 12.0))
+    reads += ("relative_position:trolley", "velocity:trolley")
+    env = SwitchingEnv(schedule, inputs=reads, input_scale=np.arange(1.0, 16.0))
     seen, _ = env.reset(seed=5)
-    W = np.vstack([np.eye(11)[[0, 2]], np.eye(11)[[5, 8]], np.eye(11)[[9, 10]]])
-    law, flights = schedule.controllers[1], env.many.flights
-    for row in range(0, 6, 2):
+    W, problem = np.eye(15)[[0, 2, 5, 8, 9, 10, 11, 14, 12, 13]], schedule.safety.problem
+    law, flights, q = schedule.controllers[1], env.many.flights, schedule.safety.clearance.q
+    for row in range(0, 10, 2):
         network = Network((Affine(W[row : row + 2], np.zeros(2)),))
-        policy = Policy(network, reads, np.arange(1.0, 12.0), np.ones(2))
-        given = schedule.safety.problem.system, policy, law.reference, law.own, schedule.safety.tracking
+        policy = Policy(network, reads, np.arange(1.0, 16.0), np.ones(2))
+        given = problem.system, policy, law.reference, law.own, schedule.safety.tracking, problem.unsafe
         env.reset(seed=5)
         for k in range(30):
-            node, cell = k, k // schedule.safety.clearance.q
+            node, (cell, place) = k, divmod(k, q)
             controller = NeuralController("same", *given)
-            own = flights.grid.own[1][node]
-            shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0])
-            assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-12)
+            own, later = flights.grid.own[1][node], place * schedule.safety.tracking.flow.h
+            shown = controller.command(cell, flights.grid.xi[node], own, flights.x[0], later)
+            # What is told of a body that nothing is uncertain of is off by what rounding is booked with.
+            assert shown == pytest.approx(W[row : row + 2] @ flights.observe()[0], abs=1e-6)
             env.step(np.zeros(2))
 
 
@@ -340,6 +364,27 @@ def test_a_step_that_only_begins_anew_costs_nothing():
     assert env.step(np.zeros(2))[1:3] == (0.0, False)
 
 
+def test_what_is_trained_is_exported_proven_and_flown(tmp_path):
+    """From the first episode to the arena, in a small scene."""
+    pytest.importorskip("onnx")
+    env = VectorShield(SwitchingVectorEnv(sampled(), 32), penalty=0.01)
+    mean, collisions = train(env, 8)
+    write_onnx(tmp_path / "trained.onnx", folded(env, mean))
+    scene = load_scenario(TINY, SAMPLED).to_dict()
+    network = {"kind": "neural", "name": "trained", "path": "trained.onnx", "output_scale_N": 1.0}
+    scene["experimental"] = [network | {"reference": scene["experimental"][0]["reference"]}]
+    (tmp_path / "scene.toml").write_text(write_toml(scene), encoding="utf-8")
+    scenario = load_scenario(tmp_path / "scene.toml")
+    schedule = synthesize(scenario)
+    assert collisions == 0 and schedule.guarantee == "proved" and schedule.share() > 0.2
+    verdict = verify_document(certificate(schedule, scenario.name))
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    found = compare_methods(schedule, 6, methods=["experimental", "schedule", "monitor"]).results
+    assert all(found[key].claim.kind == "proved" for key in ("schedule", "monitor"))
+    assert not any(found[key].metrics.collided.any() for key in ("schedule", "monitor"))
+    assert found["schedule"].metrics.experimental_share.mean() == pytest.approx(schedule.share())
+
+
 def test_inspection_is_kept_by_an_assured_filter():
     ends = {}
     for shielded in (True, False):
@@ -351,6 +396,7 @@ def test_inspection_is_kept_by_an_assured_filter():
             inward = -np.sign(env.unwrapped.x[:, :3]).ravel()
             _, reward, over, ended, info = env.step(inward.astype(np.float32))
             told.append((over, info["intervened"], info["proven"], info["least"]))
+            assert not shielded or reward <= 1 / 60 - 0.5 * info["intervened"]
             if over or ended:
                 break
         ends[shielded] = np.array(told, dtype=float)

@@ -23,8 +23,8 @@ from polaris.traces import (
     parse_trace,
     restamp,
 )
+from polaris.traces.evaluation import weights
 from polaris.traces.placing import Faceted
-from polaris.traces.results import weights
 from polaris.traces.settings import between, interpolate, rates
 
 from .traces import agent, entry, moving, trace

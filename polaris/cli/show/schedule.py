@@ -85,7 +85,8 @@ def _worst(found: Mapping[str, Any] | None) -> str:
     hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"
     near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
     leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
-    return f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
+    told = f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
+    return told + ("" if found["repeats"] else " Asked again, they answer otherwise: by chance, or drifting.")
 
 
 def _claim(claim: Mapping[str, Any]) -> str:
@@ -130,6 +131,7 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
 
 COLUMNS = (
     "mode",
+    "guarantee",
     "runs",
     "violations",
     "probability, 95 %",
@@ -148,7 +150,7 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
         for mode, told in case.get("modes", {}).items():
             found.add_row(label, *_row(mode, told))
             label = ""
-    out.table(found, max(len(str(case["label"])) for case in summary["cases"]) + 145)
+    out.table(found, max(len(str(case["label"])) for case in summary["cases"]) + 157)
     for case in summary["cases"]:
         if "failure" in case:
             out.say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
@@ -167,6 +169,7 @@ def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:
     bad = told["violations"] > 0
     return [
         Text(mode),
+        Text(told["guarantee"]),
         Text(f"{told['runs']:,}"),
         alarming(f"{told['violations']:,}", bad),
         alarming(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),

@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
+from ...traces.evaluation import AgentMetrics, Separation, Spread, TraceMetrics
 from ...traces.legacy import Legacy, Raises
-from ...traces.results import AgentMetrics, Separation, Spread, TraceMetrics
 from . import Printout, alarming, table
 
 

@@ -16,12 +16,10 @@ from ..vectors import dot, length
 from .brake import Brake, turned
 from .tube import TOLERANCE
 
-SUPPORTS = 16
-"""Most steps towards the nearest point of a patch of free flights; each gives a valid bound."""
+SUPPORTS = 16  # most steps towards the nearest point of a patch of free flights; each gives a valid bound
 
 
-NEAR = 5.0
-"""Bounds of free flights [m] up to which they are looked at closely."""
+NEAR = 5.0  # bounds of free flights [m] up to which they are looked at closely
 
 
 class AllTime:

@@ -17,14 +17,12 @@ from ..inspection import Inspection
 from ..vectors import length
 from .tube import Held, Tube, Uncertainty
 
-MOST = 2000
-"""Most samples of a plan: what would take longer is not proven."""
+MOST = 2000  # most samples of a plan: what would take longer is not proven
 
 RESPONSES = (10.0, 20.0, 40.0)
 """Time constants [s] of the feedback that holds a plan, of which the one with the thinnest tube is taken."""
 
-LOOKS = 2048
-"""Instants at which free flight from rest is looked at, once."""
+LOOKS = 2048  # instants at which free flight from rest is looked at, once
 
 
 class Brake:

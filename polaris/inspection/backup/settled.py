@@ -12,11 +12,8 @@ from scipy.linalg import solve_discrete_lyapunov
 from ...model.errors import ScenarioError
 from ...model.system import Array
 
-SHRUNK = 1e-3
-"""The norm of the loop's power behind which the rest of a sum is bounded geometrically."""
-
-LONGEST = 8192
-"""Most terms taken exactly; a loop that has not shrunk by then is refused."""
+SHRUNK = 1e-3  # the norm of the loop's power behind which the rest of a sum is bounded geometrically
+LONGEST = 8192  # most terms taken exactly; a loop that has not shrunk by then is refused
 
 
 class Decay:

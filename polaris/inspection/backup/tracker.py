@@ -18,15 +18,11 @@ from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
 from .settled import Decay
 
-LONGEST = 20_000
-"""Most periods of one predicted flight."""
-
-LOOK = 4
-"""Every so many periods it is asked whether the flight has settled."""
+LONGEST = 20_000  # most periods of one predicted flight
+LOOK = 4  # every so many periods it is asked whether the flight has settled
 
 
-BRAKING = 0.5
-"""Share of the thrust with which the stopping point of the reference is estimated."""
+BRAKING = 0.5  # share of the thrust with which the stopping point of the reference is estimated
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from ..constraints.families import Rows
 from ..vectors import dot
 from .explicit import Centralized, Decentralized
 
-TIGHT = 1e-7
-"""A condition counts as active if the input misses equality by less [N]."""
+TIGHT = 1e-7  # a condition counts as active if the input misses equality by less [N]
 
 
 class ActiveSetFilter(CallByCall):

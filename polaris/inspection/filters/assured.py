@@ -25,29 +25,20 @@ from .explicit import Centralized, Decentralized
 
 Some = NDArray[np.bool_]
 
-HALVINGS = 6
-"""Halvings of the way from the backup's thrust to the wanted one."""
+HALVINGS = 6  # halvings of the way from the backup's thrust to the wanted one
 
 
-FAR = 1e-6
-"""How much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s."""
+FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s
 
 
 class Assured(CallByCall):
     """What the four filters share: the plan that is proven, and that nothing is applied before its rest is.
 
-    Attributes
-    ----------
-    log : list of Switch
-        Of filters that latch.
-
-    Notes
-    -----
     ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins``
     are lower bounds, over all time, of the constraints along what will be flown if the backup takes over
     after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a
     plan has been proven, as long as the states are known within their bounds and calls come each period;
-    without errors of any kind states may be missing, too.
+    without errors of any kind states may be missing, too. ``log`` holds the switches of filters that latch.
     """
 
     def __init__(self, planner: Planner) -> None:

@@ -21,11 +21,8 @@ CENTRALIZED = "centralized"
 SHARINGS = ("coasting", "half", "consensus")
 Statuses = NDArray[np.int8]
 
-TRIES = 6
-"""Programs for which the curvature is bounded by the thrust that the one before chose."""
-
-MET = 1e-9
-"""By how much a condition may be missed [units of h per s]: what the solver leaves."""
+TRIES = 6  # programs for which the curvature is bounded by the thrust that the one before chose
+MET = 1e-9  # by how much a condition may be missed [units of h per s]: what the solver leaves
 
 LOOPS, LEFT = "polaris.rta.nearest", -1
 """Compiled programs, and the status of one that they leave to the solver."""
@@ -203,13 +200,7 @@ class Decentralized:
 
 
 def make_filter(families: Families, sharing: str) -> Centralized | Decentralized:
-    """The filter called ``centralized``, or the decentralized one that shares as its name says.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such way to share.
-    """
+    """The filter ``centralized``, or the decentralized one that shares as its name says, if there is one."""
     return Centralized(families) if sharing == CENTRALIZED else Decentralized(families, sharing)
 
 

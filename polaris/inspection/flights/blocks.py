@@ -17,8 +17,7 @@ from ..constraints.families import Families
 from .judge import keepers
 from .simulation import BatchFilter, Flights, Observer, Step, fly
 
-BETWEEN = 1
-"""Instants inside each period at which the constraints are looked at too."""
+BETWEEN = 1  # instants inside each period at which the constraints are looked at too
 
 NEAR = 60.0
 """Closest approaches in free flight [m] up to which they are told exactly; beyond, a lower bound is told."""

@@ -18,8 +18,7 @@ from ..inspection import Inspection
 from .primary import Primary
 from .simulation import whole_periods
 
-ENDED = 1e-4
-"""A predicted flight is followed until no more than this share of the thrust limit will be used."""
+ENDED = 1e-4  # a predicted flight is followed until no more than this share of the thrust limit will be used
 
 
 @dataclass(frozen=True, eq=False)

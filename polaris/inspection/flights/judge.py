@@ -14,33 +14,18 @@ from ..constraints.families import Families
 from ..constraints.table import Index
 from .simulation import InspectionRun
 
-CHUNK = 256
-"""States judged at a time."""
+CHUNK = 256  # states judged at a time
 
 
 @dataclass(frozen=True)
 class Least:
-    """Where a constraint came nearest to being violated.
+    """Where a constraint came nearest to being violated."""
 
-    Attributes
-    ----------
-    value : float
-        Its least value, at the starts of the periods and at the instants between; negative if violated.
-    time : float
-        [s]
-    deputies : tuple of int
-        The deputy, or the pair.
-    at_samples : float
-        Its least value at the starts of the periods alone.
-    violated_share : float
-        Share of the instants at which it was negative for anyone.
-    """
-
-    value: float
-    time: float
-    deputies: tuple[int, ...]
-    at_samples: float
-    violated_share: float
+    value: float  # at the starts of the periods and at the instants between; negative if violated
+    time: float  # [s]
+    deputies: tuple[int, ...]  # the deputy, or the pair
+    at_samples: float  # the least value at the starts of the periods alone
+    violated_share: float  # share of the instants at which it was negative for anyone
 
 
 @dataclass(frozen=True, eq=False)

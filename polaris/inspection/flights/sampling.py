@@ -13,8 +13,7 @@ from ...model.system import Array
 from ..constraints.allowable_set import allowable
 from ..constraints.families import Families
 
-PATIENCE = 200_000
-"""Samples after which a first one must have been accepted, and so on."""
+PATIENCE = 200_000  # samples after which a first one must have been accepted, and so on
 
 
 class InitialConditions:

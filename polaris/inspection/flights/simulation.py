@@ -220,8 +220,7 @@ class InspectionRun:
         return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 
-SMALL = 0.02
-"""Share of the thrust limit below which thrust has no sign."""
+SMALL = 0.02  # share of the thrust limit below which thrust has no sign
 
 
 def smoothness(u: Array, t: Array, limit: float) -> dict[str, float]:

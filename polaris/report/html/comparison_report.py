@@ -17,9 +17,21 @@ from ...runs.comparison import ComparisonPicture
 from ...runs.folder import RunFolder
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
-from .page import Page, reading
+from .page import (
+    Cell,
+    Measure,
+    Page,
+    badge,
+    details,
+    items,
+    macros,
+    number_cell,
+    reading,
+    shown,
+    table,
+    text_cell,
+)
 from .run_report import NOTE, guarantee, loud
-from .tables import Cell, Measure, badge, details, items, macros, number_cell, shown, table, text_cell
 from .timelines import Flown, flight_data
 
 FIRST = 4  # methods that are shown at first; the others can be chosen

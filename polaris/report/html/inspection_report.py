@@ -20,9 +20,8 @@ from ..scene import palette
 from ..scene.geometry import Shape, gapped
 from ..scene.items import Item
 from ..scene.unsafe import AXES, ORDER, surroundings
-from .page import Page, reading
+from .page import Cell, Measure, Page, badge, macros, number_cell, reading, table, text_cell
 from .scene import layer, plain
-from .tables import Cell, Measure, badge, macros, number_cell, table, text_cell
 from .timelines import WHO, input_panels, kept, limit, modes_present, panel, pilot
 
 LIMITS = (

@@ -15,8 +15,7 @@ from ...runs.picture import Picture
 from ...synthesis.recoverable import directed
 from ..scene.geometry import stretches
 from ..scene.palette import PILOTS, mode_colour
-from .page import Page, reading
-from .tables import Cell, Measure, badge, macros, table
+from .page import Cell, Measure, Page, badge, macros, reading, table
 from .timelines import Flown, flight_data
 
 MOST_TOLD = 3  # most stretches under S that are told one by one

@@ -23,24 +23,14 @@ from ..projection import project
 SLOPE = 10.0
 """Slope of the class-K function, per duration of the flight: chosen by ``benchmarks/comparison.py``."""
 
-UNCHANGED = 1e-9
-"""Share of the thrust limits by which an input may differ and still count as the desired one."""
+UNCHANGED = 1e-9  # share of the thrust limits by which an input may differ and still count as the desired one
 
 
 class ExplicitASIF(Method):
-    """The filter.
+    """The filter; its class-K function has the slope `alpha` [1/s], by default `SLOPE` per flight's duration.
 
-    Parameters
-    ----------
-    grid : DecisionGrid
-    alpha : float, optional
-        Slope of the class-K function [1/s]; default `SLOPE` per duration of the flight.
-
-    Raises
-    ------
-    ScenarioError
-        If the thrust cannot brake along some facet, or it takes more than two derivatives of the position
-        to meet the input.
+    `ScenarioError` if the thrust cannot brake along some facet, or it takes more than two derivatives of the
+    position to meet the input.
     """
 
     key, name, place = "asif_explicit", "Explicit ASIF", 7

@@ -22,31 +22,18 @@ from ..projection import project
 from ..prospect import Leg, Prospect
 from ..recovery import Recovery, extended
 
-SLACK = 1e-6
-"""Share of the room kept free for what the solver leaves unsatisfied."""
+SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
 
 
-UNLIMITED = 1e200
-"""Room of a row that nothing limits."""
+UNLIMITED = 1e200  # room of a row that nothing limits
 
 
 class ImplicitASIF(Method):
-    """The filter.
+    """The filter; `NotCertified` if the initial set is not inside the first recoverable set.
 
-    Parameters
-    ----------
-    grid : DecisionGrid
-    slope : float
-        Share of the room of a row that one decision may use up, above 0 and at most 1: the slope of a linear
-        class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less; where
-        that leaves none, all of the room counts.
-
-    Raises
-    ------
-    NotCertified
-        If the initial set is not inside the first recoverable set.
-    ScenarioError
-        If the slope is out of range.
+    `slope`, above 0 and at most 1, is the share of the room of a row that one decision may use up: the slope
+    of a linear class-K function in discrete time, times the period. Below 1 inputs are bent earlier and less;
+    where that leaves none, all of the room counts.
     """
 
     key, name, place, proven = "asif_implicit", "Implicit ASIF", 8, True

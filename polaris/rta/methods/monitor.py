@@ -31,8 +31,7 @@ from ..recovery import Recovery
 TRUST = ("declared", "thrust_limits")
 REENTRIES, DWELLS = (0.0, 0.02, 0.05, 0.1, 0.2), (1, 3, 10, 30, 100)
 """What the benchmark of the comparison page tries."""
-REENTRY = 0.1
-"""Default of the share of the room to be left: chosen by ``benchmarks/comparison.py``."""
+REENTRY = 0.1  # default of the share of the room to be left: chosen by ``benchmarks/comparison.py``
 
 
 class Monitor(Method):

@@ -71,7 +71,7 @@ class ImplicitSimplex(Latched):
     Of the perceived unsafe sets, and within the thrust limits.
     """
 
-    key, name, place = "simplex_implicit", "Implicit simplex", 6
+    key, name, place, predicts = "simplex_implicit", "Implicit simplex", 6, True
     how = "S is predicted, undisturbed, from where U would be at the next decision; latched"
 
     def __init__(self, grid: DecisionGrid) -> None:

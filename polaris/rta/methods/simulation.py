@@ -38,7 +38,7 @@ class Simulation(Method):
         How far it looks [s]; default `ahead` of the flight's duration, at least `LEAST` decisions.
     """
 
-    key, name, place = "simulation", "Look-ahead by simulation", 9
+    key, name, place, predicts = "simulation", "Look-ahead by simulation", 9, True
     how = "one undisturbed flight of U over a share of the horizon keeps clear"
     options = (HORIZON,)
     reasons = ("the predicted flight keeps clear", "the predicted flight enters an unsafe set")

@@ -7,8 +7,7 @@ from math import floor, isfinite
 from ...model.foreign import real
 from .runtime_options import Fault
 
-MOST = 1e9
-"""Numbers of decisions beyond this are none."""
+MOST = 1e9  # numbers of decisions beyond this are none
 
 
 class DecisionClock:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from ...model.errors import PolarisError
+from ...model.errors import NoAnswer, PolarisError
 from ...model.system import Array
 from ...model.version import version
 from ..atomic import check_file, replacing_file
@@ -144,6 +144,8 @@ def fly_batch(task: Task) -> Batch:
         raise PolarisError(f"{rule}; install the same everywhere")
     try:
         parts = [task.kind.fly(task, mode) for mode in task.kind.modes]
+    except NoAnswer:
+        raise  # another time it may go well
     except PolarisError as error:
         return Batch("", {}, str(error), error.exit_code)
     return Batch(parts[0].schedule, joined([part.columns for part in parts]))

@@ -82,7 +82,7 @@ class Driver:
             label = self.folder.plan.cases[task.case].label
             raise PolarisError(
                 f"{label}: workers (or an earlier part of this campaign) found different schedules: other"
-                " processors, or other versions of the solver"
+                " processors, other versions of the solver, or another black box"
             )
 
     def _tell(self) -> None:

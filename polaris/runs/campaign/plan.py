@@ -7,7 +7,7 @@ import itertools
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ...model.checks import whole
@@ -15,11 +15,12 @@ from ...model.errors import ScenarioError
 from ...model.version import version
 from ...scenario.base import parse_assignment
 from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
+from ...synthesis.black_box import Ask
 from .batch import Case, Kind, Task
 from .inspections import InspectionRuns
-from .schedules import ScheduleRuns
+from .schedules import Boxes, ScheduleRuns
 
-FORMAT, VERSION = "polaris campaign", 2
+FORMAT, VERSION = "polaris campaign", 3
 
 KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, InspectionRuns)}
 """Kinds of run by the name in a manifest."""
@@ -75,6 +76,17 @@ class CampaignPlan:
         del data["runs"]
         text = json.dumps(data, sort_keys=True, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def asking(self, boxes: Mapping[str, Ask] | None) -> CampaignPlan:
+        """The same with what is asked of black boxes, by their names: to be flown by this process alone.
+
+        No manifest knows more of them than that; to go on, or to fly a run again, give them again.
+        """
+        if not boxes:
+            return self
+        if not isinstance(self.kind, ScheduleRuns):
+            raise ScenarioError("black box", list(boxes), "must belong to a scenario of a schedule")
+        return replace(self, kind=replace(self.kind, boxes=Boxes(boxes)))
 
     def task(self, case: int, batch: int) -> Task:
         """One task; `ScenarioError` if there is no such case or batch."""

@@ -6,8 +6,9 @@ import hashlib
 import threading
 import tomllib
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -21,7 +22,9 @@ from ...scenario.scenario import ScheduleScenario
 from ...simulation.disturbances import Disturbance
 from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation_interval
 from ...simulation.run_metrics import PART, Runs, evaluate
+from ...simulation.sampled import with_boxes
 from ...simulation.simulate import DISTURBANCES, INITIALS, Initial, simulate
+from ...synthesis.black_box import Ask
 from ...synthesis.schedule import Schedule
 from ...synthesis.synthesize import synthesize
 from ..schedule import digest
@@ -50,7 +53,7 @@ WORST: dict[str, Callable[[Array], Any]] = {
 }
 """Columns whose worst value over runs is told, and which one that is."""
 
-COLUMNS = sorted({*MEANS, *WORST, "batch", "run", "mode", "controller", "collided"})
+COLUMNS = sorted({*MEANS, *WORST, "batch", "run", "mode", "controller", "guarantee", "collided"})
 
 DEFINITIONS = {
     "violations": "runs that entered a true unsafe set",
@@ -73,13 +76,25 @@ ASSUMPTIONS = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """What is asked of black boxes, by their names; None before it is given."""
+
+    asks: Mapping[str, Ask | None]
+    busy: threading.Lock = field(default_factory=threading.Lock)
+
+    def __reduce__(self) -> Any:
+        raise ScenarioError("executor", "other processes", "must be left out: this process asks black boxes")
+
+
 @lru_cache(KEPT)
-def _made(text: str) -> tuple[Schedule, str] | PolarisError:
+def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError:
     """A schedule and its digest, or why there is none."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # told below
-            schedule = synthesize(ScheduleScenario.from_dict(tomllib.loads(text)))
+            scenario = ScheduleScenario.from_dict(tomllib.loads(text))
+            schedule = with_boxes(scenario, boxes.asks).schedule if boxes else synthesize(scenario)
     except PolarisError as error:
         return error
     except np.linalg.LinAlgError as error:
@@ -91,10 +106,10 @@ def _made(text: str) -> tuple[Schedule, str] | PolarisError:
     return replace(schedule, library=()), digest(schedule)  # other references fly nowhere here
 
 
-def schedule_of(text: str) -> tuple[Schedule, str]:
+def schedule_of(text: str, boxes: Boxes | None = None) -> tuple[Schedule, str]:
     """Schedule of a scenario's text, and its digest; made once per process, whatever its threads ask for."""
     with _lock:
-        made = _made(text)
+        made = _made(text, boxes)
     if isinstance(made, PolarisError):
         raise made.with_traceback(None)
     return made
@@ -105,12 +120,14 @@ class ScheduleRuns(Kind):
     """Runs of switching schedules, as `polaris.simulate` flies and `polaris.evaluate` measures them.
 
     The modes are among ``polaris``, ``safety``, ``experimental``; `initial` and `disturbance` are those of
-    `polaris.simulate`. `ScenarioError` if a value is not allowed.
+    `polaris.simulate`. Black boxes are asked by this process alone, and manifests know their names only.
+    `ScenarioError` if a value is not allowed.
     """
 
     modes: tuple[str, ...] = ("polaris",)
     initial: Initial = "mixed"
     disturbance: Disturbance = "mixed"
+    boxes: Boxes | None = field(default=None, compare=False)
 
     name: ClassVar[str] = "schedules"
     formats: ClassVar[tuple[str, ...]] = ("parquet",)
@@ -127,21 +144,34 @@ class ScheduleRuns(Kind):
         if not self.modes or len(set(self.modes)) < len(self.modes):
             raise ScenarioError("--mode", list(self.modes), "must name at least one mode, each once")
 
+    def data(self) -> dict[str, Any]:
+        """As `Kind.data`."""
+        return super().data() | {"boxes": sorted(self.boxes.asks) if self.boxes else None}
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> ScheduleRuns:
+        """As `Kind.from_data`; what is asked of black boxes is given, not read."""
+        named = data["boxes"]
+        return super().from_data({**data, "boxes": Boxes(dict.fromkeys(named)) if named else None})
+
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
         """As `Kind.fly`."""
-        schedule, known = schedule_of(task.text)
+        schedule, known = schedule_of(task.text, self.boxes)
         number = MODES[mode]
         name = mode if number is None else schedule.controllers[number].name
         seed, seed_truth = batch_seeds(task)
-        runs = simulate(
-            schedule, task.runs, seed, mode=number, initial=self.initial, disturbance=self.disturbance
-        )
+        busy: Any = self.boxes.busy if self.boxes else nullcontext()
+        with busy:
+            runs = simulate(
+                schedule, task.runs, seed, mode=number, initial=self.initial, disturbance=self.disturbance
+            )
         flown: dict[str, Any] = {
             "seed": np.full(task.runs, seed, dtype=np.int64),
             "seed_truth": np.full(task.runs, seed_truth, dtype=np.int64),
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
             "controller": np.repeat(name, task.runs),
+            "guarantee": np.repeat(_guarantee(schedule, number), task.runs),
             **evaluate(runs, seed_truth, name).columns(),
         }
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
@@ -180,6 +210,11 @@ class ScheduleRuns(Kind):
         }
 
 
+def _guarantee(schedule: Schedule, number: int | None) -> str:
+    """What is claimed of who flies: the schedule, S alone, or U alone."""
+    return schedule.guarantee if number is None else "none" if number else schedule.safety.guarantee
+
+
 def batch_seeds(task: Task) -> tuple[int, int]:
     """Seeds of the flights and of true satellites, below 2^63, from seed, case text and batch alone."""
     case = int.from_bytes(hashlib.sha256(task.text.encode()).digest()[:16], "big")
@@ -196,6 +231,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
     for first in range(0, run + 1, PART):
         truth = true_states(obstacles, system, runs.times, min(PART, task.runs - first), rng)
     truth = {name: states[run % PART] for name, states in truth.items()}
+    truth |= {name: states[run] for name, states in runs.bodies.items()}
     distances = signed_distances(obstacles, runs.times, runs.positions[run], system, truth)
     names = tuple(obstacle.name for obstacle in obstacles)
     arrays = {
@@ -228,6 +264,7 @@ def _told(columns: Columns, worst: int) -> dict[str, Any]:
     order = np.lexsort((columns["run"], columns["batch"], columns["min_distance_m"]))[:worst]
     return {
         "controller": str(columns["controller"][0]),
+        "guarantee": str(columns["guarantee"][0]),
         "runs": runs,
         "violations": violations,
         "violation_probability": {"share": violations / runs, "low": low, "high": high},

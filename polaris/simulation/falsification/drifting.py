@@ -13,8 +13,7 @@ from ...model.timed_polytope import TimedPolytope
 from ...synthesis.passive import PassiveSafety
 from ..run_metrics import Runs
 
-STOPS = 64
-"""Instants at which thrust stops that are looked at in each batch of runs."""
+STOPS = 64  # instants at which thrust stops that are looked at in each batch of runs
 
 
 def least_distances(
@@ -23,16 +22,8 @@ def least_distances(
     """Least distance of drifts from each unsafe set, thrust stopping at random nodes of clear steps.
 
     At every instant of the drift the disturbance has done all it can against the facet that keeps the drift
-    furthest away. `nodes` is the number of periods per step.
-
-    Returns
-    -------
-    ndarray, shape (stops, sets)
-        [m], inf without a step that is clear.
-    ndarray, shape (stops,)
-        Which run.
-    ndarray, shape (stops,)
-        When thrust stops [s].
+    furthest away. `nodes` is the number of periods per step. Distances (stops, sets) [m], inf without a step
+    that is clear; of which run, and when thrust stops [s], each (stops,).
     """
     flight = passive.flight
     steps, h = np.flatnonzero(passive.clear), flight.delta / nodes

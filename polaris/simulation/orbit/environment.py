@@ -10,14 +10,9 @@ import numpy as np
 from ...model.errors import ScenarioError
 from ...model.system import Array
 
-MU = 3.986004418e14
-"""Gravitational parameter of the Earth [m^3/s^2] (WGS 84)."""
-
-J2 = 1.08262668e-3
-"""Second zonal harmonic."""
-
-EARTH_RADIUS_M = 6378137.0
-"""Equatorial radius [m] that J2 refers to."""
+MU = 3.986004418e14  # gravitational parameter of the Earth [m^3/s^2] (WGS 84)
+J2 = 1.08262668e-3  # second zonal harmonic
+EARTH_RADIUS_M = 6378137.0  # equatorial radius [m] that J2 refers to
 
 K_J2 = 1.5 * MU * J2 * EARTH_RADIUS_M**2
 """``3/2 mu J2 R_E^2`` [m^5/s^2]: J2's acceleration at distance d is of the size ``K_J2 / d^4``."""

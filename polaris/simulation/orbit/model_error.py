@@ -18,8 +18,7 @@ from .frame import relative_rate
 from .region import Region, satellite_region, visited
 from .residual import Residual, residual_bound
 
-MOST_ROUNDS = 8
-"""Times a bound is raised before it is given up: it feeds back through the tubes, but weakly."""
+MOST_ROUNDS = 8  # times a bound is raised before it is given up: it feeds back through the tubes, but weakly
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,19 +126,10 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
 
 
 def justify(scenario: Any) -> ModelError:
-    """Raise the disturbance bound until it covers the model error of its own tubes.
+    """Raise the disturbance bound until it covers the model error of its own tubes, rounded up to two digits.
 
-    Returns
-    -------
-    ModelError
-        Of the scenario with the bound found, rounded up to two digits.
-
-    Raises
-    ------
-    ScenarioError
-        If no such bound is found.
-    SynthesisInfeasible, NotCertified
-        If the scenario has no safe synthesis with it.
+    `ScenarioError` if none is found, `SynthesisInfeasible` or `NotCertified` without a safe synthesis under
+    it.
     """
     found = model_error(scenario.set("system.disturbance_max_m_s2", 0.0), samples=1)
     for _ in range(MOST_ROUNDS):
