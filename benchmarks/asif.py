@@ -5,9 +5,10 @@
     python -m benchmarks.asif --monte-carlo 2000  the paper's Monte Carlo as well, on two processes
 
 States are drawn inside the safe set; 50 deputies fly in a plane across the sun, where all constraints can
-hold. Desired inputs are at random within the limits: nearly all calls solve programs. Times are processor
-time from the call to the answer, margins by name included, the least of three for each: what else the
-machine does hardly counts. Every tree and every way is timed in processes of its own, in turn, thrice.
+hold, or anywhere, where they cannot and programs have no solution. Desired inputs are at random within the
+limits: nearly all calls solve programs. The bundled scenes are flown, and asked again what they answered.
+Times are processor time from the call to the answer, margins by name included, the least of three for each:
+what else the machine does hardly counts. Every tree and every way is timed in processes of its own, in turn.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +32,7 @@ from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.flights.sampling import InitialConditions
+from polaris.inspection.flights.simulation import Flights, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
 from polaris.runs.monte_carlo import run_monte_carlo
@@ -36,28 +41,72 @@ from polaris.scenario.scenario import load_scenario
 ROOT = Path(__file__).parents[1]
 
 
-def time_filter(deputies: int, sharing: str, sampled: bool, calls: int = 1000) -> tuple[float, float, float]:
+Row = tuple[int, str, bool, str]
+"""Deputies, who filters, whether for sampled data, and from where: ``inside`` the safe set, ``anywhere``, or
+along the flight of a bundled scene, whose name it is."""
+
+ROWS: tuple[Row, ...] = (
+    (1, "centralized", False, "inside"),
+    *((5, sharing, False, "inside") for sharing in ("coasting", "half", "consensus", "centralized")),
+    (1, "centralized", True, "inside"),
+    (5, "centralized", True, "inside"),
+    (5, "centralized", True, "inspection"),
+    (5, "consensus", True, "inspection-decentralized"),
+    (50, "coasting", False, "inside"),
+    (50, "centralized", False, "inside"),
+    (50, "coasting", False, "anywhere"),
+    (50, "centralized", False, "anywhere"),
+)
+
+
+def time_filter(row: Row, calls: int, times: int) -> tuple[float, float, float]:
     """Median and 99th percentile [ms], share of calls that changed an input."""
-    inspection = Inspection(deputies=deputies)
-    x, sun = _states(inspection, 40)
-    rng = np.random.default_rng(0)
-    families = Families(inspection, sampled=SampledData(1.0) if sampled else None)
-    asif = ActiveSetFilter(make_filter(families, sharing))
     spent, changed = [], 0
-    for k in range(-5, calls):
-        which = k % len(x)
-        asif.sun_start = sun[which]
-        desired, least = rng.uniform(-1, 1, (deputies, 3)), np.inf
-        for _ in range(3):
+    for asif, t, x, desired in _calls(row, calls):
+        least = np.inf
+        if not spent:  # what is read or made at first counts for nothing
+            asif.filter(t, x, desired)
+        for _ in range(times):
             asif.reset()
             begun = time.thread_time()
-            decision = asif.filter(0.0, x[which], desired)
+            decision = asif.filter(t, x, desired)
             least = min(least, time.thread_time() - begun)
-        if k >= 0:
-            spent.append(least)
-            changed += bool(decision.intervened.any())
+        spent.append(least)
+        changed += bool(decision.intervened.any())
     median, p99 = np.percentile(spent, [50, 99])
     return float(median * 1e3), float(p99 * 1e3), changed / calls
+
+
+def _calls(row: Row, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.ndarray, np.ndarray]]:
+    """What is to be timed: the filter, the time, the states, what is desired."""
+    deputies, sharing, sampled, place = row
+    if place not in ("inside", "anywhere"):
+        yield from _along(place, calls)
+        return
+    inspection, rng = Inspection(deputies=deputies), np.random.default_rng(0)
+    families = Families(inspection, sampled=SampledData(1.0) if sampled else None)
+    asif = ActiveSetFilter(make_filter(families, sharing))
+    x, sun = _states(inspection, 40)
+    if place == "anywhere":
+        x, sun = rng.uniform(-1, 1, x.shape) * ([600.0] * 3 + [0.3] * 3), rng.uniform(0, 2 * np.pi, 40)
+    for k in range(calls):
+        asif.sun_start = sun[k % 40]
+        desired = rng.uniform(-1, 1, (deputies, 3))
+        yield asif, 0.0, x[k % 40], desired
+
+
+def _along(name: str, calls: int) -> Iterator[tuple[ActiveSetFilter, float, np.ndarray, np.ndarray]]:
+    """As `_calls`, from all over the flight of a scene."""
+    scenario: Any = load_scenario(name)
+    (x, sun), flight = scenario.initial(), scenario.model.flight
+    filtering = scenario.filter(scenario.model.filter, flight.period_s)
+    times = flight.duration_s, flight.period_s
+    flown = fly_one(
+        Flights(scenario.inspection(), x[None], np.array([sun]), *times, scenario.primary()), filtering
+    )
+    asif = ActiveSetFilter(filtering, sun_start=float(sun))
+    for k in np.linspace(0, len(flown.u) - 1, calls).astype(int).tolist():
+        yield asif, float(flown.t[k]), flown.x[k], flown.desired[k]
 
 
 def _states(inspection: Inspection, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -75,46 +124,58 @@ def _states(inspection: Inspection, count: int) -> tuple[np.ndarray, np.ndarray]
     return x + rng.uniform(-1, 1, x.shape) * ([10.0] * 3 + [0.02] * 3), sun
 
 
-def _timed(tree: Path, compiled: bool, row: tuple[int, str, bool], calls: int) -> list[float]:
+def _timed(tree: Path, compiled: bool, row: Row, calls: int, times: int) -> list[float]:
     """`time_filter` in a process of its own, with the package of a tree."""
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     there = {**os.environ, **single, "PYTHONPATH": str(tree), "POLARIS_COMPILED": str(int(compiled))}
-    command = [sys.executable, __file__, "--row", json.dumps([*row, calls])]
+    command = [sys.executable, __file__, "--row", json.dumps([row, calls, times])]
     answer = subprocess.run(command, env=there, check=True, capture_output=True, text=True)
     return list(json.loads(answer.stdout))
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--monte-carlo", type=int, default=0, metavar="RUNS")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--before", type=Path, metavar="PATH")
+    parser.add_argument("--only", type=int, nargs="*", default=range(len(ROWS)), help="numbers of rows")
+    parser.add_argument("--calls", type=int, default=300, help="per row; with 50 deputies a fifteenth")
+    parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--row", type=json.loads, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.row:
-        print(json.dumps(time_filter(*arguments.row)))
+    given = parser.parse_args(arguments)
+    if given.row:
+        print(json.dumps(time_filter(*given.row)))
         return
-    ways = {"NumPy": (ROOT, False), "compiled": (ROOT, True)}
-    if arguments.before:
-        ways = {"before": (arguments.before.resolve(), False), **ways}
+    ways = {"before": (given.before.resolve(), False)} if given.before else {}
+    ways["NumPy"] = (ROOT, False)
+    if find_spec("numba"):
+        ways["compiled"] = (ROOT, True)
     first = next(iter(ways))
     head = "".join(f"{f'{way} ms':>12} {'p99/median':>10}" for way in ways)
     ratios = "".join(f"{f'{way}/{first}':>17}" for way in ways if way != first)
     print(f"{'filter':28} {'N':>3}{head} {'changed':>8}{ratios}")
-    rows = [(1, "centralized", False), *((5, s, False) for s in ("coasting", "half", "consensus"))]
-    rows += [(5, "centralized", False), (5, "centralized", True)]
-    rows += [(50, s, False) for s in ("coasting", "centralized")]
-    for row in rows:
-        calls = 300 if row[0] <= 5 else 20
-        # The machine's clock changes: all ways in turn, three times, and the quickest of each.
-        turns = [[_timed(*way, row, calls) for way in ways.values()] for _ in range(3)]
-        found = [min(of_way) for of_way in zip(*turns, strict=True)]
-        name = row[1] + (", sampled-data" if row[2] else "")
-        times = "".join(f"{median:12.4f} {p99 / median:10.1f}" for median, p99, _ in found)
+    for row in (ROWS[k] for k in given.only):
+        # The machine's clock changes: all ways in turn, and the quickest of each.
+        calls, turns, times = given.calls, given.turns, 3
+        if row[0] > 5:
+            calls = -(-calls // 15)
+        if row[3] == "anywhere":
+            calls, turns, times = min(calls, 3), 1, 1
+        measured = [[_timed(*way, row, calls, times) for way in ways.values()] for _ in range(turns)]
+        found = [min(of_way) for of_way in zip(*measured, strict=True)]
+        times_told = "".join(f"{median:12.4f} {p99 / median:10.1f}" for median, p99, _ in found)
         ratios = "".join(f"{one[0] / found[0][0]:17.3f}" for one in found[1:])
-        print(f"{name:28} {row[0]:3d}{times} {found[-1][2]:8.0%}{ratios}", flush=True)
-    if arguments.monte_carlo:
-        _monte_carlo(arguments.monte_carlo, arguments.workers)
+        print(f"{_name(row):28} {row[0]:3d}{times_told} {found[-1][2]:8.0%}{ratios}", flush=True)
+    if given.monte_carlo:
+        _monte_carlo(given.monte_carlo, given.workers)
+
+
+def _name(row: Row) -> str:
+    """What a row is called in the table."""
+    _, sharing, sampled, place = row
+    if place not in ("inside", "anywhere"):
+        return place
+    return sharing + (", sampled-data" if sampled else "") + (", anywhere" if place == "anywhere" else "")
 
 
 def _monte_carlo(runs: int, workers: int) -> None:

@@ -20,7 +20,14 @@ import numpy as np
 import polaris
 from benchmarks.policies import FOLDER, write_onnx
 from polaris.model.system import Array
-from polaris.runs.training import InspectionEnv, Shield, SwitchingEnv, SwitchingVectorEnv, VectorShield
+from polaris.runs.training import (
+    InspectionEnv,
+    InspectionVectorEnv,
+    Shield,
+    SwitchingEnv,
+    SwitchingVectorEnv,
+    VectorShield,
+)
 
 WIDTH, CANDIDATES, SIGMA, RATE, DECAY = 16, 64, 0.1, 0.05, 0.005
 PENALTY = 0.005
@@ -131,13 +138,18 @@ def main() -> None:
         env = SwitchingVectorEnv(schedule, CANDIDATES, period_s=asked.period)
         return VectorShield(env, penalty) if shielded else env
 
+    def inspections() -> Any:
+        return InspectionVectorEnv("inspection", CANDIDATES)
+
     if asked.speed:
         for name, env in (
             (f"{CANDIDATES} episodes", made(False)),
             (f"{CANDIDATES} episodes, shielded", made(True)),
             ("1 episode, shielded", Shield(SwitchingEnv(schedule, period_s=asked.period))),
-            ("inspection, 5 deputies", InspectionEnv("inspection")),
             ("inspection, 5 deputies, shielded", Shield(InspectionEnv("inspection"))),
+            (f"{CANDIDATES} inspections", inspections()),
+            (f"{CANDIDATES} inspections, shielded", VectorShield(inspections())),
+            (f"{CANDIDATES} inspections, barriers", VectorShield(inspections(), proven=False)),
         ):
             print(f"{name:36} {speed(env):8.0f} periods/s")
         return

@@ -264,8 +264,8 @@ class Arrival:
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
         least = sums(least, self._from_thrust(needs.rows)) if self.scheduled else least
-        if not around:  # commands do not answer to what jitter displaces
-            least = sums(least, (magnitude(needs.carried[0]) * column(self.document.displaced)).entries())
+        if not around:  # commands do not answer to what is displaced
+            least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
             return sums(least, self._forgotten(needs, jump))
         carried = magnitude(needs.carried[node])

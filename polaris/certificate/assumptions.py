@@ -48,6 +48,10 @@ class Premises:
         Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
         Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
+    pulses : iterable of float
+        Thrust of the pulses of every input; empty where inputs are held.
+    carried : float
+        Impulse [N s] of which multiples are made, the rest being carried to the next period; 0 without.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
     allocated : bool
@@ -67,6 +71,8 @@ class Premises:
     observer: Iterable[float] = ()
     timing: Iterable[float] = ()
     thrusters: Iterable[float] = ()
+    pulses: Iterable[float] = ()
+    carried: float = 0.0
     chaser: float = 0.0
     allocated: bool = False
     sampled: Mapping[str, Any] | None = None
@@ -112,7 +118,14 @@ class Premises:
         if any(applied):
             parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
-            yield f"thrusters: what is applied to an input is within {off} of its command u_i"
+            told = "what is made of its command u_i" if self.carried else "its command u_i"
+            yield f"thrusters: what is applied to an input is within {off} of {told}"
+        if self.carried:
+            made = f"a period makes a multiple of {self.carried:g} N s, or all that its limit allows"
+            yield f"impulses: of each input {made}; what is left, at first nothing, is carried to the next"
+        if fired := ", ".join(f"{x:g}" for x in self.pulses):
+            made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
+            yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
         if self.allocated:
             yield ALLOCATED
         if predicted or jitter > 0:

@@ -104,8 +104,12 @@ class Document:
         self.timing: dict[str, Any] = system.get("timing") or {}
         self.measured: Vector = self.timing.get("measured") or self.estimate
         self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
+        self.fired: Vector = self.timing.get("fired") or []  # thrust of pulses; empty where inputs are held
+        self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
+        self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
+        self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
         bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
-        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter
+        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter, pulses
         if any(x < 0 for x in self.thrusters):
             raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
@@ -223,6 +227,8 @@ class Document:
             if self.timing
             else (),
             thrusters=self.prompt_thrusters,
+            pulses=self.fired,
+            carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
             sampled=self.statement or None,

@@ -61,7 +61,7 @@ CERTIFICATE = {
         **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
-                    **every(grid("n"), "measured displaced")},
+                    **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n"),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured")},
         "allocation?": {
@@ -166,7 +166,7 @@ GAINS = {
         "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
         "timing?": {
             **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
-            **every(VECTOR, "measured displaced"),
+            **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
         "error_by_step?": MATRIX,
         "observer?": {**every(MATRIX, "measures gain"), "noise": VECTOR},

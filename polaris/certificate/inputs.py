@@ -42,7 +42,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_system(document, scenario["system"])
         _check_thrusters(document, scenario)
         check_allocation(document, scenario)
-        check_timing(document, scenario.get("timing", {}), measured_errors(document, scenario))
+        check_timing(document, scenario, measured_errors(document, scenario))
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
@@ -141,11 +141,11 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
     rounding = bit / (2 * arb(document.delta) / document.q)
-    wanted = (
-        (magnitude + mass) / (1 - mass),
-        turned,
-        rounding * (most + turned * arb(len(document.u_max)).sqrt()),
-    )
+    carried = spec.get("remainder", "dropped") == "carried"
+    _need("system", "impulse that is carried", document.carried, spec.get("impulse_bit_N_s", 0.0) * carried)
+    along = (magnitude + mass) / (1 - mass)
+    share = along + turned * arb(len(document.u_max)).sqrt()
+    wanted = along, turned, rounding * (2 * share if carried else 1 + share)
     names = ("along", "across", "of the bit")
     for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")

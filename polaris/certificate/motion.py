@@ -72,6 +72,13 @@ class Plant:
     thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
     prompt: tuple[float, ...] = ()  # the same without jitter
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
+    carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
+
+    @cached_property
+    def carry(self) -> list[Push]:
+        """What impulses that are carried to the next period push meanwhile, if there are any."""
+        made = self.A * self.open.gamma * self.B * (1 / self.h)
+        return [Push.in_box(made, [arb(self.carried)] * self.B.ncols())] if self.carried else []
 
     def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
         """Motion under ``u = -gain x``, every input off by an error at most."""
@@ -241,9 +248,9 @@ class Motion:
 
     @cached_property
     def disturbances(self) -> list[Push]:
-        """What disturbs: w, and errors of the inputs."""
-        w, push = self.plant.disturbance, self.plant.push(self.error)
-        return [w] if push is None else [w, push]
+        """What disturbs: w, what is carried, and errors of the inputs."""
+        known, push = [self.plant.disturbance, *self.plant.carry], self.plant.push(self.error)
+        return known if push is None else [*known, push]
 
     def disturbance_gain(self, rows: arb_mat) -> list[arb]:
         """`push_gain` of all that disturbs."""

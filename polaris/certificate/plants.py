@@ -31,7 +31,8 @@ def plant_of(document: Document) -> Plant:
     C, w_max = matrix(document.C), arb(document.w_max)
     errors = tuple(document.estimate), tuple(document.thrusters), tuple(document.prompt_thrusters)
     jitter = document.timing.get("jitter", 0.0)
-    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, jitter)
+    late = jitter, document.carried
+    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, *late)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

@@ -78,6 +78,7 @@ SCENARIO = {
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
+        "pulse?": Text(("held", "centred")), "remainder?": Text(("dropped", "carried")),
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),

@@ -1,4 +1,4 @@
-"""What delays, missed periods and jitter add to other errors: controllers act on predictions."""
+"""What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import above, absolute, beside, column, identity, largest, matrix, require, sums
+from .allocation import per_axis
+from .balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
 from .document import Document
 from .motion import Plant
 from .plants import plant_of
@@ -19,12 +20,19 @@ PARTS = 32
 ROUNDED = 1e-12
 """Rounding of a difference of stored numbers, relative to the larger."""
 
+AT_NODES = arb(1e-6)
+"""Share of what pulses displace at most within `NEAR` of a period's ends, where it is nothing."""
 
-def check_timing(document: Document, spec: dict[str, Any], measured: list[list[float]]) -> None:
-    """Timing is the scenario's, and what it adds to other errors no smaller than it must be.
+NEAR = 1e-9
+"""Share of a period."""
+
+
+def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:
+    """Timing and pulses are the scenario's, and what they add to other errors no smaller than it must be.
 
     `measured` bounds the errors of estimates by step, if there is more than one row.
     """
+    spec, thrusters = scenario.get("timing", {}), scenario.get("thrusters", {})
     keys = {"delay": "delay_s", "jitter": "jitter_s", "missed": "missed_periods", "clock": "clock_error_s"}
     for key, name in keys.items():
         found, given = document.timing.get(key, 0), spec.get(name, 0)
@@ -34,16 +42,31 @@ def check_timing(document: Document, spec: dict[str, Any], measured: list[list[f
     plant, stored = plant_of(document), document.estimate or [0.0] * len(document.A)
     if (missed or jitter) and not (document.sampled and 2 * arb(jitter) <= plant.h):
         raise Rejected("system", "missed periods and jitter need a control period, at least twice the jitter")
+    pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
+    top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
+    if document.fired != (per_axis(top, len(document.u_max)) if pulsed else []):
+        raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
+    if pulsed and (jitter or "directions" in thrusters or not document.sampled):
+        raise Rejected("system", "pulses need a control period, no jitter, and no directions of thrusters")
     exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
-    bit, box = _jitter(plant) if jitter else (arb(0), [arb(0)] * len(stored))
-    require("system", booked * arb(1 + ROUNDED) - exact[2] - bit, f"error of the thrusters: {booked}")
-    for i, (bound, needed) in enumerate(zip(document.displaced, box, strict=True)):
-        require("system", bound - needed, f"displacement of state {i} by jitter: {bound}")
+    none = arb(0), [arb(0)] * len(stored)
+    late, moved = _jitter(plant) if jitter else none
+    more, within = _pulses(plant, document.fired) if pulsed else none
+    require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
+    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (plant.carried / plant.h)
+    moved = sums(moved, row_sums(held))
+    for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
+        for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
+            require("system", bound - needed, f"displacement of state {i}: {bound}")
     if (len(measured) > 1) != bool(document.error_by_step):
         raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
+    periods = arb(delay) / plant.h
+    near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
+    share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
+    away = [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
     carried = [_carried(plant, delay + plant.h * i) for i in range(missed + 1)]
     for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
-        known = column(sums(map(arb, row), map(arb, document.displaced)))
+        known = column(sums(map(arb, row), away))
         ages = [sums((over * known).entries(), more) for over, more in carried]
         least = map(largest, zip(*ages, strict=True))
         for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
@@ -57,7 +80,7 @@ def _carried(plant: Plant, age: arb) -> tuple[arb_mat, list[arb]]:
     if age == 0:
         return identity(n), [arb(0)] * n
     part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(plant.u_max))
-    pushes = [plant.disturbance, *([thrusters] if thrusters else [])]
+    pushes = [plant.disturbance, *plant.carry, *([thrusters] if thrusters else [])]
     rows, found = identity(n), [arb(0)] * n
     for _ in range(PARTS):
         found = sums(found, *(part.push_gain(rows, push) for push in pushes))
@@ -66,20 +89,9 @@ def _carried(plant: Plant, age: arb) -> tuple[arb_mat, list[arb]]:
 
 
 def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
-    """What instants add that are off: an error of every input, and bounds on what states are displaced by.
-
-    The impulse of a command that is early or late is that of an input ``a + b s`` over a period about it.
-    """
-    A, B, h, n, m = plant.A, plant.B, plant.h, plant.A.nrows(), len(plant.u_max)
-    one, zero, jitter, reach = identity(n), arb_mat(n, n), arb(plant.jitter), h / 2 + plant.jitter
-    block = above(beside(-A, one, zero), beside(zero, zero, one), beside(zero, zero, zero)) * h
-    rows = [row[n:] for row in block.exp().tolist()[:n]]
-    once, twice = (matrix([row[i * n : (i + 1) * n] for row in rows]) for i in (0, 1))
-    moments = (A * (h / 2)).exp() * beside(once * B, (once - twice * (2 / h)) * B)
-    try:
-        inverse = moments.transpose() * (moments * moments.transpose()).inv()
-    except ZeroDivisionError as error:
-        raise Rejected("system", "jitter cannot be spread over a period in this system") from error
+    """What instants add that are off: an error of every input, and bounds on what states are displaced by."""
+    A, B, h, m = plant.A, plant.B, plant.h, len(plant.u_max)
+    jitter, reach, inverse = arb(plant.jitter), h / 2 + plant.jitter, _spreading(plant)
     over = (absolute(A) * reach).exp() * absolute(B)
     shape = absolute(inverse * B) + absolute(inverse * A * B) * jitter
     shape += absolute(inverse) * absolute(A) * absolute(A) * over * (jitter**2 / 2)
@@ -88,3 +100,31 @@ def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
     both = (shape * column(impulse)).entries()
     spread = [largest((a + b, i / h)) for a, b, i in zip(both[:m], both[m:], impulse, strict=True)]
     return largest(spread), (over * column(spread) * reach).entries()
+
+
+def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
+    """The same of pulses in the middle of periods: no more than this within, nothing at the ends."""
+    A, B, h, m, exact = plant.A, plant.B, plant.h, len(fired), replace(plant, thrusters=plant.prompt)
+    inverse, growth, bent = _spreading(plant), (absolute(A) * h).exp(), A * A * B
+    each = ([x * scale for x in fired] for scale in (h / 8, h**2 / 32, h**3 / 62))
+    speed, way, lasting = (column(sums(part, exact.thruster_part(part))) for part in each)
+    shape = absolute(inverse * bent) + absolute(inverse) * absolute(A) * growth * absolute(bent) * (h / 2)
+    both = (shape * lasting).entries()
+    spread = column(sums(both[:m], both[m:]))
+    within = absolute(B) * speed + absolute(A * B) * way
+    within += growth * (absolute(bent) * way + absolute(B) * spread) * h
+    return largest(spread.entries()), within.entries()
+
+
+def _spreading(plant: Plant) -> arb_mat:
+    """Inputs ``a + b s`` over a period that move the state at its middle, whichever way it is asked."""
+    A, B, h, n = plant.A, plant.B, plant.h, plant.A.nrows()
+    one, zero = identity(n), arb_mat(n, n)
+    block = above(beside(-A, one, zero), beside(zero, zero, one), beside(zero, zero, zero)) * h
+    rows = [row[n:] for row in block.exp().tolist()[:n]]
+    once, twice = (matrix([row[i * n : (i + 1) * n] for row in rows]) for i in (0, 1))
+    moments = (A * (h / 2)).exp() * beside(once * B, (once - twice * (2 / h)) * B)
+    try:
+        return moments.transpose() * (moments * moments.transpose()).inv()
+    except ZeroDivisionError as error:
+        raise Rejected("system", "jitter or pulses cannot be spread over a period in this system") from error

@@ -28,6 +28,8 @@ HALVINGS = 40
 BLOCK = 1024
 """Flights looked at together: what fits into fast memory."""
 
+NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
+
 
 class Approach(NamedTuple):
     """Closest approaches: distances from the origin [m], times of flight [s], positions (..., 3) [m]."""
@@ -121,7 +123,7 @@ class ClosestApproach:
             float(per_metre.max()) + 3 * mean_motion**2 * self.times[1],
             float(per_speed.max()) + 2 * mean_motion * self.times[1],
         )
-        self.loops = loops("polaris.inspection.loops")
+        self.loops = loops("polaris.inspection.closest_loops")
         angle = mean_motion * self.times
         instants = np.stack([self.times, 2 * np.sin(angle / 2) ** 2, np.sin(angle)], axis=1)
         self.numbers = np.vstack([[mean_motion, *self.speed_gain], instants])
@@ -129,12 +131,14 @@ class ClosestApproach:
     def __call__(self, z: Array, beyond: float = np.inf) -> Approach:
         """Find the closest approach of every flight from states (..., 6).
 
-        Distances larger than `beyond` [m] need not be exact: they may come out smaller, but not below it.
+        Distances larger than `beyond` [m] need not be exact: they may come out smaller, but not below it,
+        and their places count for nothing.
         """
         flat, shape = z.reshape(-1, 6), z.shape[:-1]
         if self.loops:
-            distance, when, place = self.loops.approaches(plain(flat), float(beyond), self.numbers)
-            return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))
+            found = self.loops.approaches(plain(flat)[:, None], NO_PAIRS, float(beyond), self.numbers)
+            found = found.reshape(*shape, 5)
+            return Approach(found[..., 0], found[..., 1], found[..., 2:])
         found = [self._block(flat[k : k + BLOCK], beyond) for k in range(0, max(len(flat), 1), BLOCK)]
         distance, when, place = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         return Approach(distance.reshape(shape), when.reshape(shape), place.reshape(*shape, 3))

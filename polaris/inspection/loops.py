@@ -1,7 +1,7 @@
-"""Barrier conditions and closest approaches in loops over single states, for numba to compile.
+"""Barrier conditions in loops over single states, for numba to compile.
 
-Formulas are those of `polaris.inspection.constraints` and `polaris.inspection.closest`, which are what these
-loops are tested against, to rounding; the accounts of what they mean are there.
+Formulas are those of `polaris.inspection.constraints`, which are what these loops are tested against, to
+rounding; the accounts of what they mean are there.
 """
 
 from __future__ import annotations
@@ -11,53 +11,159 @@ import numpy as np
 from ..model.compiled import compiled
 from ..model.system import Array
 
-SPHERE, CONE, PASSIVE, SPEED, VELOCITY = range(5)
+SPHERE, CONE, PASSIVE, SPEED, VELOCITY, SEGMENTS = range(6)
 FORMULAS = {"Radial": SPHERE, "SunCone": CONE, "Passive": PASSIVE, "Speed": SPEED, "Velocity": VELOCITY}
+FORMULAS |= {"SpeedInSquares": SPEED, "VelocitySide": VELOCITY, "PassiveSegments": SEGMENTS}
 """Formulas of rows, by the class that is their account."""
 
-TOLERANCE, NEWTON, HALVINGS = 1e-6, 40, 40  # as in `polaris.inspection.closest`
+Parts = tuple[Array, Array, Array]
 
 
 @compiled
 def rows(
-    x: Array, sun: Array, pairs: Array, table: Array, values: Array, numbers: Array, flight: Array
-) -> tuple[Array, Array, Array]:
+    x: Array,
+    sun: Array,
+    pairs: Array,
+    table: Array,
+    values: Array,
+    numbers: Array,
+    about: Array,
+    flights: Array,
+) -> Parts:
     """Values (R, M), ``G`` (R, M, 3) and bounds (R, M) at states x (R, N, 6) and sun angles (R,) [rad].
 
     `table` (M, 2) has a row's formula and its place in the stack of deputies and `pairs` (P, 2); `values`
     (M, 9) its radius or axis, acceleration, side, and strengthening. `numbers` are n, 1 / m, the depth of
     the layer, the speed back, the cone's half-angle, least lengths for directions and velocities, nu_0,
-    nu_1, v_max and the closest approach that need not be exact; `flight` is as in `closest`.
+    nu_1, v_max and the closest approach that need not be exact; of sampled data, else 0, the period and the
+    share, and of free flights the bow per amplitude, its margin, and how thrust turns them. `about`
+    (R, N + P, 5) is what `approaches` found; for sampled data it is `Motion.stacked`, and `flights`
+    (S + 2, 4, 6) has the maps of free flights to S places, with their norms, and to the circle's vectors.
     """
     runs, deputies, count = x.shape[0], x.shape[1], len(table)
     h, G, bound = np.empty((runs, count)), np.empty((runs, count, 3)), np.empty((runs, count))
-    z, gradient = np.empty((deputies + len(pairs), 6)), np.empty(6)
-    n = numbers[0]
+    z, gradient, seen = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)
+    tight, motion = numbers[11] > 0, np.zeros(5)
     for r in range(runs):
         z[:deputies] = x[r]
         for k in range(len(pairs)):
             for j in range(6):
                 z[deputies + k, j] = x[r, pairs[k, 0], j] - x[r, pairs[k, 1], j]
-        cosine, sine = np.cos(sun[r]), np.sin(sun[r])
-        for m in range(count):
-            s, change = z[table[m, 1]], 0.0
-            if table[m, 0] == SPHERE:
-                value = _sphere(s, values[m], numbers, gradient)
-            elif table[m, 0] == CONE:
-                value, change = _cone(s, cosine, sine, values[m], numbers, gradient)
-            elif table[m, 0] == PASSIVE:
-                value = _passive(s, values[m, 0], numbers[10], flight, gradient)
-            elif table[m, 0] == SPEED:
-                value = _speed(s, numbers, gradient)
+        cosine, sine, m = np.cos(sun[r]), np.sin(sun[r]), 0
+        while m < count:
+            formula, at, change, curvature = table[m, 0], table[m, 1], 0.0, 0.0
+            s = z[at]
+            for j in range(5 if tight else 0):
+                motion[j] = about[r, at, j]
+            if formula == SEGMENTS:
+                last = m + 2 * len(flights) - 6
+                part = h[r, m:last], G[r, m:last], bound[r, m:last]
+                _segments(s, motion, values[m], numbers, flights, part)
+                m = last
+                continue
+            if formula == SPHERE:
+                value = _sphere(s, values[m], numbers, gradient, seen)
+            elif formula == CONE:
+                value, change = _cone(s, cosine, sine, values[m], numbers, gradient, seen)
+            elif formula == PASSIVE:
+                value = about[r, at, 0] - values[m, 0]
+                _passive(about[r, at], numbers[10], numbers[0], gradient)
+            elif formula == SPEED:
+                value, curvature = _speed(s, tight, motion, numbers, gradient)
             else:
-                value = _velocity(s, int(values[m, 0]), numbers[9], gradient)
-            rate = gradient[0] * s[3] + gradient[1] * s[4] + gradient[2] * s[5]
-            rate += gradient[3] * (3 * n**2 * s[0] + 2 * n * s[4]) - gradient[4] * 2 * n * s[3]
-            rate += change - gradient[5] * n**2 * s[2]
+                value, curvature = _velocity(s, int(values[m, 0]), tight, motion, numbers, gradient)
+            if tight and formula <= CONE:
+                curvature = _curvature(s, seen, formula == CONE, motion, values[m], numbers)
+            h[r, m] = value
             for j in range(3):
                 G[r, m, j] = gradient[3 + j] * numbers[1]
-            h[r, m], bound[r, m] = value, -rate - _alpha(value, values[m])
+            bound[r, m] = _least(s, gradient, change, value, curvature, values[m], numbers)
+            m += 1
     return h, G, bound
+
+
+@compiled
+def _least(
+    z: Array, gradient: Array, change: float, h: float, curvature: float, values: Array, numbers: Array
+) -> float:
+    """The bound of a row, tightened for sampled data."""
+    n, alpha, D = numbers[0], _alpha(h, values), numbers[11]
+    rate = gradient[0] * z[3] + gradient[1] * z[4] + gradient[2] * z[5]
+    rate += gradient[3] * (3 * n**2 * z[0] + 2 * n * z[4]) - gradient[4] * 2 * n * z[3]
+    bound = -(rate + change - gradient[5] * n**2 * z[2]) - alpha
+    if D > 0:
+        bound += (max(alpha - h * (numbers[12] / D), 0.0) if h > 0 else 0.0) + curvature * (D / 2)
+    return float(bound)
+
+
+@compiled
+def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, numbers: Array) -> float:
+    """As `Braking.curvature`, of the signed distance, its rate and the distance that are `seen`."""
+    delta, rate, distance, D = seen[0], seen[1], seen[2], numbers[11]
+    v, push, jerk = motion[0], motion[1], motion[2]
+    n, depth, centre, a = numbers[0], numbers[2], numbers[5], values[1]
+    outside, share = cone or values[2] > 0, np.cos(numbers[4]) if cone else 1.0
+    if cone:  # everything as seen from the turning cone
+        far = _rounded(z[0], z[1], z[2], 0.0)[0] + v * D
+        v, first = v + n * far, push
+        push += 2 * n * v + n**2 * far
+        jerk += n * first + 2 * n * push + n**2 * v
+    nearest = distance - v * D
+    near = max(nearest, centre)
+    around = share * v**2 / near
+    low, high = (push, push + around) if outside else (push + around, push)
+    slowest, quickest = rate - low * D, rate + high * D
+    closest, farthest = delta + min(slowest, 0.0) * D, delta + max(quickest, 0.0) * D
+    if closest >= 0 and _braking(closest, a, depth, numbers[3])[0] + slowest >= 0:
+        return -np.inf
+    if not nearest > centre:
+        return np.inf
+    fastest, root = max(abs(slowest), abs(quickest)), np.sqrt(2 * a * max(closest - depth / 2, depth / 2))
+    bend = 0.0 if farthest <= depth else a**2 / root**3
+    steepest = _braking(min(max(0.0, closest), farthest), a, depth, numbers[3])[1]
+    third = share * (3 * v * push / near + 1.155 * v**3 / near**2) + jerk
+    return float(bend * fastest**2 + steepest * low + third)
+
+
+@compiled
+def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: Array, out: Parts) -> None:
+    """All rows of a free flight, as `PassiveSegments`."""
+    S, bow, margin, turn, (h, G, bound) = len(flights) - 2, numbers[13], numbers[14], numbers[15], out
+    places, growth = np.zeros((S + 2, 3)), np.zeros(6)
+    outward, gradient = np.empty(3), np.empty(6)
+    for s in range(S + 2):
+        for i in range(3):
+            for j in range(6):
+                places[s, i] += flights[s, i, j] * z[j]
+    amplitude = np.sqrt((places[S:] ** 2).sum() + margin**2)
+    for s in range(S, S + 2):
+        for i in range(3):
+            for j in range(6):
+                growth[j] += bow / amplitude * places[s, i] * flights[s, i, j]
+    rate = turn * motion[3]
+    turned = bow * (rate**2 / max(amplitude - rate * numbers[11], margin) + numbers[0] * rate)
+    for s in range(S - 1):
+        start, end, along, across = places[s], places[s + 1], 0.0, 0.0
+        for i in range(3):
+            along, across = along - start[i] * (end[i] - start[i]), across + (end[i] - start[i]) ** 2
+        part = min(max(along / max(across, 1e-30), 0.0), 1.0)
+        for i in range(3):
+            outward[i] = start[i] + part * (end[i] - start[i])
+        by = _rounded(outward[0], outward[1], outward[2], 1e-9)[1]
+        for i in range(3):
+            outward[i] /= by
+        for k in range(2 * s, 2 * s + 2):
+            place, at = places[s + k % 2], flights[s + k % 2]
+            for j in range(6):
+                gradient[j] = (
+                    outward[0] * at[0, j] + outward[1] * at[1, j] + outward[2] * at[2, j] - growth[j]
+                )
+            value = outward[0] * place[0] + outward[1] * place[1] + outward[2] * place[2]
+            h[k] = value = value - values[0] - bow * amplitude
+            for j in range(3):
+                G[k, j] = gradient[3 + j] * numbers[1]
+            curvature = motion[1] * at[3, 0] + motion[2] * at[3, 1] + turned
+            bound[k] = _least(z, gradient, 0.0, value, curvature, values, numbers)
 
 
 @compiled
@@ -90,10 +196,12 @@ def _braking(delta: float, a: float, depth: float, back: float) -> tuple[float, 
 
 
 @compiled
-def _sphere(z: Array, values: Array, numbers: Array, gradient: Array) -> float:
+def _sphere(z: Array, values: Array, numbers: Array, gradient: Array, seen: Array) -> float:
+    """Value; `seen` are the signed distance, its rate and the distance."""
     centre, side = numbers[5], values[2]
     distance, by = _rounded(z[0], z[1], z[2], centre)
-    speed, slope = _braking(side * (distance - values[0]), values[1], numbers[2], numbers[3])
+    delta = side * (distance - values[0])
+    speed, slope = _braking(delta, values[1], numbers[2], numbers[3])
     away = 0.0
     for j in range(3):
         gradient[3 + j] = z[j] / by
@@ -103,14 +211,15 @@ def _sphere(z: Array, values: Array, numbers: Array, gradient: Array) -> float:
         toward = gradient[3 + j]
         gradient[j] = side * (slope * toward + (z[3 + j] - along * toward) / over)
         gradient[3 + j] = side * toward
+    seen[0], seen[1], seen[2] = delta, side * away, distance
     return float(speed + side * away)
 
 
 @compiled
 def _cone(
-    z: Array, cosine: float, sine: float, values: Array, numbers: Array, gradient: Array
+    z: Array, cosine: float, sine: float, values: Array, numbers: Array, gradient: Array, seen: Array
 ) -> tuple[float, float]:
-    """Value, and its change with time: the cone turns at -n."""
+    """Value, and its change with time: the cone turns at -n; `seen` as in `_sphere`."""
     n, centre = numbers[0], numbers[5]
     ax, ay = -values[2] * cosine, -values[2] * sine
     along = z[0] * ax + z[1] * ay
@@ -119,7 +228,8 @@ def _cone(
     ox, oy, oz = px / by, py / by, z[2] / by
     c, s = np.cos(numbers[4]), np.sin(numbers[4])
     nx, ny, nz = c * ox - s * ax, c * oy - s * ay, c * oz
-    speed, slope = _braking(c * radius - s * along, values[1], numbers[2], numbers[3])
+    delta = c * radius - s * along
+    speed, slope = _braking(delta, values[1], numbers[2], numbers[3])
     vx, vy, vz = z[3] - n * z[1], z[4] + n * z[0], z[5]  # relative to the turning cone
     forward = vx * ax + vy * ay
     wx, wy = vx - forward * ax, vy - forward * ay
@@ -130,171 +240,53 @@ def _cone(
     gradient[2] = slope * nz + c * ((vz - held * oz) / over)
     gradient[3], gradient[4], gradient[5] = nx, ny, nz
     change = gradient[1] * z[0] - gradient[0] * z[1] + ny * z[3] - nx * z[4]
-    return speed + c * away - s * forward, n * change
+    rate = c * away - s * forward
+    seen[0], seen[1], seen[2] = delta, rate, radius
+    return speed + rate, n * change
 
 
 @compiled
-def _speed(z: Array, numbers: Array, gradient: Array) -> float:
+def _speed(z: Array, tight: bool, motion: Array, numbers: Array, gradient: Array) -> tuple[float, float]:
+    """Value and curvature, the latter of the form in squares."""
     distance, by = _rounded(z[0], z[1], z[2], numbers[5])
     speed, over = _rounded(z[3], z[4], z[5], numbers[6])
+    slope, limit, M = numbers[8], numbers[7] + numbers[8] * distance, 0.0
+    inner, outer = slope / by, 1 / over
+    if tight:
+        D, w, change = numbers[11], limit + speed, slope * motion[0] * numbers[11]
+        inner, outer = 2 * limit * slope / by / w, 2 / w
+        M = 2 * (limit + change) * slope * motion[1] + 2 * motion[1] ** 2 + 2 * motion[0] * motion[2]
+        M = M / w - 2 * max(limit - change - motion[0], 0.0) / D**2
     for j in range(3):
-        gradient[j], gradient[3 + j] = numbers[8] * z[j] / by, -z[3 + j] / over
-    return float(numbers[7] + numbers[8] * distance - speed)
+        gradient[j], gradient[3 + j] = inner * z[j], -outer * z[3 + j]
+    return limit - speed, M
 
 
 @compiled
-def _velocity(z: Array, axis: int, limit: float, gradient: Array) -> float:
-    gradient[:] = 0.0
-    gradient[3 + axis] = -2 * z[3 + axis]
-    return float(limit**2 - z[3 + axis] ** 2)
-
-
-@compiled
-def _passive(z: Array, radius: float, beyond: float, flight: Array, gradient: Array) -> float:
-    distance, when = closest(z, beyond, flight)
-    gradient[:] = 0.0
-    if distance <= beyond:  # beyond, the row allows every input
-        n, o = flight[0, 0], np.empty(3)
-        s, c = np.sin(n * when), np.cos(n * when)
-        _position(_parts(z, n), when, 2 * np.sin(n * when / 2) ** 2, s, o)
-        _, by = _rounded(o[0], o[1], o[2], 1e-9)
-        o /= by
-        gradient[0], gradient[1] = o[0] * (4 - 3 * c) + o[1] * 6 * (s - n * when), o[1]
-        gradient[2], gradient[5] = o[2] * c, o[2] * s / n
-        gradient[3] = (o[0] * s - o[1] * 2 * (1 - c)) / n
-        gradient[4] = o[0] * 2 * (1 - c) / n + o[1] * (4 * s / n - 3 * when)
-    return float(distance - radius)
-
-
-@compiled
-def approaches(z: Array, beyond: float, flight: Array) -> tuple[Array, Array, Array]:
-    """Distances (F,), times (F,) and places (F, 3) of the closest approaches of flights from z (F, 6)."""
-    distance, when, place = np.empty(len(z)), np.empty(len(z)), np.empty((len(z), 3))
-    n = flight[0, 0]
-    for k in range(len(z)):
-        distance[k], when[k] = closest(z[k], beyond, flight)
-        angle = n * when[k]
-        _position(_parts(z[k], n), when[k], 2 * np.sin(angle / 2) ** 2, np.sin(angle), place[k])
-    return distance, when, place
-
-
-@compiled
-def _parts(z: Array, n: float) -> Array:
-    """As `polaris.inspection.closest.flight_parts`, of one flight, but first where it starts: (4, 3).
-
-    ``p(t) = p(0) + b t - c (1 - cos(n t)) + d sin(n t)`` has no differences of large numbers.
-    """
-    parts = np.zeros((4, 3))
-    parts[0] = z[:3]
-    parts[1, 1] = -6 * n * z[0] - 3 * z[4]
-    parts[2, 0], parts[2, 1], parts[2, 2] = -3 * z[0] - 2 / n * z[4], 2 / n * z[3], z[2]
-    parts[3, 0], parts[3, 1], parts[3, 2] = z[3] / n, 6 * z[0] + 4 / n * z[4], z[5] / n
-    return parts
-
-
-@compiled
-def _position(parts: Array, t: float, versine: float, sine: float, place: Array) -> None:
-    for j in range(3):
-        place[j] = parts[0, j] + parts[1, j] * t - parts[2, j] * versine + parts[3, j] * sine
-
-
-@compiled
-def _ends(parts: Array, n: float, t: float) -> tuple[float, float, float, float]:
-    """Half the squared distance at a time, its rate and its bend; the squared speed."""
-    sine, cosine, versine = np.sin(n * t), np.cos(n * t), 2 * np.sin(n * t / 2) ** 2
-    half = rate = bend = speed = 0.0
-    for j in range(3):
-        circle = parts[2, j] * cosine + parts[3, j] * sine
-        p = parts[0, j] + parts[1, j] * t - parts[2, j] * versine + parts[3, j] * sine
-        v = parts[1, j] + n * (parts[3, j] * cosine - parts[2, j] * sine)
-        half, rate, bend, speed = half + p * p / 2, rate + p * v, bend - n**2 * p * circle, speed + v * v
-    return half, rate, bend + speed, speed
-
-
-@compiled
-def closest(z: Array, beyond: float, flight: Array) -> tuple[float, float]:
-    """Distance and time of the closest approach of one flight; beyond a distance only a bound on it.
-
-    `flight` (S + 2, 3) has n and the gains of speed, then of each instant t, 1 - cos(n t) and sin(n t).
-    """
-    n, count = flight[0, 0], len(flight) - 1
-    parts, place, squares = _parts(z, n), np.empty(3), np.empty(count)
-    nearest, largest = 0, 0.0
-    for k in range(count):
-        _position(parts, flight[k + 1, 0], flight[k + 1, 1], flight[k + 1, 2], place)
-        squares[k] = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
-        largest = max(largest, squares[k])
-        if squares[k] < squares[nearest]:
-            nearest = k
-    distance, when, length = np.sqrt(squares[nearest]), flight[nearest + 1, 0], flight[2, 0]
-    gained = flight[0, 1] * np.sqrt(z[0] ** 2 + z[1] ** 2 + z[2] ** 2)
-    gained += flight[0, 2] * np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
-    bound = distance - gained * (length / 2)
-    if bound > beyond:
-        return bound, when
-    circle = 0.0
-    for j in range(3):
-        circle += parts[2, j] ** 2 + parts[3, j] ** 2
-    pull = n**2 * np.sqrt(circle)
-    reach = np.sqrt(largest) + pull * (length**2 / 8)
-    drop = squares[nearest] / 2 + reach * (pull * (length**2 / 8))
-    _, rate, _, speed = _ends(parts, n, 0.0)
-    for k in range(count - 1):
-        _, after, _, speed_after = _ends(parts, n, flight[k + 2, 0])
-        half = length / 2
-        if squares[k] / 2 - drop + rate * half < 0 or squares[k + 1] / 2 - drop - after * half < 0:
-            fastest = np.sqrt(max(speed, speed_after)) + pull * half
-            quartic = pull * (3 * pull + n * (4 * fastest + n * reach))
-            span = flight[k + 1, 0], flight[k + 2, 0]
-            distance, when = _searched(parts, n, quartic, span, distance, when)
-        rate, speed = after, speed_after
-    return distance, when
-
-
-@compiled
-def _searched(
-    parts: Array, n: float, quartic: float, span: tuple[float, float], distance: float, when: float
+def _velocity(
+    z: Array, axis: int, tight: bool, motion: Array, numbers: Array, gradient: Array
 ) -> tuple[float, float]:
-    """The least distance on a segment and its time, if it is less than the one found so far."""
-    starts, ends, depths = np.empty(HALVINGS + 2), np.empty(HALVINGS + 2), np.zeros(HALVINGS + 2, np.int64)
-    starts[0], ends[0], left = span[0], span[1], 1
-    while left:
-        left -= 1
-        start, end, depth = starts[left], ends[left], depths[left]
-        length, third = end - start, (end - start) / 3
-        half_1, rate_1, bend_1, _ = _ends(parts, n, start)
-        half_2, rate_2, bend_2, _ = _ends(parts, n, end)
-        convex, at = min(bend_1, bend_2) > quartic * (length**2 / 8), (start + end) / 2
-        if convex:
-            if not (rate_1 < 0 and rate_2 > 0):
-                continue
-            at = _newton(parts, n, start, end, start + length * rate_1 / (rate_1 - rate_2))
-        else:
-            least = min(min(half_1, half_2), min(half_1 + rate_1 * third, half_2 - rate_2 * third))
-            if not least - quartic * (length**4 / 384) < max(distance - TOLERANCE, 0.0) ** 2 / 2:
-                continue
-        here = np.sqrt(2 * _ends(parts, n, at)[0])
-        if here < distance:
-            distance, when = here, at
-        if not convex and depth < HALVINGS - 1:
-            starts[left], ends[left], depths[left] = start, at, depth + 1
-            starts[left + 1], ends[left + 1], depths[left + 1] = at, end, depth + 1
-            left += 2
-    return distance, when
+    """Value and curvature, the latter of the form on the nearer side."""
+    limit, along, M = numbers[9], z[3 + axis], 0.0
+    gradient[:] = 0.0
+    gradient[3 + axis] = -2 * along
+    if tight:
+        speed, change = abs(along), motion[4] * numbers[11]
+        gradient[3 + axis] = -np.copysign(limit + speed, along)
+        M = (limit + speed) * motion[2] if change < limit + speed else np.inf
+        M = -np.inf if speed + change <= limit else M
+    return limit**2 - along**2, M
 
 
 @compiled
-def _newton(parts: Array, n: float, low: float, high: float, at: float) -> float:
-    """Minimum of a convex q between two times, where its rate changes its sign."""
-    for _ in range(NEWTON):
-        _, rate, bend, _ = _ends(parts, n, at)
-        if rate < 0:
-            low = at
-        else:
-            high = at
-        step = at - rate / bend if bend > 0 else low
-        after = step if bend > 0 and low <= step <= high else (low + high) / 2
-        moved, at = abs(after - at), after
-        if moved < 1e-7:
-            break
-    return at
+def _passive(found: Array, beyond: float, n: float, gradient: Array) -> None:
+    gradient[:] = 0.0
+    if found[0] <= beyond:  # farther, the row allows every input
+        when = found[1]
+        s, c = np.sin(n * when), np.cos(n * when)
+        _, by = _rounded(found[2], found[3], found[4], 1e-9)
+        x, y, z = found[2] / by, found[3] / by, found[4] / by
+        gradient[0], gradient[1] = x * (4 - 3 * c) + y * 6 * (s - n * when), y
+        gradient[2], gradient[5] = z * c, z * s / n
+        gradient[3] = (x * s - y * 2 * (1 - c)) / n
+        gradient[4] = x * 2 * (1 - c) / n + y * (4 * s / n - 3 * when)

@@ -1,4 +1,4 @@
-"""How far the state that flight software predicts may be from the true one, and what instants add."""
+"""How far the state that flight software predicts may be from the true one; what instants and pulses add."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from reach.numerics.errors import ReachError
-from reach.numerics.linear import powers
+from reach.numerics.linear import discretize, powers
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
@@ -32,6 +32,9 @@ LEFT_OVER, LONGEST = 1e-2, 4096
 
 UNSEEN = 1e-6
 """Share of the thrust limits that is taken for unknown, so that every gain forgets."""
+
+AT_NODES = 1e-6
+"""Share of what pulses displace at most within a billionth of a period of its ends, where it is nothing."""
 
 
 def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau: float) -> Array:
@@ -113,15 +116,8 @@ def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, 
     """
     if not jitter > 0:
         return 0.0, np.zeros(system.n)
-    A, B, n, m, reach = system.A, system.B, system.n, system.m, h / 2 + jitter
-    block = np.zeros((3 * n, 3 * n))
-    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)
-    once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
-    moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
-    if np.linalg.matrix_rank(moments) < n:
-        rule = "must be 0 for a system with fewer inputs than half its states, or states that none moves"
-        raise ScenarioError("timing.jitter_s", jitter, rule)
-    inverse, over = np.linalg.pinv(moments), expm(np.abs(A) * reach) @ np.abs(B)
+    A, B, m, reach = system.A, system.B, system.m, h / 2 + jitter
+    inverse, over = _spreading(system, h, "timing.jitter_s", jitter), expm(np.abs(A) * reach) @ np.abs(B)
     shape = np.abs(inverse @ B) + jitter * np.abs(inverse @ A @ B)
     shape += jitter**2 / 2 * np.abs(inverse) @ np.abs(A) @ np.abs(A) @ over
     impulse = jitter * (2 * system.u_max + system.thrusters.error(system.u_max))
@@ -129,26 +125,73 @@ def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, 
     return float(spread.max()), np.asarray(over @ spread * reach * (1 + ROUNDED))
 
 
+def pulse_error(system: LinearSystem, fired: Array, h: float) -> tuple[float, Array]:
+    """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
+
+    An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
+    Lemma 36). Errors of the thrusters hold for a period. Raises what `jitter_error` does.
+    """
+    A, B, m = system.A, system.B, system.m
+    each = (fired * scale for scale in (h / 8, h**2 / 32, h**3 / 62))
+    speed, way, lasting = (part + system.thrusters.part(part) for part in each)
+    inverse = _spreading(system, h, "thrusters.pulse", "centred")
+    growth, bent = expm(np.abs(A) * h), A @ A @ B
+    shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
+    spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
+    within = np.abs(B) @ speed + np.abs(A @ B) @ way + h * growth @ (np.abs(bent) @ way + np.abs(B) @ spread)
+    return float(spread.max()), np.asarray(within * (1 + ROUNDED))
+
+
+def _spreading(system: LinearSystem, h: float, field: str, given: object) -> Array:
+    """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
+    A, B, n = system.A, system.B, system.n
+    block = np.zeros((3 * n, 3 * n))
+    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)
+    once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
+    moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
+    if np.linalg.matrix_rank(moments) < n:
+        rule = "is not covered for a system with fewer inputs than half its states, or states that none moves"
+        raise ScenarioError(field, given, rule)
+    return np.linalg.pinv(moments)
+
+
+def between_nodes(timing: Timing, h: float) -> float:
+    """Share of what pulses displace within periods of h [s] that may be there when states are measured."""
+    off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
+    return 1.0 if off else AT_NODES * bool(timing.delay)
+
+
 def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
-    """The system whose controllers act on predictions, of every age that may occur, and with jitter.
+    """The system whose controllers act on predictions, of every age that may occur, with jitter or pulses.
 
     Raises
     ------
     ScenarioError
-        If the system is so unstable that nothing bounds a prediction.
+        If the system is so unstable that nothing bounds a prediction, or an observer has pulses to filter.
     """
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
-    jittered = replace(system, thrusters=replace(exact, bit=exact.bit + bit))
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
     if system.observer is not None:
+        if timing.fired or timing.carried:
+            rule = "is not covered with pulses, or with impulses whose rest is carried"
+            raise ScenarioError("navigation.measurement", None, rule)
+        jittered = replace(system, thrusters=replace(exact, bit=exact.bit + bit))
         steps = filtered(jittered, system.observer, h, moved)[None]
-    measured = tuple(np.max(steps, axis=0).tolist())
+    if timing.carried:
+        held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
+        moved = moved + held * timing.carried * (1 + ROUNDED)
+    away = moved
+    if timing.fired:
+        bit, within = pulse_error(system, np.array(timing.fired), h)
+        away = moved + between_nodes(timing, h) * within
+        moved, timing = moved + within, replace(timing, pulsed=tuple(within.tolist()))
+    measured, displaced = tuple(np.max(steps, axis=0).tolist()), tuple(moved.tolist())
     longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
-    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=tuple(moved.tolist()))
-    system = replace(jittered, timing=timing)
+    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced, period=h)
+    system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
-    known, of_step = np.unique(steps + moved, axis=0, return_inverse=True)
+    known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:
         errors = [[prediction_error(system, each, worst, age) for each in known] for age in ages.tolist()]
     except ReachError as error:

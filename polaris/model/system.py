@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from reach.numerics.linear import discretize
+
 from .errors import ScenarioError
 from .thrusters import Thrusters
 from .timing import Observer, Timing
@@ -160,8 +162,21 @@ class LinearSystem:
 
     @property
     def displaced(self) -> Array:
-        """How far each state may be, because of jitter, from where all sets say it is, shape (n,)."""
+        """How far each state may be from where all sets say it is (`Timing`), shape (n,)."""
         return np.array(self.timing.displaced or np.zeros(self.n))
+
+    @property
+    def displaced_at_nodes(self) -> Array:
+        """The same at nodes, where pulses displace nothing, shape (n,)."""
+        return np.asarray(self.displaced - np.array(self.timing.pulsed or 0.0))
+
+    @cached_property
+    def adrift(self) -> Array:
+        """Rates of the states by impulses that are carried, as generators, shape (n, m); or (n, 0)."""
+        if not self.timing.carried:
+            return np.zeros((self.n, 0))
+        held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
+        return np.asarray(self.timing.carried * self.A @ held)
 
     @property
     def prompt(self) -> LinearSystem:
@@ -206,8 +221,11 @@ class LinearSystem:
         return np.asarray((1 + self.timing.longer) * (most + self.prompt.thrusters.error(most)))
 
     def error_map(self, error: Array) -> Array | None:
-        """Errors of inputs as generators of the rate of the states, shape (n, m); None without any."""
-        return self.B * error if np.any(error) else None
+        """Errors of inputs, and what is carried, as generators of the rate of the states; None for none."""
+        inputs = self.B * error if np.any(error) else None
+        if not self.timing.carried:
+            return inputs
+        return self.adrift if inputs is None else np.hstack([inputs, self.adrift])
 
     @property
     def input_names(self) -> tuple[str, ...]:

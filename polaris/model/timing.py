@@ -1,4 +1,4 @@
-"""What lies between a measurement and the thrust that answers it: an observer, delay, jitter, clocks."""
+"""What lies between a measurement and the thrust that answers it: observers, delays, jitter, pulses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Timing:
-    """What lies between a measurement and the thrust that answers it (docs/theory.md, Lemmas 25 and 26).
+    """What lies between a measurement and the thrust that answers it (theory, Lemmas 25, 26, 36, 37).
 
     Controllers act on the state as it is predicted for the instant at which their command takes effect.
 
@@ -25,10 +25,16 @@ class Timing:
     clock : float
         How far the schedule's clock may be from that of the unsafe sets [s].
     bit, longer : float
-        Error of an input, whatever its command, without jitter [N]; the share of a period by which a command
-        may be in force for longer.
+        Error of an input, whatever its command, without jitter and pulses [N]; the share of a period by which
+        a command may be in force for longer.
     measured, displaced : tuple of float
-        Bounds on the errors of the measured states, and on how far jitter displaces states, (n,).
+        Bounds on the errors of the measured states, and on how far jitter, pulses, and what is carried
+        displace states, (n,).
+    fired, pulsed : tuple of float
+        Thrust of the pulses that make every input, each in the middle of its period [N], (m,), and their part
+        of what is displaced, which is nothing at nodes (n,); empty where commands are held.
+    carried, period : float
+        Impulse of an input, at most, that is left to the next period [N s]; the period [s], if any is.
     """
 
     delay: float = 0.0
@@ -39,6 +45,10 @@ class Timing:
     longer: float = 0.0
     measured: tuple[float, ...] = ()
     displaced: tuple[float, ...] = ()
+    fired: tuple[float, ...] = ()
+    pulsed: tuple[float, ...] = ()
+    carried: float = 0.0
+    period: float = 0.0
 
     @property
     def instant(self) -> bool:

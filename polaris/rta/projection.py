@@ -15,8 +15,7 @@ from .priorities import least_violation
 PRIMAL = 1e-11  # violation [N] of a row of length 1 that the solver may leave
 
 FEW = 8
-"""Up to so many programs go to the solver at once, independent ones as one; more are first tried in
-closed form."""
+"""Up to so many independent programs go to the solver as one."""
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
@@ -55,7 +54,7 @@ def solve(
 
 
 def project(G: Array, bound: Array, desired: Array, limit: float, rank: Index | None = None) -> Projections:
-    """Project K inputs (K, v), each with its own M rows; in closed form where one row decides.
+    """Project K inputs (K, v), each with its own M rows.
 
     ``G u >= bound`` for G (K, M, v) and bound (K, M), ``|u_i| <= limit`` [N]; ranks (K, M) as in `solve`.
     """
@@ -93,9 +92,7 @@ def project_coupled(
     u = np.clip(desired, -limit, limit)
     status = np.full(len(u), FILTERED, dtype=np.int8)
     todo = np.arange(len(u))
-    if len(u) > FEW and len(first):
-        todo = _separate_rows(G, bound, desired, limit, first, second, u)
-    elif flat and len(u) > 1:
+    if flat and 1 < len(u) <= FEW:
         todo = _together(G, bound, desired, limit, needed, u)
     for k in todo:
         rows = np.flatnonzero(needed[k])  # only those that count
@@ -134,50 +131,3 @@ def _together(G: Array, bound: Array, desired: Array, limit: float, needed: Arra
         return np.arange(len(u))
     u[:, 0] = found
     return np.arange(0)
-
-
-def _separate_rows(
-    G: Array, bound: Array, desired: Array, limit: float, first: Index, second: Index, u: Array
-) -> Index:
-    """Try rows that share no deputy: the worst, the worst of those that do not meet it, and so on.
-
-    Projecting onto each of them alone projects onto all of them together, their deputies being different.
-    Where the result satisfies every other row and the limits, it is the projection sought. Writes those
-    into `u` and returns the other runs.
-    """
-    K, N = desired.shape[:2]
-    every, pair = np.arange(K), second >= 0
-    short = bound - np.einsum("kmv,kmv->km", G, _relative(desired, first, second))
-    free = np.ones((K, N), dtype=bool)
-    nearest, left = desired.copy(), short.copy()
-    for _ in range(N):
-        worst = left.argmax(axis=1)
-        push = np.maximum(left[every, worst], 0.0)
-        push[np.isinf(push)] = 0.0  # nothing satisfies that row: left to the solver
-        if not push.any():
-            break
-        chosen = push > 0
-        at, row = every[chosen], worst[chosen]
-        step = push[chosen, None] * G[at, row]
-        nearest[at, first[row]] += step
-        free[at, first[row]] = False
-        both = pair[row]
-        nearest[at[both], second[row[both]]] -= step[both]
-        free[at[both], second[row[both]]] = False
-        left = np.where(free[:, first] & (free[:, second] | ~pair), short, 0.0)
-    gap = bound - np.einsum("kmv,kmv->km", G, _relative(nearest, first, second))
-    # A chosen row holds with equality, up to rounding.
-    good = (np.abs(nearest) <= limit).all(axis=(1, 2)) & (gap <= 1e-14 * np.abs(bound).clip(1.0, 1e3)).all(
-        axis=1
-    )
-    u[good] = nearest[good]
-    return np.flatnonzero(~good)
-
-
-def _relative(u: Array, first: Index, second: Index) -> Array:
-    """``u_first - u_second`` for each row, shape (K, M, v); u_second is 0 where there is none."""
-    relative = u[:, first]
-    pairs = np.flatnonzero(second >= 0)
-    if len(pairs):
-        relative[:, pairs] -= u[:, second[pairs]]
-    return relative

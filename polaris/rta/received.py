@@ -167,7 +167,7 @@ class Receiver:
         self._x, self._t, self._seen = x, t, np.full(len(x), t)
         u, clipped = wanted, self._none
         if not within:
-            u = np.clip(wanted, -self.craft.thrust_max, self.craft.thrust_max)
+            u = np.minimum(np.maximum(wanted, -self.craft.thrust_max), self.craft.thrust_max)
             clipped = np.asarray((u != wanted).any(axis=1))
         return Received(t, x, self._every, self._every, u, self._every, clipped, wanted, (), steady, True)
 

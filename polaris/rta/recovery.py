@@ -143,6 +143,7 @@ class Recovery:
         rate = rows @ system.A
         applied = spread + system.thrusters.error(system.u_max)
         bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
+        bend = bend + np.abs(rate @ system.adrift).sum(axis=1)  # constant over every period
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
         direct = np.any(rows @ system.B != 0, axis=1) | np.any(rows @ system.D != 0, axis=1)
         return np.asarray(np.where(direct, 2 * np.abs(rows) @ within, bend))

@@ -1,4 +1,4 @@
-"""Small linear programs to the last digit: dual simplex steps in floating point, then in whole numbers.
+"""Linear programs to the last digit: from HiGHS's vertex on, by dual simplex steps in whole numbers.
 
 For programs whose rows are so nearly dependent that a solver's tolerances decide the answer.
 """
@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.system import Array
+from ..planning.lp import GrowingLP
 
 BITS = 60
 """Coefficients are taken as multiples of 2^-60: 1e-18, a thousandth of the rounding of one near 1."""
 
 STEPS = 20
-"""Most steps per variable in floating point, which only look for a vertex to begin with."""
+"""Most steps in floating point, which only look for a vertex to begin with, per variable or row."""
+
+SCALE = 1e3
+"""How much larger than they are programs are handed to HiGHS, which knows no tolerance below 1e-10."""
 
 EXACT_STEPS = 2000
 """Most exact steps."""
@@ -44,13 +48,16 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -
     # The optimum of one row alone has multipliers >= 0: the corner of the box that serves it best.
     alone = int(np.where(free, need - np.abs(G).sum(axis=1), -np.inf).argmax())
     first = [*(M + 1 + np.where(G[alone] >= 0, v, 0) + np.arange(v)).tolist(), alone]
-    near = _near(A, b, list(first))
+    near = _near(A, b, M)
     multipliers = np.zeros(len(b))
     if not exact:
         if near is None:
             return None
-        multipliers[near] = np.linalg.solve(A[near].T, np.eye(v + 1)[-1])
-        return np.linalg.solve(A[near], b[near]), multipliers[:M]
+        try:
+            multipliers[near] = np.linalg.solve(A[near].T, np.eye(v + 1)[-1])
+            return np.linalg.solve(A[near], b[near]), multipliers[:M]
+        except np.linalg.LinAlgError:
+            return None
     whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
     table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
     for basis in (near, first):
@@ -62,24 +69,21 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -
     return None
 
 
-def _near(A: Array, b: Array, basis: list[int]) -> list[int] | None:
+def _near(A: Array, b: Array, rows: int) -> list[int] | None:
     """The rows that hold with equality at the optimum, as far as floating point tells."""
-    for _ in range(STEPS * A.shape[1]):
-        try:
-            inverse = np.linalg.inv(A[basis])
-        except np.linalg.LinAlgError:
-            return None
-        short = b - A @ (inverse @ b[basis])
-        short[basis] = 0.0
-        enters = int(short.argmax())
-        if short[enters] <= 5e-13:
-            return basis
-        w, y = A[enters] @ inverse, inverse[-1]
-        ratio = np.divide(np.maximum(y, 0.0), w, out=np.full(len(w), np.inf), where=w > 1e-10)
-        if not np.isfinite(ratio.min()):
-            return None
-        basis[int(ratio.argmin())] = enters
-    return None
+    size, limit = A.shape[1], np.full(A.shape[1] - 1, SCALE)
+    program = GrowingLP(np.eye(size)[-1], np.append(-limit, 0.0), np.append(limit, np.inf))
+    program.add(A[:rows], SCALE * b[:rows], np.inf)
+    for name in ("primal_feasibility_tolerance", "dual_feasibility_tolerance"):
+        program.highs.setOptionValue(name, 1e-10)
+    program.highs.setOptionValue("simplex_iteration_limit", STEPS * len(b))
+    program.highs.run()
+    found = program.highs.getBasis()
+    columns = [state.name for state in found.col_status]
+    at = [state.name == "kLower" for state in found.row_status]
+    at += [name == "kLower" for name in (columns[-1], *columns[:-1])]
+    basis = np.flatnonzero([*at, *(name == "kUpper" for name in columns[:-1])]).tolist()
+    return basis if len(basis) == size else None
 
 
 def _exact(table: Any, basis: list[int]) -> tuple[Array, list[int], Array] | None:

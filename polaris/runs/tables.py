@@ -139,10 +139,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
+    timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
+    timing = {key: x for key, x in timing.items() if key != "period" and (x or key not in added)}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
-        **({} if system.timing == Timing() else {"timing": asdict(system.timing)}),
+        **({} if system.timing == Timing() else {"timing": timing}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
         **({} if system.observer is None else {"observer": asdict(system.observer)}),
     }

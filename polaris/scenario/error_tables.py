@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -30,7 +32,15 @@ class Thrusters(ScenarioPart):
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
-    feedback. The thrust counts as constant over the period."""
+    feedback."""
+    remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
+    """What becomes of the rest that is no multiple of the bit: dropped, the nearest multiple being made; or
+    carried to the next period, from none at the start: what is commanded and left from before is rounded
+    towards zero, and never exceeds the limits."""
+    pulse: Literal["held", "centred"] = unit("-", default="held")
+    """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
+    the full `system.thrust_max_N` (`input_max`) and as long as it takes. Pulses need sampled feedback; errors
+    of the thrusters are constant in a period then."""
     directions: f.Matrix | None = unit("-", default=None)
     """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
     thrust). Without it there is one either way along every input."""
@@ -46,12 +56,18 @@ class Thrusters(ScenarioPart):
         if self.impulse_bit_N_s > 0 and period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        if self.pulse != "held" and (period is None or self.directions is not None):
+            rule = "needs sampled feedback (feedback.kind = 'sampled'), and thrusters without directions"
+            raise ScenarioError("thrusters.pulse", self.pulse, rule)
         if self.directions is not None and (self.magnitude_error > 0 or self.impulse_bit_N_s > 0):
             given, rule = (self.magnitude_error, self.impulse_bit_N_s), "is not covered with directions"
             raise ScenarioError("thrusters.magnitude_error, impulse_bit_N_s", given, rule)
         bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
         turned = float(np.deg2rad(self.misalignment_deg))
-        return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
+        if self.remainder == "dropped":
+            return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
+        found = Errors.of(self.magnitude_error, turned, self.mass_error, 0.0, system.m)
+        return replace(found, bit=float(found.part(np.full(system.m, 2 * bit)).max()))
 
 
 class Timing(ScenarioPart):
@@ -73,8 +89,13 @@ class Timing(ScenarioPart):
     """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
     obstacles of kind `satellite`."""
 
-    def build(self, system: LinearSystem, period: float | None) -> LinearSystem:
-        """The system, its controllers acting on predictions."""
+    def build(
+        self, system: LinearSystem, period: float | None, thrusters: Thrusters | None, limits: Array
+    ) -> LinearSystem:
+        """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
+        made = thrusters or Thrusters()
+        fired = () if made.pulse == "held" else tuple(limits.tolist())
+        carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
         for name in ("jitter_s", "missed_periods"):
             if (value := getattr(self, name)) and period is None:
                 raise ScenarioError(
@@ -83,7 +104,10 @@ class Timing(ScenarioPart):
         if period is not None and self.jitter_s > period / 2:
             rule = f"must be at most half of the period of {period:g} s"
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
-        given = Delays(self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s)
+        if fired and self.jitter_s > 0:
+            raise ScenarioError("timing.jitter_s", self.jitter_s, "is not covered with pulses")
+        known = self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s
+        given = Delays(*known, fired=fired, carried=carried)
         return system if given == Delays() else predicting(system, given, period)
 
 

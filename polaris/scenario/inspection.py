@@ -180,6 +180,9 @@ class FlightScenario(FilteredScenario):
         ):
             if value := getattr(getattr(model, table), key):
                 raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
+        for key, default in (("pulse", "held"), ("remainder", "dropped")):
+            if (value := getattr(model.thrusters, key)) != default:
+                raise ScenarioError(f"thrusters.{key}", value, "is for schedules only")
         system = replace(self.inspection().system, w_max=push)
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)

@@ -93,13 +93,13 @@ class ScheduleScenario(Scenario):
         model, system = self.model, self.model.system.build()
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
-        allocation = self.allocation()
+        allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
         period, timing = self._period, model.timing or Timing()
         if model.navigation is not None:
             system = model.navigation.known(system, (self.steps, self.step), period, timing)
-        return timing.build(system, period)
+        return timing.build(system, period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..model.errors import ScenarioError
-from ..model.prediction import prediction_error
+from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array
 from .integration import Integrator
 
@@ -51,7 +51,11 @@ class Predicting(Integrator):
             return self.known if timing.instant else measured + 0 * self.known
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
         left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
-        return np.asarray(np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T, 0.0, measured))
+        away = system.displaced_at_nodes
+        if timing.fired:
+            away = away + between_nodes(timing, timing.period) * np.array(timing.pulsed)
+        left = left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away
+        return np.asarray(np.clip(left, 0.0, measured))
 
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
@@ -73,7 +77,8 @@ class Predicting(Integrator):
         """The state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
         found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
-        (Ad, Bd, _), bound = self.held, np.maximum(self.known[step, 0], 1e-300)
+        bound = np.maximum(self.known[step, 0] + self.system.displaced_at_nodes, 1e-300)
+        Ad, Bd, _ = self.held
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if start < 0:

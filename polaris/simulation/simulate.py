@@ -50,7 +50,8 @@ def simulate(
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
-        Integration steps per node: 4 for continuous feedback, 1 for sampled (which is exact) by default.
+        Integration steps per node: by default 4 for continuous feedback and for pulses, 1 for inputs that
+        are held over a sampling period (which is exact).
 
     Returns
     -------
@@ -70,7 +71,8 @@ def simulate(
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     if substeps is None:
-        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
+        tracking = schedule.safety.tracking
+        substeps = 1 if tracking.feedback.sampled and not tracking.system.timing.fired else 4
     whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
     observed = schedule.safety.problem.system.observer is not None

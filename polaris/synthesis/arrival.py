@@ -164,7 +164,7 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
         forgotten = late * float(z.norm_bound(tracking.W)) + always
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     need = np.min(found, axis=0) + safety.clearance.tail_need(rows)
-    need = need + np.abs(rows) @ tracking.system.displaced
+    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
     return need + _spare(tracking) * np.abs(need), centre
 
 

@@ -208,7 +208,8 @@ class AnyThrust:
     def flow(self) -> LinearFlow:
         """Open-loop motion of the error."""
         h = self.tracking.flow.h
-        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h)
+        E = self.system.error_map(np.zeros(self.system.m))
+        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h, E)
 
     @cached_property
     def _push(self) -> Zonotope:

@@ -215,11 +215,15 @@ NEEDS_SAMPLES = "must be sampled where a network or a black box flies: it is ask
 
 def misapplied(system: LinearSystem, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
     """What errors of thrusters add by the next node, and until then, (n,): commands up to `most` are held."""
-    if system.thrusters.exact:
+    if system.thrusters.exact and not system.timing.carried:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
-    error = system.thrusters.error(most)
-    moved = flow.input_zonotope(system.B, np.diag(error), np.abs(system.B) @ error)
-    return moved, flow.h * flow.growth @ (np.abs(system.B) @ error)
+    error, drift = system.thrusters.error(most), system.adrift
+    size = np.abs(system.B) @ error
+    moved = flow.input_zonotope(system.B, np.diag(error), size)
+    if drift.size:
+        carried = np.abs(drift).sum(axis=1)
+        moved, size = moved + flow.input_zonotope(drift, np.eye(drift.shape[1]), carried), size + carried
+    return moved, flow.h * flow.growth @ size
 
 
 def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:

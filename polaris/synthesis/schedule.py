@@ -149,6 +149,8 @@ class Schedule:
             observer=() if observer is None else observer.noise.tolist(),
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
+            pulses=problem.system.timing.fired,
+            carried=problem.system.timing.carried,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
             sampled=None if self.statement is None else asdict(self.statement),

@@ -318,7 +318,7 @@ def test_keeping_h_keeps_phi(seed):
     # The way back across a cone is one of the signed distance: on it the angle may turn a little further in.
     cones = next(group for group in families.groups if isinstance(group.barrier, SunCone))
     places = [(x, sun), (drifted, sun - q.mean_motion * later)]
-    signed = [cones.barrier.phi(families.stack(at)[:, cones.at], s[:, None]).h for at, s in places]
+    signed = [cones.barrier._geometry(families.stack(at)[:, cones.at, :3], s[:, None])[0] for at, s in places]
     names = np.array([label.split("[")[0].rstrip("+-") for label in families.labels])
     for name, of in INSIDE.items():
         held = h[:, names == name]

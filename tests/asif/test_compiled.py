@@ -1,14 +1,17 @@
 """Compiled loops against the formulas in NumPy, their oracle; without numba, the loops as they stand."""
 
 import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks import asif
 from polaris.inspection.closest import TOLERANCE, ClosestApproach
 from polaris.inspection.constraints.families import Families
+from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.inspection import Inspection
@@ -35,10 +38,8 @@ def both(make):
     return looped, plain
 
 
-@pytest.mark.parametrize("exact", [False, True])
-@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans())
-@settings(max_examples=EXAMPLES)
-def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
+def drawn(seed, deputies, wide):
+    """A random problem, and states and suns of it, one near the centre, where directions fade."""
     rng = np.random.default_rng(seed)
     q = Inspection(
         deputies=deputies,
@@ -47,10 +48,32 @@ def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
         passive_time=rng.uniform(50.0, 900.0),
         deputy_radius=rng.uniform(1.0, 8.0),
     )
-    looped, plain = both(lambda: Families(q, exact=exact))
     x, sun, _ = situation(seed, R=8)
     x = np.tile(x, (1, 2, 1))[:, 2 : 2 + deputies] * rng.uniform(0.8, 1.2, (8, deputies, 1))
-    x[0, 0, :3] *= 0.01 if wide else 1e-6  # near the centre, where directions fade
+    x[0, 0, :3] *= 0.01 if wide else 1e-6
+    return q, x, sun, rng
+
+
+@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans(), known=st.booleans())
+@settings(max_examples=EXAMPLES)
+def test_rows_for_sampled_data_are_those_of_the_formulas(seed, deputies, wide, known):
+    q, x, sun, rng = drawn(seed, deputies, wide)
+    sampled = SampledData(rng.uniform(0.2, 5.0), rng.uniform(0.1, 1.0))
+    looped, plain = both(lambda: Families(q, sampled=sampled))
+    held = rng.uniform(-1, 1, (8, deputies, 3)) if known else None
+    a, b = looped(x, sun, held), plain(x, sun, held)
+    for one, other in ((a.h, b.h), (a.G, b.G), (a.bound, b.bound)):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)  # inf where it is inf, too
+    one = looped(x[3], sun[3], None if held is None else held[3])
+    assert np.array_equal(one.bound, a.bound[3])
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@given(seed=st.integers(0, 10**6), deputies=st.integers(1, 4), wide=st.booleans())
+@settings(max_examples=EXAMPLES)
+def test_rows_are_those_of_the_formulas(exact, seed, deputies, wide):
+    q, x, sun, _ = drawn(seed, deputies, wide)
+    looped, plain = both(lambda: Families(q, exact=exact))
     a, b = looped(x, sun), plain(x, sun)
     # A closest approach may be found at another time, as near but for the tolerance: another gradient.
     passive = plain.among("passive", "deputy_passive")
@@ -102,13 +125,33 @@ def test_what_is_no_number_is_left(bad):
         values[:] = kept
 
 
+def test_the_command_prints_the_table_of_the_page(capsys):
+    """One deputy's row, of two calls; the names of the others."""
+    asif.main(["--only", "0", "--calls", "2", "--turns", "1"])
+    page = (Path(asif.__file__).parents[1] / "docs" / "inspection.md").read_text(encoding="utf-8")
+    head, row = capsys.readouterr().out.splitlines()
+    assert head.split()[:2] == ["filter", "N"] and row.split()[:2] == ["centralized", "1"]
+    assert len(row.split()) == (8 if NUMBA else 5)
+    assert all(word in page for word in head.split() if word != "compiled/NumPy")
+    assert {asif._name(row) for row in asif.ROWS} >= {line[:28].strip() for line in table(page)}
+
+
+def table(page):
+    """The lines of the page's table of speeds."""
+    lines = page.split("```text\nfilter ")[1].split("```")[0].splitlines()
+    assert len(lines) > 5
+    return lines[1:]
+
+
 @needs_numba
 @pytest.mark.parametrize("sharing", ["centralized", "coasting", "half", "consensus"])
+@pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=15)
-def test_filters_answer_alike(sharing, seed):
-    looped, plain = both(lambda: make_filter(Families(Inspection(deputies=4), exact=True), sharing))
-    plain.families = both(lambda: Families(Inspection(deputies=4), exact=True))[1]
+@settings(max_examples=8)
+def test_filters_answer_alike(sharing, sampled, seed):
+    kind = {"sampled": sampled, "exact": True}
+    looped, plain = both(lambda: make_filter(Families(Inspection(deputies=4), **kind), sharing))
+    plain.families = both(lambda: Families(Inspection(deputies=4), **kind))[1]
     x, sun, desired = situation(seed)
     a, b = looped.batch(x, sun, desired), plain.batch(x, sun, desired)
     same = (np.abs(a.rows.h - b.rows.h) < 1e-12).all(axis=1)
@@ -120,19 +163,19 @@ def test_filters_answer_alike(sharing, seed):
 @needs_numba
 def test_calls_in_odd_arrays_compile_nothing_anew():
     q = Inspection(deputies=2)
-    asif = ActiveSetFilter(make_filter(Families(q), "coasting"))
-    loops = (asif.families.loops.rows, asif.filtering.loops.alone, asif.filtering.loops.tight)
+    one = ActiveSetFilter(make_filter(Families(q), "coasting"))
+    loops = (one.families.loops.rows, one.filtering.loops.alone, one.filtering.loops.tight)
     before = [len(loop.signatures) for loop in loops]
     x = np.array([[200.0, 30, 0, 0, 0.1, 0], [-90.0, 200, 50, 0, 0, 0.2]])
     frozen = x.copy()
     frozen.flags.writeable = False
     answers = [
-        asif.filter(float(k), state, np.asfortranarray(np.full((2, 3), 0.7)))
+        one.filter(float(k), state, np.asfortranarray(np.full((2, 3), 0.7)))
         for k, state in enumerate((x, frozen, np.asfortranarray(x), x.tolist(), x.astype(np.float32)))
     ]
     assert all(np.isfinite(answer.u).all() for answer in answers)
     for state in (frozen[None], np.asfortranarray(x[None])):
-        asif.families(state, np.broadcast_to(0.3, 1))
+        one.families(state, np.broadcast_to(0.3, 1))
         ClosestApproach(q.mean_motion, 100.0)(state)
     assert [len(loop.signatures) for loop in loops] == before
 

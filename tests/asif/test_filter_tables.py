@@ -150,6 +150,8 @@ def test_a_delay_is_an_error_of_what_is_predicted():
     ("assignment", "field"),
     [
         ("timing.jitter_s=0.1", "timing.jitter_s"),
+        ("thrusters.pulse=centred", "thrusters.pulse"),
+        ("thrusters.remainder=carried", "thrusters.remainder"),
         ("timing.missed_periods=2", "timing.missed_periods"),
         ("thrusters.thrust_max_N=0.5", "thrusters.thrust_max_N"),
     ],

@@ -6,7 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from polaris.rta import priorities
+from polaris.inspection.constraints.families import Families
+from polaris.inspection.filters.asif import ActiveSetFilter
+from polaris.inspection.filters.explicit import make_filter
+from polaris.inspection.inspection import Inspection
+from polaris.rta import priorities, vertex
 from polaris.rta.priorities import EXACT, GAP, MET, SPARE, SURE, least_violation
 from polaris.rta.projection import FAILED, FILTERED, SHORT, project, solve
 from polaris.rta.vertex import lowest
@@ -289,3 +293,14 @@ def test_what_can_be_met_goes_the_old_way(monkeypatch):
     u, status = solve(np.eye(3), np.array([0.5, 0.2, -1.0]), np.zeros(3), 1.0, np.arange(3))
     assert status == FILTERED
     np.testing.assert_allclose(u, [0.5, 0.2, 0.0], atol=1e-9)
+
+
+def test_fifty_deputies_anywhere_are_answered_without_exact_arithmetic(monkeypatch):
+    """No thrust meets everything; what gives way is settled in floating point."""
+    monkeypatch.setattr(vertex, "_exact", None)
+    rng = np.random.default_rng(1)
+    x = np.concatenate([rng.uniform(-600, 600, (3, 50, 3)), rng.uniform(-0.3, 0.3, (3, 50, 3))], axis=2)
+    asif = ActiveSetFilter(make_filter(Families(Inspection(deputies=50)), "centralized"))
+    decision = asif.filter(0.0, x[2], rng.uniform(-1, 1, (50, 3)))
+    assert decision.status == "short" and decision.fallback is not None and len(decision.missed) > 20
+    assert np.abs(decision.u).max() <= 1.0

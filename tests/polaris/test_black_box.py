@@ -79,7 +79,8 @@ ERRORS["all"] = {
 }
 
 
-APART = ("navigation", "thrusters", "timing")
+ERRORS["carried"] = {"thrusters": {"impulse_bit_N_s": 0.0002, "remainder": "carried"}}
+APART = ("navigation", "thrusters", "timing", "carried")
 
 
 @cache
@@ -114,7 +115,7 @@ def test_the_bound_is_wrong_no_more_often_than_it_says():
 # -- sets -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("errors", ["exact", "all"])
+@pytest.mark.parametrize("errors", ["exact", "all", "carried"])
 def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
     law, rng = box(part=safety(errors)), np.random.default_rng(0)
     start, k = Zonotope.box(np.zeros(4), [0.06, 0.05, 0.02, 0.02]), 2
@@ -135,8 +136,10 @@ def test_what_keeps_to_the_bands_keeps_to_the_tube_between_the_nodes(errors):
         w = rng.normal(size=(len(x), system.p))
         w *= system.w_max / np.linalg.norm(w, axis=1, keepdims=True)
         u = u + rng.choice([-1.0, 1.0], u.shape) * system.thrusters.error(u)
+        drift = rng.choice([-1.0, 1.0], (len(x), system.adrift.shape[1])) @ system.adrift.T
+        drift = drift @ discretize(system.A, np.eye(system.n), PERIOD / parts)[1].T
         for part in range(1, parts + 1):
-            x = x @ Ad.T + u @ Bd.T + w @ Dd.T
+            x = x @ Ad.T + u @ Bd.T + w @ Dd.T + drift
             s, e = part / parts, x - xi[i * parts + part]
             most = (1 - s) * support[i] + s * support[i + 1] + tube.bow[i] @ np.abs(rows).T
             assert np.all(e @ rows.T <= most + 1e-9)

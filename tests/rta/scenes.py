@@ -16,15 +16,12 @@ from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.tracking import lqr_gain
 from reach.sets.zonotope import Zonotope
 
-from ..kept import printed
+from ..kept import scheduled
 
 
 def robot():
-    """The bundled scenario of a robot in the plane: sampled feedback, an obstacle at rest, one in motion.
-
-    Its steps are chosen one by one: methods at run time rest on what S can do, and planning costs the most.
-    """
-    return printed("robot", "schedule.strategy=greedy")[1]
+    """The bundled scenario of a robot in the plane: sampled feedback, an obstacle at rest, one in motion."""
+    return scheduled("robot")[1]
 
 
 @cache

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit  # noqa: E402
 
 from benchmarks.policies import write_onnx  # noqa: E402
-from benchmarks.training import commanded, folded, train, unpacked  # noqa: E402
+from benchmarks.training import commanded, folded, speed, train, unpacked  # noqa: E402
 from polaris.certificate.checker import verify_document  # noqa: E402
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible  # noqa: E402
 from polaris.rta.arena import compare_methods  # noqa: E402
@@ -20,6 +20,7 @@ from polaris.rta.decision_grid import DecisionGrid  # noqa: E402
 from polaris.runs.certificate import certificate  # noqa: E402
 from polaris.runs.training import (  # noqa: E402
     InspectionEnv,
+    InspectionVectorEnv,
     Shield,
     SwitchingEnv,
     SwitchingVectorEnv,
@@ -103,7 +104,7 @@ def test_they_are_registered_under_names():
     assert made.reset(seed=1)[0] in made.observation_space
     made = gymnasium.make_vec("polaris/Switching-v0", num_envs=3, scenario=sampled())
     assert made.reset(seed=1)[0].shape == (3, 4)
-    made = gymnasium.make_vec("polaris/Inspection-v0", 2, wrappers=[Shield], scenario=inspected())
+    made = VectorShield(gymnasium.make_vec("polaris/Inspection-v0", 2, scenario=inspected()))
     assert made.reset(seed=1)[0].shape == (2, 9)
     assert made.step(np.ones((2, 3), dtype=np.float32))[4]["proven"].all()
 
@@ -393,7 +394,7 @@ def test_inspection_is_kept_by_an_assured_filter():
         env.reset(seed=0)
         told = []
         for _ in range(60):
-            inward = -np.sign(env.unwrapped.x[:, :3]).ravel()
+            inward = -np.sign(env.unwrapped.many.flights.x[0, :, :3]).ravel()
             _, reward, over, ended, info = env.step(inward.astype(np.float32))
             told.append((over, info["intervened"], info["proven"], info["least"]))
             assert not shielded or reward <= 1 / 60 - 0.5 * info["intervened"]
@@ -403,3 +404,41 @@ def test_inspection_is_kept_by_an_assured_filter():
     assert not ends[True][:, 0].any() and ends[True][:, 2].all() and (ends[True][:, 3] >= 0).all()
     assert 0 < ends[True][:, 1].sum() < len(ends[True]) == 60
     assert ends[False][-1, 0] and ends[False][-1, 3] < 0
+
+
+@pytest.mark.parametrize("proven", [True, False])
+def test_inspections_flown_together_are_those_flown_alone(proven):
+    """Each begins anew on its own; the one batch of the barrier filter keeps them as well."""
+    short = load_scenario("inspection", INSPECTED | {"flight.duration_s": 8.0})
+    rng = np.random.default_rng(0)
+    actions = rng.choice([-1.0, 1.0], (20, 3, 3)).astype(np.float32)
+    actions[4, 1] = np.nan
+    many = VectorShield(InspectionVectorEnv(short, 3), proven=proven)
+    together = [many.reset(seed=0), *(many.step(action) for action in actions)]
+    for run in range(3):
+        one = Shield(InspectionEnv(short), proven=proven)
+        seen, over = one.reset(seed=0)[0], False
+        for action, told in zip(actions[:, run], together[1:], strict=True):
+            if over:  # a step that only begins anew
+                (seen, _), over = one.reset(), False
+                assert not told[4]["_least"][run] and told[1][run] == 0
+            else:
+                seen, reward, failed, over, info = one.step(action)
+                assert not failed and info["least"] >= 0 and info["proven"] == proven
+                assert (reward, over) == pytest.approx((told[1][run], told[3][run]), abs=1e-12)
+                assert info["status"] == told[4]["status"][run]
+                assert np.isfinite(action).all() or info["intervened"] == 1
+            np.testing.assert_allclose(seen, told[0][run], atol=1e-6)
+    assert sum(told[3].sum() for told in together[1:]) == 6
+    assert speed(many, 1) > 0
+
+
+def test_a_flight_that_begins_anew_leaves_the_estimates_of_others():
+    errors = {"position_error_m": 0.05, "velocity_error_m_s": 0.002}
+    flights = InspectionVectorEnv(load_scenario("inspection", INSPECTED | {"navigation": errors}), 2).flights
+    rng, bound = np.random.default_rng(0), np.repeat([0.05, 0.002], 3)
+    flights.restart(np.ones(2, dtype=bool), rng, fresh=True)
+    seen = flights.seen.copy()
+    np.testing.assert_allclose(np.abs(seen - flights.x), np.broadcast_to(bound, seen.shape), rtol=1e-6)
+    flights.restart(np.array([True, False]), rng)
+    assert np.array_equal(flights.seen[1], seen[1]) and not np.array_equal(flights.seen[0], seen[0])

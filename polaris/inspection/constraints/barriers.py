@@ -48,10 +48,6 @@ class Barrier(ABC):
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate h at states of shape (..., 6) and sun angles [rad] that broadcast against (...)."""
 
-    def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate the constraint itself; it is h unless braking must begin before the boundary."""
-        return self(z, sun)
-
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M on ``-d^2 h / dt^2``; ``-inf`` where h cannot become negative within the period."""
         raise TypeError(f"no bound for {type(self).__name__}")
@@ -161,12 +157,6 @@ class Radial(Barrier):
         gradient *= np.asarray(self.side)[..., None]
         return Evaluation(speed + self.side * away, gradient, 0.0)
 
-    def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate the signed distance delta [m] itself."""
-        distance, toward = rounded_length(z[..., :3], CENTRE)
-        toward = np.asarray(self.side)[..., None] * toward
-        return Evaluation(self.side * (distance - self.radius), join(toward, np.zeros_like(toward)), 0.0)
-
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; see `Barrier.curvature`."""
         distance, outward = rounded_length(z[..., :3], CENTRE)
@@ -233,13 +223,6 @@ class SunCone(Barrier):
         by_position = slope[..., None] * normal + normal @ self._turn[:3, :3]
         gradient = join(by_position + c * turning(across, outward, away, radius), normal)
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
-
-    def phi(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate the signed distance delta [m] itself."""
-        delta, normal, *_ = self._geometry(z[..., :3], sun)
-        # What the sun's turning changes is what turning the position back would.
-        change = -dot(normal, (z @ self._turn)[..., :3])
-        return Evaluation(delta, join(normal, np.zeros_like(normal)), change)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M; see `Barrier.curvature`."""

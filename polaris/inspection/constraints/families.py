@@ -22,7 +22,7 @@ from ..vectors import CENTRE, STANDSTILL, dot
 from .barriers import Radial, SunCone
 from .catalogue import FAMILIES, KINDS
 from .motion import Motion, SampledData
-from .passive import Passive
+from .passive import Passive, PassiveSegments
 from .speeds import Velocity
 from .strengthening import PRESETS, Strengthening, evaluate
 from .table import Index, Table
@@ -85,9 +85,9 @@ class Families(Table):
         super().__init__(inspection, "h", without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
-        self.loops: Any = loops("polaris.inspection.loops") if sampled is None else None
+        self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
-            self._fixed = self._for_loops()
+            (*self._fixed, self._maps), self._approaches = self._for_loops(), approach.loops.approaches
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
         """From which value on a passive constraint allows every input: it then need not be exact."""
@@ -97,32 +97,44 @@ class Families(Table):
         drift = 2 * q.distance_max * per_metre + 2 * np.sqrt(3) * q.speed_max * per_speed
         return max(self.alpha[name].reaches(thrust + 2 * drift) for name in ("passive", "deputy_passive"))
 
-    def _by_loops(self, x: Array, sun: Array) -> Rows:
+    def _by_loops(self, x: Array, sun: Array, held: Array | None) -> Rows:
         lead = x.shape[:-2]
-        if x.ndim == 3 and sun.shape == lead:
-            return Rows(*self.loops.rows(x, plain(sun), *self._fixed))
-        sun = np.array(np.broadcast_to(sun, lead)).reshape(-1)
-        found = self.loops.rows(x.reshape(-1, *x.shape[-2:]), sun, *self._fixed)
-        return Rows(*(part.reshape(lead + part.shape[1:]) for part in found))
+        if x.ndim != 3 or sun.shape != lead:
+            x, sun = x.reshape(-1, *x.shape[-2:]), np.broadcast_to(sun, lead).reshape(-1)
+        if self.sampled is None:
+            about = self._approaches(x, self._fixed[0], self._fixed[3][10], self.approach.numbers)
+        else:
+            every, held = self.stack(x), None if held is None else held.reshape(len(x), -1, 3)
+            motion = self._motion(every, every @ self.inspection.system.A.T, held)
+            assert motion is not None
+            about = motion.stacked()
+        h, G, bound = self.loops.rows(x, plain(sun), *self._fixed, about, self._maps)
+        if len(lead) == 1:
+            return Rows(h, G, bound)
+        return Rows(h.reshape(*lead, -1), G.reshape(*lead, -1, 3), bound.reshape(*lead, -1))
 
     def _for_loops(self) -> tuple[Array | Index, ...]:
-        """The arguments after the first two of `polaris.inspection.loops.rows`."""
-        q, exact = self.inspection, np.inf
+        """The arguments of `polaris.inspection.loops.rows` that are always the same."""
+        q, exact, maps = self.inspection, -np.inf, np.zeros((0, 4, 6))
+        flights: tuple[float, ...] = (0.0, 0.0, 0.0)
         table, values = [], np.zeros((len(self.family), 9))
         for group in self.groups:
-            barrier = group.barrier
-            table += [self.loops.FORMULAS[type(barrier).__name__]] * (group.rows.stop - group.rows.start)
+            barrier, size = group.barrier, group.rows.stop - group.rows.start
+            table += [self.loops.FORMULAS[type(barrier).__name__]] * size
             radius = barrier.axis if isinstance(barrier, Velocity) else getattr(barrier, "radius", 0.0)
-            values[group.rows, 0] = radius
+            values[group.rows, 0] = np.repeat(np.broadcast_to(radius, size // barrier.repeat), barrier.repeat)
             if isinstance(barrier, (Radial, SunCone)):
                 values[group.rows, 1], values[group.rows, 2] = barrier.braking.acceleration, barrier.side
             if isinstance(barrier, Passive):
                 exact = barrier.beyond + float(np.max(barrier.radius))
+            if isinstance(barrier, PassiveSegments):
+                flights, maps = barrier.numbers
         values[:, 3:] = np.array(self._alpha).T
         about_rows = (q.mean_motion, 1 / q.mass, q.smoothing, q.return_speed, q.field_of_view / 2)
         about_speeds = (CENTRE, STANDSTILL, q.docking_speed, q.nu_1, q.speed_max, exact)
-        numbers = np.array(about_rows + about_speeds)
-        return q.pairs, np.stack([table, self.place], axis=1), values, numbers, self.approach.numbers
+        periods = (self.sampled.period, self.sampled.share) if self.sampled else (0.0, 0.0)
+        numbers = np.array([*about_rows, *about_speeds, *periods, *flights])
+        return q.pairs, np.stack([table, self.place], axis=1), values, numbers, maps
 
     def rank(self, h: Array) -> Index:
         """Which row gives way to which, least last; shape (..., M) as h.
@@ -146,7 +158,8 @@ class Families(Table):
 
         The nearest to thrust far beyond the limits is at their corners, and at another corner each period.
         """
-        return np.clip(desired, -self.inspection.thrust_max, self.inspection.thrust_max)
+        limit = self.inspection.thrust_max
+        return np.minimum(np.maximum(desired, -limit), limit)  # quicker than np.clip
 
     def __call__(self, x: Array, sun: ArrayLike, held: Array | None = None) -> Rows:
         """Barrier conditions at states of shape (..., N, 6) and sun angles of shape (...) [rad].
@@ -155,7 +168,7 @@ class Families(Table):
         """
         q = self.inspection
         if self.loops:
-            return self._by_loops(plain(x), np.asarray(sun, dtype=float))
+            return self._by_loops(plain(x), np.asarray(sun, dtype=float), held)
         every = self.stack(x)
         drift = every @ q.system.A.T
         sun = np.asarray(sun)[..., None]

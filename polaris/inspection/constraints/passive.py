@@ -77,6 +77,15 @@ class PassiveSegments(Barrier):
         ends = np.repeat(np.arange(len(gain_a)), 2)[1:-1]
         return gain_a[ends], gain_j[ends], per_amplitude, BOW / per_amplitude, circle_map(n)
 
+    @property
+    def numbers(self) -> tuple[tuple[float, ...], Array]:
+        """For compiled loops: bow, margin and how thrust turns; maps with their norms, and to the circle."""
+        _, _, bow, margin, to_circle = self._reach
+        maps = np.zeros((len(self.approach.times) + 2, 4, 6))
+        maps[:-2, :3], maps[-2:, :3] = self.approach.place_maps, to_circle.reshape(2, 3, 6)
+        maps[:-2, 3, :2] = np.transpose(map_norms(self.approach.place_maps))
+        return (bow, margin, float(np.linalg.norm(to_circle[:, 3:], 2))), maps
+
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate K flights, shape (..., K, 6); the rows of a flight follow each other, (..., K rows)."""
         ends = (z @ self.approach.positions).reshape(*z.shape[:-1], -1, 3)

@@ -182,7 +182,7 @@ class Decentralized:
         """Bounds for a row's first and second deputy, (2, R, M); the status of what was agreed, (R,)."""
         bound = rows.bound
         if self.sharing == "coasting":
-            return np.stack([bound, bound]), None
+            return np.concatenate([bound, bound]).reshape(2, *bound.shape), None
         if self.sharing == "half":
             half = np.where(self._pair, bound / 2, bound)
             return np.stack([half, half]), None

@@ -77,9 +77,18 @@ class Claims:
         return flown_modes(self.schedule, self.tail)
 
     @cached_property
+    def moved(self) -> Array:
+        """How far what is carried takes flights at nodes from where the proof has them, shape (n,)."""
+        return self.system.displaced_at_nodes * bool(self.system.timing.carried)
+
+    @cached_property
     def offsets(self) -> list[tuple[Array, Array]]:
-        """Offsets of every polytope at the beginning and the end of every period, (periods, F) each [m]."""
-        fine = [u.fine(self.q)[: self.cells] for u in self.unsafe]
+        """Offsets of every polytope at the beginning and the end of every period, (periods, F) each [m].
+
+        Without what the polytopes are grown by because of what is carried: that is flown.
+        """
+        grown = np.linalg.norm(np.abs(self.system.position) @ self.moved)
+        fine = [u.fine(self.q)[: self.cells] - grown for u in self.unsafe]
         return [(self._flat(part[:, :-1]), self._flat(part[:, 1:])) for part in fine]
 
     @cached_property
@@ -205,7 +214,8 @@ def _measure_thrust(claims: Claims, runs: Runs, flown: NDArray[np.intp], out: At
     """Thrust left at the nodes of the periods that S flies, the estimate being as wrong as it may be."""
     safety, system = claims.schedule.safety, claims.system
     gain = safety.tracking.gain
-    most = system.u_max - np.repeat(command_errors(system, gain, claims.cells), claims.q, axis=0)[flown]
+    wrong = command_errors(system, gain, claims.cells) - np.abs(gain) @ claims.moved
+    most = system.u_max - np.repeat(wrong, claims.q, axis=0)[flown]
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
     left = most - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)

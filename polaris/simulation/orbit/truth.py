@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -115,6 +117,7 @@ class _TrueMotion(Integrator):
     axis: Array  # about which the last runs' thrusters are turned, (r, 3)
     strength: Array  # of each of them, as a share of the error, (r, 3)
     errors = Thrusters()  # of thrusters alone, jitter left out
+    resolves = True
 
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         return super().command(number, k, half, x[:, :6], later)
@@ -139,8 +142,11 @@ class _TrueMotion(Integrator):
         if errors.exact:
             return u
         built = slice(len(u) - len(self.axis), None)
-        told, bit = np.clip(raw[built], -self.system.u_max, self.system.u_max), errors.rounding(self.system.m)
-        told = np.round(told / bit) * bit if bit > 0 else told
+        told, bit = self.asked[built], errors.rounding(self.system.m)
+        told = np.round(told / bit) * bit if bit > 0 and self.left is None else told
+        if len(self.fired):  # no pulse is longer than a period
+            self.asked = self.asked.copy()
+            self.asked[built] = told = np.clip(told, -self.fired, self.fired)
         turned = errors.across * np.cross(self.axis, told)
         u[built] = told * (1 + errors.along * self.strength) + turned
         return u
@@ -155,7 +161,7 @@ class _TrueMotion(Integrator):
             own[:, 3:] += w
             return np.concatenate([own, target], axis=1), left_out + w
 
-        def rate(later: int, state: Array) -> Array:
+        def rate(later: int, state: Array, u: Array = u) -> Array:
             if self.sampled:
                 return rates(u, state)[0]
             asked = self.command(number, k, 2 * step, state, later)
@@ -164,7 +170,19 @@ class _TrueMotion(Integrator):
         first, left_out = rates(u, x)
         node = k * self.q + step // self.substeps
         self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
-        return runge_kutta(rate, x, self.dt, first)
+        if not len(self.fired):
+            return runge_kutta(rate, x, self.dt, first)
+        for one, other in pairwise(self._switches(step % self.substeps)):
+            if np.any(one < other):
+                flown, dt = u + self.pulsed(one, other), (other - one) * self.dt * self.substeps
+                x = runge_kutta(partial(rate, u=flown), x, dt, rate(0, x, flown))
+        return x
+
+    def _switches(self, sub: int) -> Array:
+        """Shares of a period, over one of its steps, between which nothing switches, (., R, 1)."""
+        start, end = (np.arange(2) + sub) / self.substeps
+        on, ends = np.abs(self.asked) / self.fired / 2, np.broadcast_to([start, end], (len(self.asked), 2))
+        return np.sort(np.clip(np.hstack([0.5 - on, 0.5 + on, ends]), start, end), axis=1).T[:, :, None]
 
 
 class _Predicting(Predicting, _TrueMotion):

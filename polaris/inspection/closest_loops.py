@@ -1,0 +1,157 @@
+"""Closest approaches of free flights in loops over single ones, for numba to compile.
+
+Formulas are those of `polaris.inspection.closest`, which are what these loops are tested against, to
+rounding; the accounts of what they mean are there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.compiled import compiled
+from ..model.system import Array
+
+TOLERANCE, NEWTON, HALVINGS = 1e-6, 40, 40  # as in `polaris.inspection.closest`
+
+
+@compiled
+def approaches(x: Array, pairs: Array, beyond: float, flight: Array) -> Array:
+    """Closest approaches of deputies at states x (R, N, 6) and of `pairs` (P, 2), relative to each other.
+
+    Distances, times, and places of those that are not beyond, (R, N + P, 5).
+    """
+    runs, deputies, n, z = len(x), x.shape[1], flight[0, 0], np.empty(6)
+    found = np.zeros((runs, deputies + len(pairs), 5))
+    for r in range(runs):
+        for k in range(deputies + len(pairs)):
+            one = k if k < deputies else pairs[k - deputies, 0]
+            for j in range(6):
+                z[j] = x[r, one, j] - (x[r, pairs[k - deputies, 1], j] if k >= deputies else 0.0)
+            distance, when = closest(z, beyond, flight)
+            found[r, k, 0], found[r, k, 1] = distance, when
+            if distance <= beyond:
+                angle = n * when
+                _position(_parts(z, n), when, 2 * np.sin(angle / 2) ** 2, np.sin(angle), found[r, k, 2:])
+    return found
+
+
+@compiled
+def _parts(z: Array, n: float) -> Array:
+    """As `polaris.inspection.closest.flight_parts`, of one flight, but first where it starts: (4, 3).
+
+    ``p(t) = p(0) + b t - c (1 - cos(n t)) + d sin(n t)`` has no differences of large numbers.
+    """
+    parts = np.zeros((4, 3))
+    parts[0] = z[:3]
+    parts[1, 1] = -6 * n * z[0] - 3 * z[4]
+    parts[2, 0], parts[2, 1], parts[2, 2] = -3 * z[0] - 2 / n * z[4], 2 / n * z[3], z[2]
+    parts[3, 0], parts[3, 1], parts[3, 2] = z[3] / n, 6 * z[0] + 4 / n * z[4], z[5] / n
+    return parts
+
+
+@compiled
+def _position(parts: Array, t: float, versine: float, sine: float, place: Array) -> None:
+    for j in range(3):
+        place[j] = parts[0, j] + parts[1, j] * t - parts[2, j] * versine + parts[3, j] * sine
+
+
+@compiled
+def _ends(parts: Array, n: float, t: float) -> tuple[float, float, float, float]:
+    """Half the squared distance at a time, its rate and its bend; the squared speed."""
+    sine, cosine, versine = np.sin(n * t), np.cos(n * t), 2 * np.sin(n * t / 2) ** 2
+    half = rate = bend = speed = 0.0
+    for j in range(3):
+        circle = parts[2, j] * cosine + parts[3, j] * sine
+        p = parts[0, j] + parts[1, j] * t - parts[2, j] * versine + parts[3, j] * sine
+        v = parts[1, j] + n * (parts[3, j] * cosine - parts[2, j] * sine)
+        half, rate, bend, speed = half + p * p / 2, rate + p * v, bend - n**2 * p * circle, speed + v * v
+    return half, rate, bend + speed, speed
+
+
+@compiled
+def closest(z: Array, beyond: float, flight: Array) -> tuple[float, float]:
+    """Distance and time of the closest approach of one flight; beyond a distance only a bound on it.
+
+    `flight` (S + 2, 3) has n and the gains of speed, then of each instant t, 1 - cos(n t) and sin(n t).
+    """
+    n, count = flight[0, 0], len(flight) - 1
+    parts, place, squares = _parts(z, n), np.empty(3), np.empty(count)
+    nearest, largest = 0, 0.0
+    for k in range(count):
+        _position(parts, flight[k + 1, 0], flight[k + 1, 1], flight[k + 1, 2], place)
+        squares[k] = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
+        largest = max(largest, squares[k])
+        if squares[k] < squares[nearest]:
+            nearest = k
+    distance, when, length = np.sqrt(squares[nearest]), flight[nearest + 1, 0], flight[2, 0]
+    gained = flight[0, 1] * np.sqrt(z[0] ** 2 + z[1] ** 2 + z[2] ** 2)
+    gained += flight[0, 2] * np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
+    bound = distance - gained * (length / 2)
+    if bound > beyond:
+        return bound, when
+    circle = 0.0
+    for j in range(3):
+        circle += parts[2, j] ** 2 + parts[3, j] ** 2
+    pull = n**2 * np.sqrt(circle)
+    reach = np.sqrt(largest) + pull * (length**2 / 8)
+    drop = squares[nearest] / 2 + reach * (pull * (length**2 / 8))
+    _, rate, _, speed = _ends(parts, n, 0.0)
+    for k in range(count - 1):
+        _, after, _, speed_after = _ends(parts, n, flight[k + 2, 0])
+        half = length / 2
+        if squares[k] / 2 - drop + rate * half < 0 or squares[k + 1] / 2 - drop - after * half < 0:
+            fastest = np.sqrt(max(speed, speed_after)) + pull * half
+            quartic = pull * (3 * pull + n * (4 * fastest + n * reach))
+            span = flight[k + 1, 0], flight[k + 2, 0]
+            distance, when = _searched(parts, n, quartic, span, distance, when)
+        rate, speed = after, speed_after
+    return distance, when
+
+
+@compiled
+def _searched(
+    parts: Array, n: float, quartic: float, span: tuple[float, float], distance: float, when: float
+) -> tuple[float, float]:
+    """The least distance on a segment and its time, if it is less than the one found so far."""
+    starts, ends, depths = np.empty(HALVINGS + 2), np.empty(HALVINGS + 2), np.zeros(HALVINGS + 2, np.int64)
+    starts[0], ends[0], left = span[0], span[1], 1
+    while left:
+        left -= 1
+        start, end, depth = starts[left], ends[left], depths[left]
+        length, third = end - start, (end - start) / 3
+        half_1, rate_1, bend_1, _ = _ends(parts, n, start)
+        half_2, rate_2, bend_2, _ = _ends(parts, n, end)
+        convex, at = min(bend_1, bend_2) > quartic * (length**2 / 8), (start + end) / 2
+        if convex:
+            if not (rate_1 < 0 and rate_2 > 0):
+                continue
+            at = _newton(parts, n, start, end, start + length * rate_1 / (rate_1 - rate_2))
+        else:
+            least = min(min(half_1, half_2), min(half_1 + rate_1 * third, half_2 - rate_2 * third))
+            if not least - quartic * (length**4 / 384) < max(distance - TOLERANCE, 0.0) ** 2 / 2:
+                continue
+        here = np.sqrt(2 * _ends(parts, n, at)[0])
+        if here < distance:
+            distance, when = here, at
+        if not convex and depth < HALVINGS - 1:
+            starts[left], ends[left], depths[left] = start, at, depth + 1
+            starts[left + 1], ends[left + 1], depths[left + 1] = at, end, depth + 1
+            left += 2
+    return distance, when
+
+
+@compiled
+def _newton(parts: Array, n: float, low: float, high: float, at: float) -> float:
+    """Minimum of a convex q between two times, where its rate changes its sign."""
+    for _ in range(NEWTON):
+        _, rate, bend, _ = _ends(parts, n, at)
+        if rate < 0:
+            low = at
+        else:
+            high = at
+        step = at - rate / bend if bend > 0 else low
+        after = step if bend > 0 and low <= step <= high else (low + high) / 2
+        moved, at = abs(after - at), after
+        if moved < 1e-7:
+            break
+    return at

@@ -1,0 +1,244 @@
+"""Pulses within a period: the input that stands for them, proofs with them, and flights that fire them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.model.prediction import predicting, pulse_error
+from polaris.model.timing import Timing
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.disturbances import disturbances
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.integration import Integrator
+from polaris.simulation.orbit.environment import Environment
+from polaris.simulation.orbit.frame import near_circular, relative_rate
+from polaris.simulation.orbit.truth import _TrueMotion
+from polaris.simulation.simulate import flown_modes, simulate
+from polaris.synthesis.synthesize import synthesize
+from reach.numerics.linear import discretize
+
+from ..kept import kept
+from .closed_loops import attack
+from .forging import CERTIFICATE, Forger, make
+from .test_closed_loops import judge
+from .test_error_sources import exact
+from .test_timing import SAMPLED, fly_delayed, systems
+from .tiny import TINY
+
+TURNING = "system.A=[[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0.1], [0, 0, -0.1, 0]]"
+PULSED = (*SAMPLED, TURNING, "thrusters.pulse=centred", "recoverable.recourse=none")
+ERRORS = (
+    "thrusters.magnitude_error=0.01",
+    "thrusters.impulse_bit_N_s=0.001",
+    "navigation.state_error=[0.002, 0.002, 0.001, 0.001]",
+    "timing.delay_s=0.5",
+)
+
+
+@pytest.mark.parametrize("h", [0.25, 2.0, 40.0])
+def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_period(h):
+    """Fly pulses of every length beside what stands for them: one end, and never far apart in between."""
+    steps = 1000
+    for system in systems():
+        fired, step, rng = system.u_max, h / steps, np.random.default_rng(1)
+        bit, displaced = pulse_error(system, fired, h)
+        s = (np.arange(steps) + 0.5) * step - h / 2
+        carry, push = expm(system.A * step), expm(system.A * step / 2) @ system.B * step
+        back = np.array([expm(-system.A * each) @ system.B for each in s])
+        moments = np.concatenate([back.sum(0), (back * (2 * s / h)[:, None, None]).sum(0)], axis=1) * step
+        largest, farthest = 0.0, np.zeros(system.n)
+        for on in (0.1, 0.3, 0.5, 1 / 3**0.5, 0.9):
+            sign = rng.choice([-1, 1], system.m) * (1 + system.thrusters.along)
+            pulse = np.where(np.abs(s) < on * h / 2, 1.0, 0.0)[:, None] * fired * sign
+            wrong = pulse - pulse.mean(axis=0)
+            a, b = np.split(np.linalg.pinv(moments) @ np.einsum("sij,sj->i", back, wrong) * step, 2)
+            stands, d = a + b * (2 * s / h)[:, None], np.zeros(system.n)
+            for one, other in zip(wrong, stands, strict=True):
+                d = carry @ d + push @ (one - other)
+                farthest = np.maximum(farthest, np.abs(d))
+            largest = max(largest, np.abs(stands).max())
+            assert np.all(np.abs(d) <= 1e-6 * displaced)
+        assert largest <= bit * (1 + 1e-2) + 1e-9 and np.all(farthest <= displaced * (1 + 1e-2))
+        assert np.all(farthest >= 0.4 * displaced) and largest >= 0.5 * bit
+
+
+def test_held_inputs_are_as_without_the_key():
+    plain = load_scenario(TINY).with_assignments([*SAMPLED, "recoverable.recourse=none"])
+    held = plain.with_assignments(["thrusters.pulse=held"])
+    assert held.system().timing == Timing() and held.system().thrusters == plain.system().thrusters
+    assert held.system().ideal
+
+
+def test_flights_that_fire_keep_what_is_proven_and_are_displaced_as_much():
+    scenario = load_scenario(TINY).with_assignments([*PULSED, *ERRORS])
+    schedule = kept("pulsed", lambda: synthesize(scenario))
+    runs = simulate(schedule, 30, 2)
+    assert not runs.metrics().collided.any()
+    assert runs.delta_v.max() > 0
+    assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
+    assert falsify(schedule, 100, 1).failure is None
+    judge(0, attack(schedule, 20, 0))
+
+
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
+    """In however few steps: as with four hundred, in each of which the thrust is its mean."""
+    env, flight, h = Environment(0.0012, j2=False), object.__new__(_TrueMotion), 20.0
+    flight.system, flight.env, flight.ballistic = load_scenario("static").system(), env, np.zeros(3)
+    flight.fired, flight.sampled, flight.q, flight.substeps = flight.system.u_max, True, 1, substeps
+    flight.dt, flight.residual = h / substeps, np.zeros((1, 3))
+    flight.asked = np.array([[0.1, 0.02, 0.0], [-0.2, 0.19, -0.05], [1e-4, 0.0, 0.2]])
+    start = np.random.default_rng(0).normal(size=(3, 6)) * ([100] * 3 + [0.1] * 3)
+    x = y = np.concatenate([start, near_circular(env, np.arange(3.0), np.zeros(3))], axis=1)
+    told, fine, push = 1.03 * flight.asked, 400, np.full((3, 3), 1e-6)  # errors stay as they are
+    for step in range(substeps):
+        x = flight.move(0, 0, step, x, told, push)
+    on = np.abs(flight.asked) / flight.fired
+
+    def rate(u):
+        own, target, _ = relative_rate(env, y[:, 6:], y[:, :6], 0.0)
+        own = own + u @ flight.system.B.T
+        own[:, 3:] += push
+        return np.concatenate([own, target], axis=1)
+
+    for step in range(fine):
+        gone = [np.clip(2 * i / fine - 1, -on, on) / 2 for i in (step, step + 1)]  # of each pulse
+        u = np.sign(flight.asked) * flight.fired * (gone[1] - gone[0]) * fine + told - flight.asked
+        first = rate(u)
+        y, before = y + h / fine * first, y
+        y = before + h / fine / 2 * (first + rate(u))
+    assert np.allclose(x[:, 3:6], y[:, 3:6], atol=2e-6) and np.allclose(x[:, :3], y[:, :3], atol=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("assignments", "field"),
+    [
+        (["thrusters.pulse=centred"], "thrusters.pulse"),
+        ([*SAMPLED, "thrusters.pulse=first"], "thrusters.pulse"),
+        ([*PULSED, "timing.jitter_s=0.01"], "timing.jitter_s"),
+        (
+            [*PULSED, "thrusters.directions=[[1,0],[-1,1],[0,-1]]", "thrusters.thrust_max_N=2"],
+            "thrusters.pulse",
+        ),
+    ],
+)
+def test_what_is_not_covered_is_refused_by_name(assignments, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments(assignments).system()
+    assert error.value.field.startswith(field)
+
+
+def test_too_few_inputs_are_refused():
+    system = load_scenario(TINY).system()
+    with pytest.raises(ScenarioError, match="fewer inputs"):
+        pulse_error(replace(system, B=system.B[:, :1], u_max=system.u_max[:1]), np.ones(1), 0.25)
+
+
+def test_forged_pulses_are_refused(tmp_path):
+    """Neither weaker pulses, nor held inputs in their place, nor less than what pulses add."""
+    forger = Forger(make([*PULSED, *ERRORS, "thrusters.remainder=carried"], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    data = forger.tree(CERTIFICATE)
+
+    without = {key: x for key, x in data["system"]["timing"].items() if key != "fired"}
+
+    def judged(timing=(), told=data["assumptions"], **system):
+        system = data["system"] | system
+        system["timing"] = (without if timing is without else system["timing"]) | dict(timing)
+        return forger.judge({CERTIFICATE: json.dumps(data | {"system": system, "assumptions": told})})
+
+    less = data["system"]["thrusters"] | {"bit": data["system"]["timing"]["bit"]}
+    smaller = [(0.99 * float.fromhex(x)).hex() for x in data["system"]["timing"]["displaced"]]
+    weaker = [x.replace("thrusts [1, 1]", "thrusts [0.5, 0.5]") for x in data["assumptions"]]
+    fewer = [x.replace("of 0.001 N s", "of 0.0005 N s") for x in data["assumptions"]]
+    held = [x for x in data["assumptions"] if not x.startswith("pulses")]
+    for verdict, claim in (
+        (judged(thrusters=less), "system"),
+        (judged({"displaced": smaller}), "system"),
+        (judged({"fired": [(0.5).hex()] * 2}), "assumptions"),
+        (judged({"fired": [(0.5).hex()] * 2}, weaker), "system"),
+        (judged({"fired": []}, held), "format"),
+        (judged({"carried": (0.0005).hex()}), "assumptions"),
+        (judged({"carried": (0.0005).hex()}, fewer), "system"),
+        (judged({"pulsed": data["system"]["timing"]["displaced"]}), "system"),
+        (judged(told=held, timing=without), "system"),
+    ):
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", claim), verdict
+    scenario = forger.tree("scenario.toml")
+    for thrusters in (
+        {"pulse": "held"},
+        {},
+        {"pulse": "first"},
+        {"pulse": "centred", "remainder": "dropped"},
+    ):
+        kept_keys = {key: x for key, x in scenario["thrusters"].items() if key != "pulse"}
+        forged = scenario | {"thrusters": kept_keys | thrusters}
+        assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
+
+
+def test_what_is_carried_is_a_displacement_and_a_drift():
+    """Fly impulses in multiples of a bit beside what stands for them: never further apart than is booked."""
+    for system in systems():
+        h, bit, rng = 2.0, 0.01, np.random.default_rng(4)
+        timing = Timing(carried=bit, period=h)
+        Ad, Bd = discretize(system.A, system.B, h)
+        moved = np.array(predicting(system, Timing(carried=bit), h).timing.displaced)
+        drift = discretize(system.A, replace(system, timing=timing).adrift, h)[1] / bit
+        x = other = rng.normal(size=system.n)
+        left, made, asked = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
+        seen = np.zeros(system.n)
+        for _ in range(300):
+            u = rng.choice([-1, 1], system.m) * rng.choice([0.0, 0.2, 1.0]) * bit / h * 1.7
+            impulse = np.trunc((u * h + left) / bit) * bit
+            other = Ad @ other + Bd @ u - drift @ left
+            left = left + u * h - impulse
+            x = Ad @ x + Bd @ impulse / h
+            assert np.all(np.abs(left) <= bit)
+            made, asked = made + np.abs(impulse), asked + np.abs(u) * h
+            seen = np.maximum(seen, np.abs(x - other))
+            assert np.all(made <= asked * (1 + 1e-12)), "no more is spent than is commanded"
+        assert np.all(seen <= moved) and np.all(seen >= 0.5 * moved)
+
+
+def test_flights_that_carry_keep_what_is_proven():
+    """A coarse bit, and errors of all else."""
+    coarse = [*PULSED[:-2], ERRORS[0], *ERRORS[2:], PULSED[-1], "thrusters.impulse_bit_N_s=0.02"]
+    scenario = load_scenario(TINY).with_assignments([*coarse, "thrusters.remainder=carried"])
+    schedule = kept("carried", lambda: synthesize(scenario))
+    runs = simulate(schedule, 30, 2)
+    assert not runs.metrics().collided.any()
+    flight = Integrator(schedule, flown_modes(schedule, False), 1)
+    flight.run(runs.states[:4, 0], disturbances(flight, 4, np.random.default_rng(0), "none")[0])
+    made = flight.asked * 0.25 / 0.02
+    assert np.allclose(made, np.rint(made), atol=1e-6) and 0 < np.abs(flight.left).max() <= 0.02
+    assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
+    assert falsify(schedule, 100, 1).failure is None
+    judge(0, attack(schedule, 20, 0))
+
+
+@pytest.mark.slow
+def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
+    scenes = 0
+    for seed in range(5030, 5047):
+        scenario = exact(seed)
+        period = scenario.problem().period
+        if period is None:
+            continue
+        bit = float(period * scenario.system().u_max.min() / 20)
+        more = [f"thrusters.impulse_bit_N_s={bit}", "thrusters.remainder=carried", "thrusters.pulse=centred"]
+        more += ["thrusters.magnitude_error=0.01", f"timing.delay_s={period}"]
+        try:
+            schedule = synthesize(scenario.with_assignments(more))
+        except PolarisError:
+            continue
+        scenes += 1
+        judge(seed, attack(schedule, 100, seed))
+        assert not simulate(schedule, 50, seed).metrics().collided.any(), seed
+        assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1), seed
+        assert falsify(schedule, 300, seed).failure is None, seed
+    assert scenes >= 6
