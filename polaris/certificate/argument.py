@@ -20,6 +20,7 @@ from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement
 from .scheduled import Scheduled
+from .transients import lost, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
@@ -70,6 +71,7 @@ class Argument:
         self.gain = self.pilots[0].gain
         self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
+        self.upsets = moved(document, self.plant)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -106,6 +108,7 @@ class Argument:
     def flights(self, path: Path, merging: Merging) -> None:
         """Everything that rests on the sets which the schedule reaches."""
         sets, flown = self.tubes(path, merging)
+        self.flown = flown
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
         memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
@@ -125,6 +128,12 @@ class Argument:
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
+
+    def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
+        """What errors need along rows, a fault that is isolated late included."""
+        needs = Needs(self.loop, memory, rows)
+        boxes = [*self.upsets, *lost(self.document, self.loop, memory)]
+        return replace(needs, upset=upset(needs, boxes)) if boxes else needs
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
@@ -158,7 +167,7 @@ class Argument:
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
             pilot = self.pilots[mode].knowing(doc.known_to(k))
-            flown.append(fly(pilot, sets[-1], k, path, barrier, merging, departures))
+            flown.append(fly(pilot, sets[-1], k, path, barrier, merging, departures, self.upsets))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
@@ -190,7 +199,7 @@ class Argument:
         Beyond the memory of the loop what is derived is the disturbance's share alone.
         """
         doc, q, C = self.document, self.document.q, self.plant.C
-        needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
+        needs = self._needs(memory, above(C, -C, self.gain, -self.gain))
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
@@ -236,7 +245,7 @@ class Argument:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
         limits = Limits.of(doc, path, self.gain, chosen)
-        needs = Needs(self.loop, memory, limits.rows)
+        needs = self._needs(memory, limits.rows)
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
             limits = limits.less(scheduled.along(limits.rows))
@@ -245,8 +254,11 @@ class Argument:
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 else ():
-                claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
-        reached = {k: sets[k] for k in claimed if k * doc.q < recovery.nodes}
+                claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), doc.margins[k])
+        reached = {node: sets[node // doc.q] for node in claimed if node < recovery.nodes}
+        for k, mode in enumerate(doc.modes):  # a fault is isolated at any node
+            within = self.flown[k].nodes if mode > 0 and doc.transients else []
+            reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         least = recovery.check_sets(reached, claimed)
         recovery.check_far()
         ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"

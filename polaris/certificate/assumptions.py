@@ -20,6 +20,13 @@ ALLOCATED = (
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
+NOTHING_ELSE = (
+    "the safety controller flies from then on (without measurements: from when they cease), and no second "
+    "fault occurs; goal, velocity change, enclosures and drift are those of flights without such faults"
+)
+"""Assumed of faults that are isolated late, and what is told of them."""
+
+
 @dataclass(frozen=True)
 class Premises:
     """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
@@ -54,6 +61,8 @@ class Premises:
         Impulse [N s] of which multiples are made, the rest being carried to the next period; 0 without.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    late : iterable of (str, float)
+        Kinds of faults that are isolated late, and how long that takes [s].
     allocated : bool
         Whether inputs are made by thrusters of which one may have failed.
     sampled : mapping, optional
@@ -75,6 +84,7 @@ class Premises:
     carried: float = 0.0
     chaser: float = 0.0
     allocated: bool = False
+    late: Iterable[tuple[str, float]] = ()
     sampled: Mapping[str, Any] | None = None
 
     def told(self) -> list[str]:
@@ -126,8 +136,15 @@ class Premises:
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
             made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
             yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
+        late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
-            yield ALLOCATED
+            yield (
+                ALLOCATED.replace("known at once", "known at once or when it is isolated")
+                if late
+                else ALLOCATED
+            )
+        if late:
+            yield f"isolation: {late} at the latest; {NOTHING_ELSE}"
         if predicted or jitter > 0:
             late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
             late += f", {jitter:g} s earlier or later from the second on" if jitter else ""

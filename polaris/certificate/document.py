@@ -114,6 +114,12 @@ class Document:
             raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
+        self.transients: list[dict[str, Any]] = system.get("transients") or []
+        least = [min(each["lasts"], *map(min, each.get("pushes") or [[0.0]])) for each in self.transients]
+        if any(x < 0 for x in least) or any(each["lasts"] == 0 for each in self.transients):
+            raise ValueError("faults isolated late last for some time, and push by no less than nothing")
+        if self.transients and (not self.sampled or self.fired or self.carried):
+            raise ValueError("faults isolated late need sampled feedback, inputs that are held, and no rest")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -231,6 +237,7 @@ class Document:
             carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
+            late=[(each["name"], each["lasts"]) for each in self.transients],
             sampled=self.statement or None,
         ).told()
         if read["assumptions"] != self.assumptions:

@@ -67,6 +67,7 @@ CERTIFICATE = {
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
+        "transients?": Rows({"name": NAME, "lasts": HEX, "pushes?": grid("* m")}, 1, 8),
     },
     "chaser_radius?": HEX,
     "sampling": {

@@ -8,7 +8,19 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
+from .balls import (
+    above,
+    column,
+    diagonal,
+    identity,
+    largest,
+    magnitude,
+    matrix,
+    plain,
+    require,
+    smallest,
+    sums,
+)
 from .bodies import Whereabouts
 from .drift import Departures
 from .motion import Arc, Motion, Path, Plant, Push
@@ -214,6 +226,7 @@ class Flown:
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
     spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
+    nodes: list[Zonotope]  # errors at the nodes within it
 
 
 def fly(
@@ -224,22 +237,26 @@ def fly(
     barrier: Barrier | None,
     merging: Merging,
     departures: Departures | None = None,
+    upsets: Sequence[arb_mat] = (),
 ) -> Flown:
     """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
     `start` are the errors about the safe reference at its start. There is no barrier of separating facets
     under the safety controller, whose separation follows from recoverability. Departures, if any, are
-    shown to hold where thrust may stop.
+    shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
     n, base = start.c.nrows(), pilot.base(k, path)
     rows, room = identity(n), []
     heights, bows = base.heights(rows), base.bows(rows)
     if barrier is not None:
         rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
+        added = [[arb(0)] * barrier.rows.nrows(), *((magnitude(barrier.rows) * x).entries() for x in upsets)]
+        most = [largest(each) for each in zip(*added, strict=True)]
+        room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent = arb(0)
+    spent, nodes = arb(0), []
     for i in range(pilot.plant.q):
         period = pilot.period(d, base, k, i)
         spent += pilot.spent(period, d, base.u)
@@ -263,8 +280,9 @@ def fly(
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
+        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent)
+    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
 
 
 def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:

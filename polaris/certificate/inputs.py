@@ -18,6 +18,7 @@ from .own import check_own
 from .perception import check_unsafe
 from .repeated import check_switching
 from .timing import check_timing
+from .transients import check_transients
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
@@ -43,6 +44,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_thrusters(document, scenario)
         check_allocation(document, scenario)
         check_timing(document, scenario, measured_errors(document, scenario))
+        check_transients(document, scenario)
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")

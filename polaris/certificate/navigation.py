@@ -41,8 +41,10 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
         raise Rejected("system", "an observer's estimates are declared as well")
     if not document.sampled or timing.get("missed_periods", 0):
         raise Rejected("system", "an observer needs a measurement in every control period")
-    if document.fired or document.carried:  # as the scenario has it
-        raise Rejected("system", "an observer does not go with pulses, or impulses whose rest is carried")
+    if document.fired or document.carried or document.transients:  # as the scenario has them
+        raise Rejected(
+            "system", "an observer with pulses, impulses that are carried, or faults isolated late"
+        )
     _check_observer(document, asked, stored)
     return [stored]
 

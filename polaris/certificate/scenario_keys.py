@@ -84,7 +84,11 @@ SCENARIO = {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
         **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
     },
-    "faults?": Rows(Kinds({"stuck_off": {}, "loss": {"share": Real(above=0, below=1)}}), 0, 8),
+    "faults?": Rows(Kinds({
+        "stuck_off": {"isolation_s?": NOT_NEGATIVE}, "stuck_on": {"isolation_s": POSITIVE},
+        "loss": {"share": Real(above=0, below=1), "isolation_s?": NOT_NEGATIVE},
+        "navigation_lost": {"lasts_s": Real(above=0, most=1e4)},
+    }), 0, 8),
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {

@@ -74,6 +74,12 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
             require("system", spare, f"error of the prediction of state {i}: {bound}")
 
 
+def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
+    """Bounds on the errors of states predicted over a time from known ones."""
+    over, more = _carried(plant, age)
+    return sums((over * column(known)).entries(), more)
+
+
 def _carried(plant: Plant, age: arb) -> tuple[arb_mat, list[arb]]:
     """What a prediction over a time makes of errors of the states it starts from, and what it adds."""
     n = plant.A.nrows()

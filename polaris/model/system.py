@@ -14,6 +14,7 @@ from reach.numerics.linear import discretize
 from .errors import ScenarioError
 from .thrusters import Thrusters
 from .timing import Observer, Timing
+from .transient import Transient
 
 Array = NDArray[np.float64]
 
@@ -76,6 +77,8 @@ class LinearSystem:
         How far what is applied may be from what is commanded; not at all by default.
     timing : Timing
         What `estimate_error` holds of delays, and how far clocks may be apart; at once by default.
+    transients : tuple of Transient
+        Faults that are isolated late, of which at most one occurs; none by default.
 
     Raises
     ------
@@ -97,6 +100,7 @@ class LinearSystem:
     timing: Timing = Timing()
     error_by_step: Array | None = None
     observer: Observer | None = None
+    transients: tuple[Transient, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -157,8 +161,8 @@ class LinearSystem:
 
     @property
     def ideal(self) -> bool:
-        """Whether laws see the exact state, and what they command is what is applied."""
-        return self.thrusters.exact and not np.any(self.navigation)
+        """Whether laws see the exact state, and what they command is what is applied, without late faults."""
+        return self.thrusters.exact and not np.any(self.navigation) and not self.transients
 
     @property
     def displaced(self) -> Array:
@@ -188,8 +192,10 @@ class LinearSystem:
         return replace(self, estimate_error=measured, thrusters=own, **AT_ONCE)
 
     def as_ideal(self) -> LinearSystem:
-        """The same system without errors of estimates and thrusters."""
-        return self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters(), **AT_ONCE)
+        """The same system without errors of estimates and thrusters, and without faults known late."""
+        if self.ideal:
+            return self
+        return replace(self, estimate_error=None, thrusters=Thrusters(), transients=(), **AT_ONCE)
 
     def at_step(self, k: int) -> LinearSystem:
         """The same system with the errors of estimates that there may be in step k."""

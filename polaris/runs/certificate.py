@@ -21,6 +21,7 @@ from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
+from ..model.transient import Transient
 from ..scenario.fields import python_name
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
@@ -101,7 +102,18 @@ def _system(safety: Safety) -> dict[str, Any]:
             if safety.problem.allocation is None
             else {"allocation": _allocation(safety.problem.allocation)}
         ),
+        **_transients(system.transients),
     }
+
+
+def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
+    """Faults that are isolated late, if any; no pushes where navigation is lost."""
+    found = [
+        {"name": fault.name, "lasts": float(fault.lasts)}
+        | ({"pushes": fault.pushes} if len(fault.pushes) else {})
+        for fault in faults
+    ]
+    return {"transients": found} if found else {}
 
 
 def _allocation(made: Allocation) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ..model.prediction import predicting
 from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters as Errors
 from ..model.timing import Timing as Delays
+from ..model.transient import Transient
 from ..synthesis.passive import Abort as AbortOptions
 from . import fields as f
 from .fault_tables import Fault
@@ -113,6 +114,7 @@ class Timing(ScenarioPart):
 
 def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """What the thrusters make of inputs in every fault; None where nothing is said of them."""
+    failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
     directions = None if table is None else table.directions
     limits = None if table is None else table.thrust_max_N
     if (directions is None) != (limits is None):
@@ -120,9 +122,23 @@ def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
         pairs = axis_pairs(u_max)
-        return Allocation.of(*pairs, u_max, [fault.build() for fault in faults]) if faults else None
+        return Allocation.of(*pairs, u_max, failed) if failed else None
     most = f.per_axis("thrusters.thrust_max_N", limits, len(directions))
-    return Allocation.of(np.array(directions), most, u_max, [fault.build() for fault in faults])
+    return Allocation.of(np.array(directions), most, u_max, failed)
+
+
+def transients(
+    faults: Sequence[Fault], made: Allocation | None, gains: Sequence[Array]
+) -> tuple[Transient, ...]:
+    """What faults do until they are isolated, where that takes time; the gains are those of the laws."""
+    found = []
+    for fault in (fault.build() for fault in faults):
+        thrust = np.zeros((0, gains[0].shape[0]))
+        if fault.left < 1 and made is not None:
+            thrust = made.directions * made.limits[:, None]
+        known = fault.name, fault.isolation, thrust, 1 - fault.left, np.max(np.abs(gains), axis=0)
+        found += [Transient(*known)] if fault.isolation > 0 else []
+    return tuple(found)
 
 
 class Abort(ScenarioPart):

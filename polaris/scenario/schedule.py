@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import Timing, allocation
+from .error_tables import Timing, allocation, transients
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
@@ -57,6 +57,15 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
+        late = [fault for fault in (each.build() for each in model.faults) if fault.isolation > 0]
+        if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
+            rule = "isolated late need sampled feedback, and last no less than its period"
+            raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
+        if late and (system.timing.fired or system.timing.carried > 0):
+            rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
+            raise ScenarioError("faults", late[0].name, rule)
+        if late and system.observer is not None:
+            raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
         if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
             given = model.abort.drift_orbits, model.abort.drift_s
             raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
@@ -204,7 +213,10 @@ class ScheduleScenario(Scenario):
         from .experimental import gains_of
 
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
-        weight = tracking.weight
+        weight, gains = tracking.weight, gains_of(self.model, system)
+        unsteered = np.zeros((system.m, system.n))
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains))
+        system = replace(system, transients=late)
         return Problem(
             system=system,
             initial_set=self.initial_set(),
@@ -225,7 +237,7 @@ class ScheduleScenario(Scenario):
             thrust_reserve=given.pop("thrust_reserve"),
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
-            gains=gains_of(self.model, system),
+            gains=gains,
             allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),

@@ -79,6 +79,10 @@ class Predicting(Integrator):
         found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
         bound = np.maximum(self.known[step, 0] + self.system.displaced_at_nodes, 1e-300)
         Ad, Bd, _ = self.held
+        asked = step - self.lag - ages * self.substeps
+        missing = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.missing(asked)
+        if self.failing is not None:
+            ages = np.where(missing, ages + (asked - self.failing.begins) // self.substeps + 1, ages)
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if start < 0:
@@ -90,7 +94,8 @@ class Predicting(Integrator):
                 y = y + self.noise[start] * self.eta[start, runs]
             for at in range(start, step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
-            self.off = np.maximum(self.off, np.max(np.abs(y - x[runs]), axis=0) / bound)
+            within = np.abs(y - x[runs])[~missing[runs]] / bound
+            self.off = np.maximum(self.off, np.max(within, axis=0, initial=0.0))
             found[runs] = y
         return np.asarray(found)
 

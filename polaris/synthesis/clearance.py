@@ -46,7 +46,7 @@ class Tube:
         return np.asarray(tracking.forgotten(self.rows, radius) + tracking.disturbance(self.rows)[-1])
 
 
-def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
+def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
     """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
 
     Parameters
@@ -56,13 +56,15 @@ def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
         Set of errors ``x - xi`` at time 0.
     rows : ndarray, shape (r, n)
         Directions; give both signs for a two-sided bound.
+    failing : bool
+        Whether a fault that is isolated late may occur, where any is declared.
     """
     radius = float(start.norm_bound(tracking.W))
     curvature = tracking.curvature(rows)
     centre = rows @ tracking.transitions @ start.c
     spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
     support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-    disturbance = tracking.disturbance(rows)
+    disturbance = tracking.disturbance(rows, failing)
     booked = curvature * tracking.decay_before[:, None] * radius
     within = support + booked + disturbance[: len(support)]
     need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])

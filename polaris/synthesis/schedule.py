@@ -153,6 +153,7 @@ class Schedule:
             carried=problem.system.timing.carried,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
+            late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
