@@ -42,9 +42,7 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
     if not document.sampled or timing.get("missed_periods", 0):
         raise Rejected("system", "an observer needs a measurement in every control period")
     if document.fired or document.carried or document.transients:  # as the scenario has them
-        raise Rejected(
-            "system", "an observer with pulses, impulses that are carried, or faults isolated late"
-        )
+        raise Rejected("system", "an observer with pulses, carried impulses or faults isolated late")
     _check_observer(document, asked, stored)
     return [stored]
 

@@ -50,7 +50,8 @@ class Measurement(ScenarioPart):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
     It has long been at work when the flight starts, with a steady Kalman gain. In Hill's frame it measures
-    the position, and the velocity if that has a bound.
+    the position, and the velocity if that has a bound. Refused with pulses, with impulses whose rest is
+    carried, and with faults that are isolated late.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)

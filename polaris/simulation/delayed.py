@@ -54,8 +54,12 @@ class Predicting(Integrator):
         away = system.displaced_at_nodes
         if timing.fired:
             away = away + between_nodes(timing, timing.period) * np.array(timing.pulsed)
-        left = left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away
-        return np.asarray(np.clip(left, 0.0, measured))
+        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, measured)
+        noise, steps = left, np.arange(len(left)) + self.lag
+        for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in
+            used = np.minimum(steps + late * self.substeps, len(left) - 1)
+            noise = np.minimum(noise, left[used])
+        return np.asarray(noise)
 
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""

@@ -1,6 +1,7 @@
 """Navigation by phase of the flight, and an observer on board: bounds, sets, certificates and flights."""
 
 import json
+from copy import copy
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -8,6 +9,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from polaris.certificate.document import Document
+from polaris.certificate.navigation import measured_errors
+from polaris.certificate.verdict import Rejected
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
@@ -122,6 +126,9 @@ def test_without_phases_everything_is_as_it_was():
         (("navigation.measurement.matrix=[[1,0]]", "navigation.measurement.error=[0.1]"), "navigation"),
         (("navigation.phases=[{from_s=3.0},{from_s=3.0}]",), "navigation.phases"),
         (("navigation.phases=[{from_s=3.0,position_error_m=1.0}]",), "navigation.phases[0].position_error_m"),
+        ((*MEASURED, "thrusters.pulse='centred'"), "navigation.measurement"),
+        ((*MEASURED, "thrusters={impulse_bit_N_s=0.001,remainder='carried'}"), "navigation.measurement"),
+        ((*MEASURED, "faults=[{kind='navigation_lost',lasts_s=1.0}]"), "faults"),
     ],
 )
 def test_bad_tables_are_refused_by_name(assignments, field):
@@ -145,6 +152,13 @@ def test_forged_observers_are_refused(tmp_path):
     for verdict in (judged({"gain": half}), judged(estimate_error=less)):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     assert judged({"noise": [(0.001).hex()] * 2}).outcome == "REJECTED"
+    document, honest = Document(forger.honest), forger.tree("scenario.toml")
+    assert measured_errors(document, honest) == [document.measured]
+    for key, there in (("fired", [1.0]), ("carried", 0.001), ("transients", [{"name": "stuck_on"}])):
+        forged = copy(document)
+        setattr(forged, key, there)
+        with pytest.raises(Rejected, match="an observer with pulses"):
+            measured_errors(forged, honest)
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
