@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from flint import arb, arb_mat
 
+from .arcs import Path
 from .balls import column, largest, magnitude, sums
 from .loop import Memory, Needs
-from .motion import Motion, Path, Push
+from .motion import Motion, Push
 from .verdict import Undecided
 
 ROUNDS, SPARE = 60, 1e-3
