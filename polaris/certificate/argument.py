@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from flint import arb, arb_mat
 
+from .arcs import Arc, Path
 from .arrival import Arrival
 from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
 from .bodies import Whereabouts
@@ -14,7 +15,6 @@ from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
-from .motion import Arc, Path
 from .parts import UnsafeSet
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of

@@ -10,10 +10,10 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
+from .arcs import Path
 from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
 from .document import Document
 from .loop import Needs
-from .motion import Path
 from .scheduled import Along
 from .verdict import Rejected
 from .zonotopes import Zonotope

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 from flint import arb, arb_mat
 
+from .arcs import Path
 from .balls import column, largest, magnitude, sums
 from .document import Document
 from .loop import Memory, Needs
-from .motion import Motion, Path, Push
+from .motion import Motion, Push
 from .verdict import Undecided
 
 ROUNDS, SPARE = 60, 1e-3
