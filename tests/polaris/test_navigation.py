@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document
 from polaris.certificate.navigation import measured_errors
 from polaris.certificate.verdict import Rejected
@@ -105,6 +106,20 @@ def test_errors_of_a_phase_count_in_its_steps_alone():
     object.__setattr__(two.safety.problem.system, "error_by_step", wrong)
     assert attack(two, 40, 0).over > 1e-3  # the attack would find errors that are left out
     object.__setattr__(two.safety.problem.system, "error_by_step", steps)
+
+
+@pytest.mark.parametrize("made", ["pulse='centred'", "impulse_bit_N_s=0.001,remainder='carried'"])
+def test_phases_go_with_pulses_and_what_is_carried(made):
+    """Measurements err within the bounds of the steps that use them, and predictions within theirs."""
+    late = (f"thrusters={{magnitude_error=0.01,{made}}}", "timing.delay_s=0.25", "timing.missed_periods=1")
+    schedule = kept(f"phased-{made}", lambda: synthesize(scene(*PHASED, *late)))
+    known, timing = schedule.safety.problem.system.error_by_step, schedule.safety.problem.system.timing
+    assert len(np.unique(known, axis=0)) >= 3 and (timing.fired or timing.carried)
+    plain = scene(*PHASED, "thrusters.magnitude_error=0.01", *late[1:]).system().error_by_step
+    assert np.all(known > plain)
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    assert falsify(schedule, 100, 1).failure is None
+    assert np.all(fly_delayed(schedule, 50, 1)[1] <= 1 + 1e-6)
 
 
 def test_without_phases_everything_is_as_it_was():
