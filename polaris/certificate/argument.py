@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from flint import arb, arb_mat
 
+from .arcs import Arc, Path
 from .arrival import Arrival
 from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
 from .bodies import Whereabouts
@@ -14,7 +15,6 @@ from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
-from .motion import Arc, Path
 from .parts import UnsafeSet
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
@@ -68,8 +68,9 @@ class Argument:
         self.plant = plant_of(document)
         known = self.plant, document.slopes, document.fits
         self.pilots = [Pilot(law, *known, Whereabouts.of(document, law, self.plant)) for law in document.laws]
-        self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
-        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in noise])
+        self.gain = self.pilots[0].gain
+        self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
+        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
         self.upsets = moved(document, self.plant)
 
     def run(self) -> None:
@@ -112,7 +113,9 @@ class Argument:
         profile = [[arb(x) for x in most] for most in self.document.profile]
         memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
         prolonged, chosen = self._prolonged(path, memory)
-        scheduled = Scheduled(self.loop, memory, prolonged, self.gain) if profile else None
+        scheduled = None
+        if profile or self.document.error_by_step:
+            scheduled = Scheduled(self.document, self.loop, memory, prolonged, self.gain)
         self.error_bounds(memory, sets[0], scheduled)
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
@@ -163,7 +166,8 @@ class Argument:
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
-            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets))
+            pilot = self.pilots[mode].knowing(doc.known_to(k))
+            flown.append(fly(pilot, sets[-1], k, path, barrier, merging, departures, self.upsets))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
@@ -199,7 +203,7 @@ class Argument:
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
-        d, error = 2 * C.nrows(), self.pilots[0].noise
+        d = 2 * C.nrows()
         apart = (absolute(above(C, -C)) * column(doc.displaced)).entries() + [arb(0)] * 2 * len(doc.u_max)
         taken = scheduled.along(needs.rows) if scheduled else []
         more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in taken]
@@ -212,6 +216,7 @@ class Argument:
             need = sums(need, apart, *more[k : k + 1])
             for j, name in enumerate(names):
                 self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
+            error = self.pilots[0].knowing(doc.known_to(k)).noise
             for i, top in enumerate(self.plant.u_max):
                 below, over, u = need[d + i], need[d + len(doc.u_max) + i], doc.inputs[k][i]
                 where = f"{doc.input_names[i]} in step {k}"
@@ -244,7 +249,7 @@ class Argument:
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
             limits = limits.less(scheduled.along(limits.rows))
-        levels = levels_of(doc, self.pilots[0].noise, needs, path)
+        levels = levels_of(doc, self.noise, needs, path)
         recovery = Recovery(doc, limits, needs, levels)
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):

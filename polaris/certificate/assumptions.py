@@ -47,6 +47,10 @@ class Premises:
         Last instant of a claim of one further period [s].
     estimate : iterable of float
         Bounds on the errors of the states' estimates, before any prediction.
+    by_step : bool
+        Whether there are bounds for every step besides.
+    observer : iterable of float
+        Bounds on the errors of what an observer measures, if one makes the estimates.
     timing : iterable of float
         Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
@@ -72,6 +76,8 @@ class Premises:
     horizon: str = "none"
     until: float | None = None
     estimate: Iterable[float] = ()
+    by_step: bool = False
+    observer: Iterable[float] = ()
     timing: Iterable[float] = ()
     thrusters: Iterable[float] = ()
     pulses: Iterable[float] = ()
@@ -112,10 +118,13 @@ class Premises:
         else:
             each = f"every controller renews its input each {self.period:g} s"
             yield f"sampling: {each}, in time and with {seen}"
-        if any(errors):
-            bounds = ", ".join(f"{x:g}" for x in errors)
-            near = f"no state is further from its estimate than [{bounds}], one by one"
-            yield f"navigation: at all times {near}"
+        if measured := list(self.observer):
+            told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
+            yield f"observer: {told}, the filter has the gain that is stated, and has long been at work"
+        elif any(errors):
+            near = f"no state is further from its estimate than [{_listed(errors)}], one by one"
+            apart = ", nor in any step than is stated for it" if self.by_step else ""
+            yield f"navigation: at all times {near}{apart}"
         if any(applied):
             parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
@@ -155,6 +164,10 @@ class Premises:
             return "fuel: enough for every command up to T"
         end = "for ever" if ever else f"until {self.until:g} s"
         return f"after T: the safety controller flies on {end}, and there is fuel for every command"
+
+
+def _listed(bounds: Iterable[float]) -> str:
+    return ", ".join(f"{x:g}" for x in bounds)
 
 
 def _of_samples(

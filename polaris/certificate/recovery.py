@@ -10,10 +10,10 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
+from .arcs import Path
 from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
 from .document import Document
 from .loop import Needs
-from .motion import Path
 from .scheduled import Along
 from .verdict import Rejected
 from .zonotopes import Zonotope
@@ -64,13 +64,14 @@ class Limits:
     @classmethod
     def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
         """Limits around a path, with one facet per cell and unsafe set."""
-        plant, error = path.plant, path.plant.command_error(gain) * 2
+        plant = path.plant
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
         facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
         targets = []
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell])
+            error = replace(plant, estimate=tuple(document.known_to(cell))).command_error(gain) * 2
             thrust = sums(
                 plant.u_max * 2,
                 above(arc.u, -arc.u).entries(),

@@ -26,6 +26,7 @@ from ..scenario.fields import python_name
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
+from ..synthesis.demand import command_errors
 from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
@@ -197,7 +198,7 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q) + scheduled[:K]
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
-    peak = np.maximum(above + nu, below - nu) + tracking.system.command_error(gain)
+    peak = np.maximum(above + nu, below - nu) + command_errors(tracking.system, gain, K)
     return {
         "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1] + scheduled[-1]},
         "thrust": {"peak": peak * (1 + ROUNDING)} | ({} if profile is None else {"profile": profile}),

@@ -1,4 +1,4 @@
-"""The scenario file's models of what is not exact: navigation, thrusters, timing, the chaser's size."""
+"""The scenario file's models of what is not exact: thrusters, timing, the chaser's size; and of an abort."""
 
 from __future__ import annotations
 
@@ -19,33 +19,6 @@ from ..synthesis.passive import Abort as AbortOptions
 from . import fields as f
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit
-
-
-class Navigation(ScenarioPart):
-    """How well the state is known: bounds on the errors of the estimate that every controller acts on.
-
-    Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
-    in other systems states.
-    """
-
-    position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
-    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
-    state_error: f.WidthVector | None = unit("SI (state order)", "n numbers >= 0.", default=None)
-
-    def build(self, system: LinearSystem) -> Array:
-        """Bounds on the error of every state, shape (n,)."""
-        if system.mean_motion is None:
-            if np.any(self.position_error_m) or np.any(self.velocity_error_m_s):
-                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
-                raise ScenarioError("navigation.position_error_m", self.position_error_m, rule)
-            given = (0.0,) * system.n if self.state_error is None else self.state_error
-            f.check_length("navigation.state_error", given, system.n)
-            return np.array(given)
-        if self.state_error is not None:
-            rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
-            raise ScenarioError("navigation.state_error", self.state_error, rule)
-        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
-        return np.concatenate([f.per_axis(f"navigation.{name}", value, 3) for name, value in named])
 
 
 class Thrusters(ScenarioPart):

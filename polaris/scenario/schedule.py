@@ -64,6 +64,8 @@ class ScheduleScenario(Scenario):
         if late and (system.timing.fired or system.timing.carried > 0):
             rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
             raise ScenarioError("faults", late[0].name, rule)
+        if late and system.observer is not None:
+            raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
         if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
             given = model.abort.drift_orbits, model.abort.drift_s
             raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
@@ -98,14 +100,15 @@ class ScheduleScenario(Scenario):
     def system(self) -> LinearSystem:
         """The controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, self.model.system.build()
-        if model.navigation is not None:
-            system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
         allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return (model.timing or Timing()).build(system, self._period, model.thrusters, limits)
+        period, timing = self._period, model.timing or Timing()
+        if model.navigation is not None:
+            system = model.navigation.known(system, (self.steps, self.step), period, timing)
+        return timing.build(system, period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:

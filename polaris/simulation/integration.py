@@ -90,6 +90,12 @@ class Integrator:
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
 
+    @cached_property
+    def known(self) -> Array:
+        """Bounds on the errors of estimates in every step of the integration, (steps, 1, n)."""
+        cells = [self.system.at_step(k).navigation for k in range(len(self.modes))]
+        return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
+
     @property
     def may_do_anything(self) -> bool:
         """Whether a controller flies of which nothing but the thrust limits is known."""
@@ -136,9 +142,7 @@ class Integrator:
         """What controllers know of states in a step."""
         known = x if self.eta is None else x + self.eta[step]
         if self.eta is not None and self.left is not None:
-            flown = self.system.displaced_at_nodes / np.maximum(
-                self.system.navigation, 1e-300
-            )  # not as errors
+            flown = self.system.displaced_at_nodes / np.maximum(self.known[step], 1e-300)  # not as errors
             known = x + self.eta[step] * (1 - flown)
         if self.failing is None:
             return np.asarray(known)

@@ -76,7 +76,7 @@ class Attempts:
         self.cut_by_clock = found.cut_by_clock
         self.clock.lap("plan")
         yield from self._references(found)
-        for _ in range(AFRESH if self.tracking.profile is not None else 0):
+        for _ in range(AFRESH if self.tracking.varies else 0):
             if self.margin.inside:
                 break
             asked = self._allowing(asked)
@@ -92,7 +92,7 @@ class Attempts:
             yield from self._references(again)
 
     def _allowing(self, asked: PlanProblem) -> PlanProblem:
-        """The same, with room for errors of thrusters as large as the last plan's commands cause them."""
+        """The same, with room for errors by the time of the flight, as large as along the last plan."""
         system, K = self.problem.system, self.problem.K
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
         caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain

@@ -14,7 +14,7 @@ from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .demand import Scheduled
+from .demand import Scheduled, command_errors
 from .tracking import Tracking, at_nodes
 
 
@@ -147,12 +147,12 @@ class Clearance:
 
     @cached_property
     def _scheduled(self) -> Scheduled | None:
-        if self.tracking.profile is None:
+        if not self.tracking.varies:
             return None
         return Scheduled(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array) -> Array:
-        """What errors of thrusters add along rows because of the reference's input, (cells, q + 1, r)."""
+        """What errors add along rows by the time of the flight, (cells, q + 1, r)."""
         if self._scheduled is None:
             return np.zeros((self.cells, self.q + 1, len(rows)))
         return self._scheduled.along(rows)
@@ -161,7 +161,7 @@ class Clearance:
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         system = self.tracking.system
-        limit = system.u_max * (1 - ROUNDING) - system.command_error(self.tracking.gain)
+        limit = system.u_max * (1 - ROUNDING) - command_errors(system, self.tracking.gain, self.cells)
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 

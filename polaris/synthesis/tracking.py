@@ -137,7 +137,12 @@ class Tracking:
     def error(self) -> Array:
         """Bounds on the errors of what S applies, shape (m,); without those that the profile bounds."""
         most = self.system.u_max if self.level is None else np.zeros(self.system.m)
-        return self.system.input_error(self.gain, most)
+        return self.system.calmest.input_error(self.gain, most)
+
+    @property
+    def varies(self) -> bool:
+        """Whether some errors of inputs are booked by the time of the flight, not since a hand-over."""
+        return self.profile is not None or self.system.error_by_step is not None
 
     @cached_property
     def profile(self) -> Array | None:
@@ -149,7 +154,8 @@ class Tracking:
             return None
         gain, u_max = self.gain, self.system.u_max
         norms = np.linalg.norm(gain @ self.transitions @ self.W_inverse, axis=-1)
-        left, noise = self.forgotten(gain, float(np.min(u_max / norms[0]))), self.system.command_error(gain)
+        left = self.forgotten(gain, float(np.min(u_max / norms[0])))
+        noise = self.system.calmest.command_error(gain)
         return profile(norms, self.level * u_max, left, u_max, lambda found: self.pushed(gain, found) + noise)
 
     @property

@@ -92,8 +92,9 @@ def fly_true(
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
     system = schedule.safety.problem.system
+    prompt = system.timing.instant and system.observer is None
     lost = any(not len(fault.thrust) for fault in system.transients)
-    at_once = system.timing.instant and not lost or not schedule.safety.tracking.feedback.sampled
+    at_once = prompt and not lost or not schedule.safety.tracking.feedback.sampled
     flight = (_TrueMotion if at_once else _Predicting)(schedule, modes, substeps)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
