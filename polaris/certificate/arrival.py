@@ -111,7 +111,7 @@ class Arrival:
         """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
         final, claimed = self.held[-1][0], claim["distance_m"]
         most = arb(claim["delta_v_max_m_s"]) * (1 + SLACK)
-        size, found = final.size(), []
+        size, found = final.size(), list[tuple[float, int]]()
         for node in range(self._last + 1):
             if found and self.spent + self.correcting(node) > most:  # and more at all later nodes
                 break

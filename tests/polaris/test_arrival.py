@@ -366,3 +366,21 @@ def test_random_scenes_are_verified_and_their_forgeries_are_not(seeds, tmp_path)
                 loose += 1
             some += 1
     assert some and loose <= some / 5
+
+
+def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_change_is_claimed():
+    """However many later nodes seem nearer to the goal."""
+    rows = SimpleNamespace(over=lambda node: [arb(node)], distance=lambda found: 1 / (1 + found[0]))
+    needs = SimpleNamespace(carried=[matrix([[0.0]])], responses=[[arb(0)]])
+    final = SimpleNamespace(size=lambda: matrix([[0.0]]), c=matrix([[0.0]]))
+    tail = SimpleNamespace(
+        held=[(final, 0)],
+        memory=SimpleNamespace(periods=-1),
+        spent=arb(2),
+        correcting=arb,
+        _last=2 * checked.MOST,
+        _state=lambda node: node,
+    )
+    claim = {"distance_m": 2.0, "delta_v_max_m_s": 7.0}
+    assert checked.Arrival._likely(tail, rows, needs, claim) == [5, 4, 3, 2, 1, 0]
+    assert max(checked.Arrival._likely(tail, rows, needs, claim | {"delta_v_max_m_s": 1e9})) == tail._last
