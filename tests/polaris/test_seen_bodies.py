@@ -291,6 +291,14 @@ def test_the_arena_flies_it(made):
     assert fly(grid, ExperimentalAlone(grid), Conditions.undisturbed(grid)).states.shape[0] == 1
 
 
+def test_the_worst_case_is_found_where_estimates_are_an_observers(tmp_path):
+    pytest.importorskip("onnx")
+    seen = {"matrix": np.eye(4).tolist(), "error": [0.002, 0.002, 0.001, 0.001]}
+    schedule = synthesize(load_scenario(scene(tmp_path, navigation={"measurement": seen})))
+    assert 1 in schedule.modes
+    assert evaluate(simulate(schedule, 8, disturbance="worst")).min_distance.min() > 0
+
+
 # -- forgeries ------------------------------------------------------------------------------------------
 
 
