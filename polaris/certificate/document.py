@@ -13,7 +13,7 @@ from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
 from .layers import network_of
-from .parts import Law, Matrix, Vector, abort_of, unsafe_set
+from .parts import Law, Matrix, Vector, abort_of, check_bodies, unsafe_set
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
 
@@ -263,7 +263,7 @@ class Document:
         for mode, law in enumerate(self.laws):
             if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
-            _check_bodies(law)
+            check_bodies(law)
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
@@ -284,20 +284,6 @@ class Document:
             raise ValueError("radii must be numbers")
         if not all(0 <= x <= 1 for rows in self.slopes if rows is not None for row in rows for x in row):
             raise ValueError("slopes must be from 0 to 1")
-
-
-def _check_bodies(law: Law) -> None:
-    """A network is told of each body that it reads, once, and either where it goes or how it is known."""
-    read = dict.fromkeys(name.partition(":")[2] for name in law.reads if ":" in name)
-    if [body["name"] for body in law.bodies] != list(read):
-        raise ValueError(f"{law.name} must say of each body that it reads, and of no other, how it moves")
-    for body in law.bodies:
-        rigid, half = body["state"] is None, body["state_half_widths"]
-        thrust = body["thrust_accel_max_m_s2"]
-        if (half is None) != rigid or not (rigid or body["center_m"] is body["velocity_m_s"] is None):
-            raise ValueError(f"{body['name']} must move either by a velocity or as a satellite does")
-        if any(x < 0 for x in half or ()) or thrust < 0 or (rigid and thrust):
-            raise ValueError(f"{body['name']} must have bounds that are not negative")
 
 
 def read(path: Path) -> Document:
