@@ -104,7 +104,9 @@ def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
     cheapest = f"the plans that {plans} follows are the cheapest (start, dynamics, limits, goal hold)"
     flown = "statistics of simulated runs in summary.json, which prove nothing"
     bound = "the bound on the share of experimental control in summary.json, over all schedules"
-    return [cheapest] * bool(plans) + [flown, bound] * found(folder / SUMMARY)
+    asked = "the share proven without black boxes, and the worst found with them, in summary.json"
+    boxes = any(item["kind"] == "black_box" for item in specs)
+    return [cheapest] * bool(plans) + [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
 
 
 # -- the summary ------------------------------------------------------------------------------------

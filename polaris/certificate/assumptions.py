@@ -184,5 +184,5 @@ def _of_samples(
         " disturbance and the errors of estimates and thrusters piecewise constant as simulated at random;"
         " flights are independent, and nobody looked what other seeds say",
         "no drift: the boxes answer in flight as they answered the samples: begun afresh with every flight"
-        " and asked once in every control period of it, whoever flies",
+        " and asked once in every control period of it, whoever flies, in no matter what other flights",
     ]

@@ -13,7 +13,7 @@ from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
 from .layers import network_of
-from .parts import Law, Matrix, Vector, abort_of, unsafe_set
+from .parts import Law, Matrix, Vector, abort_of, check_bodies, unsafe_set
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
 
@@ -263,6 +263,7 @@ class Document:
         for mode, law in enumerate(self.laws):
             if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
                 raise ValueError(f"{law.name} reads another number of values than it scales")
+            check_bodies(law)
             held = law.kind in ("neural", "black_box")
             if held and not self.sampled:
                 raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")

@@ -206,7 +206,11 @@ SUMMARY = {
     **every(FLOWN, "polaris safety experimental?"),
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
-        **every(SHARE, "experimental_share share_at_most proven_share?"), "worst_found?": object,
+        **every(SHARE, "experimental_share share_at_most proven_share?"),
+        "worst_found?": Either(({
+            "runs": Whole(1), "failure": Either((TEXT, None)), "least_m": OPTIONAL, "leave_sets": SHARE,
+            **every(bool, "violated repeats"),
+        }, None)),
         "share_bound": {"worth": NOT_NEGATIVE, **every(Whole(), "programs demands"), "ended": TEXT},
         "switches": Whole(),
         "start_margin": OPTIONAL,

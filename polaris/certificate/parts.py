@@ -102,3 +102,17 @@ def abort_of(drift: dict[str, Any], q: int) -> Abort:
     if not drift["horizon"] > 0 or not covered <= {q}:
         raise ValueError("a drift must have a horizon, and departures in every period of a step")
     return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
+
+
+def check_bodies(law: Law) -> None:
+    """A network is told of each body that it reads, once, and either where it goes or how it is known."""
+    read = dict.fromkeys(name.partition(":")[2] for name in law.reads if ":" in name)
+    if [body["name"] for body in law.bodies] != list(read):
+        raise ValueError(f"{law.name} must say of each body that it reads, and of no other, how it moves")
+    for body in law.bodies:
+        rigid, half = body["state"] is None, body["state_half_widths"]
+        thrust = body["thrust_accel_max_m_s2"]
+        if (half is None) != rigid or not (rigid or body["center_m"] is body["velocity_m_s"] is None):
+            raise ValueError(f"{body['name']} must move either by a velocity or as a satellite does")
+        if any(x < 0 for x in half or ()) or thrust < 0 or (rigid and thrust):
+            raise ValueError(f"{body['name']} must have bounds that are not negative")

@@ -158,9 +158,10 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
 
 def _undisturbed(flight: Integrator) -> Array:
     """States of the flight from the middle of the initial set, shape (1, nodes + 1, n)."""
-    flight.free = None
     centre = flight.schedule.safety.problem.initial_set.c[None]
-    return flight.run(centre, np.zeros((flight.steps, 1, flight.columns[-1].stop))).states
+    # What is predicted, or filtered, is exact then.
+    plain = Integrator(flight.schedule, flight.modes, flight.substeps)
+    return plain.run(centre, np.zeros((plain.steps, 1, plain.columns[-1].stop))).states
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:

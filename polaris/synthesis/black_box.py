@@ -121,10 +121,10 @@ class BlackBox:
     def command(self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0) -> Array:
         """Thrust command before clipping, shape (..., m), some seconds after the start of step k."""
         flat, t = x.reshape(-1, self.system.n), k * self.reference.delta + later
-        if t == 0 and hasattr(self.ask, "reset"):
-            self.ask.reset(len(flat))
         shape = (len(flat), self.system.m)
         try:
+            if t == 0 and hasattr(self.ask, "reset"):
+                self.ask.reset(len(flat))
             answer = self.ask(t, flat.copy(), xi.copy())
         except PolarisError:
             raise
@@ -133,7 +133,7 @@ class BlackBox:
             raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
         try:
             found = np.array(answer)
-        except (TypeError, ValueError):
+        except Exception:  # whatever becomes of it: a tensor that is part of a graph, rows of other lengths
             found = np.zeros(0)
         if found.shape != shape or found.dtype.kind not in "fiu" or not np.all(np.isfinite(found)):
             rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"

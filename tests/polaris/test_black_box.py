@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import sys
 import time
 import tomllib
@@ -356,6 +357,16 @@ def test_a_drift_from_flight_to_flight_breaks_the_condition_and_is_noticed():
     assert any(told.startswith("no drift") for told in found.schedule.assumptions)
 
 
+def test_a_box_that_mixes_up_flights_is_noticed():
+    """Of a flight that is asked about alone the samples, a thousand at a time, say nothing."""
+
+    def ask(t, x, xi):
+        return follower(t, x, xi) - 0.5 * (len(x) < 100)
+
+    found = sampled(ask, probability=0.02)
+    assert found.schedule.guarantee == "statistical" and not found.repeats
+
+
 # -- campaigns, comparisons and trade-offs --------------------------------------------------------------
 
 
@@ -448,6 +459,7 @@ def test_the_run_is_statistical_and_so_is_its_verdict(made):
     assert any(line.startswith("distribution") for line in verdict.trusted)
     assert any("other seeds" in line for line in verdict.trusted)
     assert any(line.startswith("no drift") for line in verdict.trusted)
+    assert any(line.startswith("the share proven without") for line in verdict.trusted)
 
 
 def forged(made, change):
@@ -595,6 +607,31 @@ def test_what_a_program_has_started_ends_with_it():
 def test_an_answer_that_is_no_command_is_one_error(answer):
     with pytest.raises(NoAnswer, match="must answer finite numbers"):
         box(lambda t, x, xi: answer).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+
+
+def test_what_was_found_besides_says_nothing_else(made, tmp_path):
+    found = json.loads((made / "summary.json").read_text(encoding="utf-8"))
+    found["synthesis"]["worst_found"]["guarantee"] = "proved"
+    copied = shutil.copytree(made, tmp_path / "run")
+    (copied / "summary.json").write_text(json.dumps(found), encoding="utf-8")
+    assert verify(copied).outcome == "REJECTED"
+
+
+class Refusing:
+    """Of which even the beginning fails, or what becomes of an answer."""
+
+    def reset(self, runs):
+        raise OSError("no memory left")
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("part of a graph")
+
+
+def test_a_box_that_fails_elsewhere_is_one_error():
+    with pytest.raises(NoAnswer, match="no memory left"):
+        box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+    with pytest.raises(NoAnswer, match="must answer finite numbers"):
+        box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
 
 
 def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():

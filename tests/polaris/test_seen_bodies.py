@@ -1,5 +1,6 @@
 """Networks that read where other bodies are: what they may be told, tubes, runs and forgeries."""
 
+import json
 import tomllib
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ pytest.importorskip("flint")
 
 from polaris.certificate.bodies import Whereabouts
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import Document
+from polaris.certificate.document import Document, digest
 from polaris.certificate.plants import plant_of
 from polaris.model.errors import ScenarioError
 from polaris.model.obstacles import BallObstacle, PolytopeObstacle
@@ -290,6 +291,14 @@ def test_the_arena_flies_it(made):
     assert fly(grid, ExperimentalAlone(grid), Conditions.undisturbed(grid)).states.shape[0] == 1
 
 
+def test_the_worst_case_is_found_where_estimates_are_an_observers(tmp_path):
+    pytest.importorskip("onnx")
+    seen = {"matrix": np.eye(4).tolist(), "error": [0.002, 0.002, 0.001, 0.001]}
+    schedule = synthesize(load_scenario(scene(tmp_path, navigation={"measurement": seen})))
+    assert 1 in schedule.modes
+    assert evaluate(simulate(schedule, 8, disturbance="worst")).min_distance.min() > 0
+
+
 # -- forgeries ------------------------------------------------------------------------------------------
 
 
@@ -328,7 +337,38 @@ def _absolute(data):
 )
 def test_a_certificate_of_other_bodies_is_refused(change, made, tmp_path):
     verdict = forged(made.path, tmp_path / "forged", change)
-    assert verdict.outcome == "REJECTED" and verdict.claim == "controllers", verdict.text()
+    assert verdict.outcome == "REJECTED" and verdict.claim in ("controllers", "format"), verdict.text()
+
+
+def _twice(data):
+    law_of(data)["bodies"].append(law_of(data)["bodies"][0])
+
+
+def _ghost(data):
+    law_of(data)["inputs"][1] = "relative_position:ghost"
+
+
+def _negative(data):
+    law_of(data)["bodies"][0]["thrust_accel_max_m_s2"] = (-0.004).hex()
+
+
+def _both(data):
+    law_of(data)["bodies"][0]["center_m"] = [(0.0).hex()] * 2
+
+
+def _half(data):
+    law_of(data)["bodies"][0]["state_half_widths"] = None
+
+
+@pytest.mark.parametrize(
+    "change", (_unknown, _twice, _ghost, _negative, _both, _half), ids=lambda change: change.__name__
+)
+def test_a_certificate_that_lies_alone_is_whole_about_bodies(change, made):
+    """No scenario is there to be compared with."""
+    data = json.loads((made.path / "certificate.json").read_text(encoding="utf-8"))
+    change(data)
+    verdict = verify_document(data | {"digest": digest(data)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "format"), verdict.text()
 
 
 def test_bodies_that_are_altered_in_certificate_and_scenario_alike_are_refused(made, tmp_path):

@@ -86,7 +86,8 @@ def _worst(found: Mapping[str, Any] | None) -> str:
     near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
     leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
     told = f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
-    return told + ("" if found["repeats"] else " Asked again, they answer otherwise: by chance, or drifting.")
+    why = " Asked again, or about few flights alone, they answer otherwise: a condition is not met."
+    return told + ("" if found["repeats"] else why)
 
 
 def _claim(claim: Mapping[str, Any]) -> str:
