@@ -44,12 +44,7 @@ def rows(
     runs, deputies, count, n = x.shape[0], x.shape[1], len(table), numbers[0]
     h, G, bound = np.empty((runs, count)), np.empty((runs, count, 3)), np.empty((runs, count))
     z, gradient, seen = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)
-    tight, s, v, found = (
-        numbers[11] > 0,
-        np.empty(6),
-        np.empty(9),
-        np.empty(5),
-    )  # copies are quicker than views
+    s, v, found, tight = np.empty(6), np.empty(9), np.empty(5), numbers[11] > 0  # copies: quicker than views
     for r in range(runs):
         z[:deputies] = x[r]
         for k in range(len(pairs)):
@@ -82,7 +77,7 @@ def rows(
             else:
                 value, curvature = _velocity(s, int(v[0]), tight, found, numbers, gradient)
             if tight and formula <= CONE:
-                curvature = _curvature(s, seen, cone[2] if formula == CONE else 0.0, found, v, numbers)
+                curvature = _curvature(s, seen, formula == CONE, found, v, numbers)
             h[r, m] = value
             for j in range(3):
                 G[r, m, j] = gradient[3 + j] * numbers[1]
@@ -104,23 +99,19 @@ def _least(rate: float, h: float, curvature: float, values: Array, numbers: Arra
 
 
 @inlined
-def _curvature(z: Array, seen: Array, share: float, motion: Array, values: Array, numbers: Array) -> float:
-    """As `Braking.curvature`, of the signed distance, its rate and the distance that are `seen`.
-
-    Of a cone the `share` is the cosine of its half-angle, of a sphere 0.
-    """
+def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, numbers: Array) -> float:
+    """As `Braking.curvature`, of the signed distance, its rate and the distance that are `seen`."""
     delta, rate, distance, D = seen[0], seen[1], seen[2], numbers[11]
     v, push, jerk = motion[0], motion[1], motion[2]
     n, depth, centre, a = numbers[0], numbers[2], numbers[5], values[1]
-    outside = share > 0 or values[2] > 0
-    if share > 0:  # everything as seen from the turning cone
-        far = _length(z[0], z[1], z[2]) + v * D
+    outside, share = cone or values[2] > 0, np.cos(numbers[4]) if cone else 1.0
+    if cone:  # everything as seen from the turning cone
+        far = _rounded(z[0], z[1], z[2], 0.0)[0] + v * D
         v, first = v + n * far, push
         push += 2 * n * v + n**2 * far
         jerk += n * first + 2 * n * push + n**2 * v
     nearest = distance - v * D
     near = max(nearest, centre)
-    share = share if share > 0 else 1.0
     around = share * v**2 / near
     low, high = (push, push + around) if outside else (push + around, push)
     slowest, quickest = rate - low * D, rate + high * D
@@ -168,16 +159,14 @@ def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: A
         for i in range(3):
             o[i] /= by
         for k in range(2 * s, 2 * s + 2):
-            at = s + k % 2
+            at, gain = s + k % 2, flights[s + k % 2]
             value, rate = -values[0] - bow * amplitude, -growth[3]
             for i in range(3):
                 value, rate = value + o[i] * places[at, i], rate + o[i] * places[at, 3 + i]
             for j in range(3):
-                turns = (
-                    o[0] * flights[at, 0, 3 + j] + o[1] * flights[at, 1, 3 + j] + o[2] * flights[at, 2, 3 + j]
-                )
+                turns = o[0] * gain[0, 3 + j] + o[1] * gain[1, 3 + j] + o[2] * gain[2, 3 + j]
                 G[k, j] = (turns - growth[j]) * numbers[1]
-            curvature = motion[1] * flights[at, 3, 0] + motion[2] * flights[at, 3, 1] + turned
+            curvature = motion[1] * gain[3, 0] + motion[2] * gain[3, 1] + turned
             h[k], bound[k] = value, _least(rate, value, curvature, values, numbers)
 
 
@@ -190,14 +179,9 @@ def _alpha(h: float, values: Array) -> float:
 
 
 @inlined
-def _length(a: float, b: float, c: float) -> float:
-    return float(np.sqrt(a * a + b * b + c * c))
-
-
-@inlined
 def _rounded(a: float, b: float, c: float, least: float) -> tuple[float, float]:
     """Length, and what to divide by for a direction."""
-    exact = _length(a, b, c)
+    exact = np.sqrt(a * a + b * b + c * c)
     if not exact < least:
         return exact, exact
     return exact + (least - exact) ** 2 / (2 * least), least
@@ -239,10 +223,7 @@ def _sphere(z: Array, values: Array, numbers: Array, gradient: Array, seen: Arra
 def _cone(
     z: Array, cone: tuple[float, ...], values: Array, numbers: Array, gradient: Array, seen: Array
 ) -> tuple[float, float]:
-    """Value, and its change with time: the cone turns at -n; `seen` as in `_sphere`.
-
-    The `cone` is cosine and sine of the sun's angle, then of the half-angle.
-    """
+    """Value, and its change with time: the cone turns at -n; `seen` as in `_sphere`."""
     n, centre, (cosine, sine, c, s) = numbers[0], numbers[5], cone
     ax, ay = -values[2] * cosine, -values[2] * sine
     along = z[0] * ax + z[1] * ay

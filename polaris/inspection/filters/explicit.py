@@ -100,7 +100,7 @@ class Centralized:
                 return
 
     def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
-        """Inputs nearest to what is `Families.given` that satisfy all rows, (R, N, 3), and statuses (R, N)."""
+        """Inputs nearest to the clipped ones that satisfy all rows, shapes (R, N, 3) and (R, N)."""
         families, limit = self.families, self.families.inspection.thrust_max
         who = families.first, families.second
         if self.loops:
@@ -179,7 +179,7 @@ class Decentralized:
         return Filtered(u, status, rows)
 
     def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Statuses | None]:
-        """Bounds for a row's first and second deputy, (2, R, M), or for both; the status of what was agreed."""
+        """Bounds for a row's first and second deputy, (2, R, M), or both; the status of what was agreed."""
         bound = rows.bound
         if self.sharing == "coasting":
             return bound[None], None
