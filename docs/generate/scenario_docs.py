@@ -93,6 +93,10 @@ def _schedule_lines() -> Iterator[str]:
         heading = _heading(key, node)
         yield from ("", f"## `{heading}`")
         yield from _choices(node, members, tables, "" if key == "recoverable" else "###")
+        for name, inner in members[0]["properties"].items() if len(members) == 1 else ():
+            if parts := list(_members(inner, tables)):
+                yield from ("", f"### `{_heading(f'{key}.{name}', inner)}`")
+                yield from _choices(inner, parts, tables, "####")
         for member in members:
             reference = member["properties"].get("reference")
             if reference and not told:

@@ -26,7 +26,8 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     What they make is convex. It holds a box if for each of its corners it has a point that lies, in every
     input, at least as far out as the corner: no plane separates the box from those points (Lemma 31).
     """
-    spec, faults = scenario.get("thrusters", {}), scenario.get("faults", [])
+    spec, every = scenario.get("thrusters", {}), scenario.get("faults", [])
+    faults = [fault for fault in every if fault["kind"] != "navigation_lost"]
     made, m, told = document.allocation, len(document.u_max), "directions" in spec or bool(faults)
     if (made is not None) != told or ("directions" in spec) != ("thrust_max_N" in spec):
         raise Rejected("system", "certificate and scenario do not both speak of the thrusters")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from flint import arb, arb_mat
 
+from .arcs import Arc, Path
 from .arrival import Arrival
 from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
 from .bodies import Whereabouts
@@ -14,12 +15,12 @@ from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
 from .loop import Memory, Needs
-from .motion import Arc, Path
 from .parts import UnsafeSet
 from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement
 from .scheduled import Scheduled
+from .transients import lost, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
@@ -67,8 +68,10 @@ class Argument:
         self.plant = plant_of(document)
         known = self.plant, document.slopes, document.fits
         self.pilots = [Pilot(law, *known, Whereabouts.of(document, law, self.plant)) for law in document.laws]
-        self.gain, noise = self.pilots[0].gain, self.pilots[0].noise
-        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in noise])
+        self.gain = self.pilots[0].gain
+        self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
+        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
+        self.upsets = moved(document, self.plant)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -105,11 +108,14 @@ class Argument:
     def flights(self, path: Path, merging: Merging) -> None:
         """Everything that rests on the sets which the schedule reaches."""
         sets, flown = self.tubes(path, merging)
+        self.flown = flown
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
         memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
         prolonged, chosen = self._prolonged(path, memory)
-        scheduled = Scheduled(self.loop, memory, prolonged, self.gain) if profile else None
+        scheduled = None
+        if profile or self.document.error_by_step:
+            scheduled = Scheduled(self.document, self.loop, memory, prolonged, self.gain)
         self.error_bounds(memory, sets[0], scheduled)
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
@@ -122,6 +128,12 @@ class Argument:
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
+
+    def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
+        """What errors need along rows, a fault that is isolated late included."""
+        needs = Needs(self.loop, memory, rows)
+        boxes = [*self.upsets, *lost(self.document, self.loop, memory)]
+        return replace(needs, upset=upset(needs, boxes)) if boxes else needs
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
@@ -154,7 +166,8 @@ class Argument:
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
-            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures))
+            pilot = self.pilots[mode].knowing(doc.known_to(k))
+            flown.append(fly(pilot, sets[-1], k, path, barrier, merging, departures, self.upsets))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
@@ -186,11 +199,11 @@ class Argument:
         Beyond the memory of the loop what is derived is the disturbance's share alone.
         """
         doc, q, C = self.document, self.document.q, self.plant.C
-        needs = Needs(self.loop, memory, above(C, -C, self.gain, -self.gain))
+        needs = self._needs(memory, above(C, -C, self.gain, -self.gain))
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
-        d, error = 2 * C.nrows(), self.pilots[0].noise
+        d = 2 * C.nrows()
         apart = (absolute(above(C, -C)) * column(doc.displaced)).entries() + [arb(0)] * 2 * len(doc.u_max)
         taken = scheduled.along(needs.rows) if scheduled else []
         more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in taken]
@@ -203,6 +216,7 @@ class Argument:
             need = sums(need, apart, *more[k : k + 1])
             for j, name in enumerate(names):
                 self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
+            error = self.pilots[0].knowing(doc.known_to(k)).noise
             for i, top in enumerate(self.plant.u_max):
                 below, over, u = need[d + i], need[d + len(doc.u_max) + i], doc.inputs[k][i]
                 where = f"{doc.input_names[i]} in step {k}"
@@ -231,17 +245,20 @@ class Argument:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
         limits = Limits.of(doc, path, self.gain, chosen)
-        needs = Needs(self.loop, memory, limits.rows)
+        needs = self._needs(memory, limits.rows)
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
             limits = limits.less(scheduled.along(limits.rows))
-        levels = levels_of(doc, self.pilots[0].noise, needs, path)
+        levels = levels_of(doc, self.noise, needs, path)
         recovery = Recovery(doc, limits, needs, levels)
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 else ():
-                claimed[at] = max(claimed.get(at, 0.0), doc.margins[k])
-        reached = {k: sets[k] for k in claimed if k * doc.q < recovery.nodes}
+                claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), doc.margins[k])
+        reached = {node: sets[node // doc.q] for node in claimed if node < recovery.nodes}
+        for k, mode in enumerate(doc.modes):  # a fault is isolated at any node
+            within = self.flown[k].nodes if mode > 0 and doc.transients else []
+            reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         least = recovery.check_sets(reached, claimed)
         recovery.check_far()
         ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"

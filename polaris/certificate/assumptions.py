@@ -20,6 +20,13 @@ ALLOCATED = (
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
+NOTHING_ELSE = (
+    "the safety controller flies from then on (without measurements: from when they cease), and no second "
+    "fault occurs; goal, velocity change, enclosures and drift are those of flights without such faults"
+)
+"""Assumed of faults that are isolated late, and what is told of them."""
+
+
 @dataclass(frozen=True)
 class Premises:
     """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
@@ -40,6 +47,10 @@ class Premises:
         Last instant of a claim of one further period [s].
     estimate : iterable of float
         Bounds on the errors of the states' estimates, before any prediction.
+    by_step : bool
+        Whether there are bounds for every step besides.
+    observer : iterable of float
+        Bounds on the errors of what an observer measures, if one makes the estimates.
     timing : iterable of float
         Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
@@ -50,6 +61,8 @@ class Premises:
         Impulse [N s] of which multiples are made, the rest being carried to the next period; 0 without.
     chaser : float
         Radius of the chaser [m]; 0 for a point.
+    late : iterable of (str, float)
+        Kinds of faults that are isolated late, and how long that takes [s].
     allocated : bool
         Whether inputs are made by thrusters of which one may have failed.
     sampled : mapping, optional
@@ -63,12 +76,15 @@ class Premises:
     horizon: str = "none"
     until: float | None = None
     estimate: Iterable[float] = ()
+    by_step: bool = False
+    observer: Iterable[float] = ()
     timing: Iterable[float] = ()
     thrusters: Iterable[float] = ()
     pulses: Iterable[float] = ()
     carried: float = 0.0
     chaser: float = 0.0
     allocated: bool = False
+    late: Iterable[tuple[str, float]] = ()
     sampled: Mapping[str, Any] | None = None
 
     def told(self) -> list[str]:
@@ -102,10 +118,13 @@ class Premises:
         else:
             each = f"every controller renews its input each {self.period:g} s"
             yield f"sampling: {each}, in time and with {seen}"
-        if any(errors):
-            bounds = ", ".join(f"{x:g}" for x in errors)
-            near = f"no state is further from its estimate than [{bounds}], one by one"
-            yield f"navigation: at all times {near}"
+        if measured := list(self.observer):
+            told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
+            yield f"observer: {told}, the filter has the gain that is stated, and has long been at work"
+        elif any(errors):
+            near = f"no state is further from its estimate than [{_listed(errors)}], one by one"
+            apart = ", nor in any step than is stated for it" if self.by_step else ""
+            yield f"navigation: at all times {near}{apart}"
         if any(applied):
             parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
@@ -117,8 +136,15 @@ class Premises:
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
             made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
             yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
+        late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
         if self.allocated:
-            yield ALLOCATED
+            yield (
+                ALLOCATED.replace("known at once", "known at once or when it is isolated")
+                if late
+                else ALLOCATED
+            )
+        if late:
+            yield f"isolation: {late} at the latest; {NOTHING_ELSE}"
         if predicted or jitter > 0:
             late = f"timing: commands take effect {delay:g} s after the measurement they rest on"
             late += f", {jitter:g} s earlier or later from the second on" if jitter else ""
@@ -138,6 +164,10 @@ class Premises:
             return "fuel: enough for every command up to T"
         end = "for ever" if ever else f"until {self.until:g} s"
         return f"after T: the safety controller flies on {end}, and there is fuel for every command"
+
+
+def _listed(bounds: Iterable[float]) -> str:
+    return ", ".join(f"{x:g}" for x in bounds)
 
 
 def _of_samples(

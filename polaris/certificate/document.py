@@ -99,6 +99,8 @@ class Document:
         self.estimate: Vector = system.get("estimate_error") or []
         errors = system.get("thrusters")
         self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
+        self.error_by_step: Matrix = system.get("error_by_step") or []
+        self.observer: dict[str, Any] | None = system.get("observer")
         self.timing: dict[str, Any] = system.get("timing") or {}
         self.measured: Vector = self.timing.get("measured") or self.estimate
         self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
@@ -112,6 +114,12 @@ class Document:
             raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
+        self.transients: list[dict[str, Any]] = system.get("transients") or []
+        least = [min(each["lasts"], *map(min, each.get("pushes") or [[0.0]])) for each in self.transients]
+        if any(x < 0 for x in least) or any(each["lasts"] == 0 for each in self.transients):
+            raise ValueError("faults isolated late last for some time, and push by no less than nothing")
+        if self.transients and (not self.sampled or self.fired or self.carried):
+            raise ValueError("faults isolated late need sampled feedback, inputs that are held, and no rest")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -121,6 +129,10 @@ class Document:
             raise Undecided("system", f"{len(self.A)} states, more than {MOST_STATES}")
         if self.estimate and not (min(self.estimate) >= 0 and max(self.estimate) > 0):
             raise ValueError("errors of estimates must not be negative, nor all zero")
+        if self.error_by_step and self.estimate != [max(x) for x in zip(*self.error_by_step, strict=True)]:
+            raise ValueError("errors of estimates must be the largest of all steps")
+        if any(x < 0 for row in self.error_by_step for x in row):
+            raise ValueError("errors of estimates must not be negative")
         if not (self.A and min(self.u_max) > 0 and self.w_max >= 0 and 1 <= len(self.C) <= 3):
             raise ValueError("limits must be positive, and positions have one to three axes")
         if not (self.mass > 0 and (self.mean_motion is None or self.mean_motion > 0)):
@@ -149,6 +161,15 @@ class Document:
             for law in read["controllers"]
         ]
 
+    def known_to(self, k: int) -> Vector:
+        """Errors of estimates in step k, or after the last one."""
+        return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
+
+    @property
+    def calmest(self) -> Vector:
+        """The least error of every state in any step."""
+        return [min(each) for each in zip(*self.error_by_step, strict=True)] or self.estimate
+
     def _compare(self, lengths: Lengths, sets: int) -> None:
         """Lists are as long as the sizes of the system, the scene and the schedule say."""
         n, m, d, K = len(self.A), len(self.u_max), len(self.C), self.steps
@@ -159,6 +180,7 @@ class Document:
         if covered != self.cells and (self.drift is None or covered < self.cells):
             raise ValueError("unsafe sets must be known for as long as the reference")
         sizes["covered"] = covered
+        sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():
@@ -205,6 +227,8 @@ class Document:
             horizon=self.horizon,
             until=self.until,
             estimate=self.measured,
+            by_step=bool(self.error_by_step),
+            observer=(self.observer or {}).get("noise", ()),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
             if self.timing
             else (),
@@ -213,6 +237,7 @@ class Document:
             carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
+            late=[(each["name"], each["lasts"]) for each in self.transients],
             sampled=self.statement or None,
         ).told()
         if read["assumptions"] != self.assumptions:

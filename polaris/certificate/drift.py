@@ -14,6 +14,7 @@ from itertools import accumulate
 
 from flint import arb, arb_mat
 
+from .arcs import Arc
 from .balls import (
     beside,
     column,
@@ -29,7 +30,7 @@ from .balls import (
     smallest,
 )
 from .document import Document
-from .motion import Arc, Motion, Plant
+from .motion import Motion, Plant
 from .parts import Abort, Departure
 from .verdict import Rejected, Undecided
 from .zonotopes import Zonotope

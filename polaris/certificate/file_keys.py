@@ -62,9 +62,12 @@ CERTIFICATE = {
         "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
+        "error_by_step?": grid("K+1 n"),
+        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
+        "transients?": Rows({"name": NAME, "lasts": HEX, "pushes?": grid("* m")}, 1, 8),
     },
     "chaser_radius?": HEX,
     "sampling": {
@@ -166,6 +169,8 @@ GAINS = {
             **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
             **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
+        "error_by_step?": MATRIX,
+        "observer?": {**every(MATRIX, "measures gain"), "noise": VECTOR},
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
 
-from .balls import above, column, diagonal, identity, largest, matrix, plain, require, smallest, sums
+from .arcs import Arc, Path
+from .balls import (
+    above,
+    column,
+    diagonal,
+    identity,
+    largest,
+    magnitude,
+    matrix,
+    plain,
+    require,
+    smallest,
+    sums,
+)
 from .bodies import Whereabouts
 from .drift import Departures
-from .motion import Arc, Motion, Path, Plant, Push
+from .motion import Motion, Plant, Push
 from .networks import Policy
 from .parts import Law, Matrix
+from .periods import Period, around, clip, command_ranges, secant
 from .recovery import Barrier
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
@@ -54,6 +68,13 @@ class Pilot:
             self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
         return self._loops[key]
 
+    def knowing(self, estimate: list[float]) -> Pilot:
+        """The same where estimates are off by no more than that."""
+        known = tuple(estimate)
+        return (
+            self if known == self.plant.estimate else replace(self, plant=replace(self.plant, estimate=known))
+        )
+
     @cached_property
     def policy(self) -> Policy:
         """Of a network."""
@@ -87,7 +108,7 @@ class Pilot:
             most = d.through(self.commands).tops()
             if not self.plant.sampled:
                 most = period.within(self.commands, d, most)
-            tops = self.clipped(_ranges(u, most))
+            tops = self.clipped(command_ranges(u, most))
         return self.plant.spent(tops)
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
@@ -115,11 +136,11 @@ class Pilot:
             n, rows = d.c.nrows(), fit[i]
             K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
             bands = [arb(row[n + 1]) for row in rows]
-            ranges = zip(plant.u_max, _ranges(c, d.through(above(K, -K)).tops()), bands, strict=True)
+            ranges = zip(plant.u_max, command_ranges(c, d.through(above(K, -K)).tops()), bands, strict=True)
             most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
             error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
             return Period(plant.loop(-K), plant.B * (c - u), push, error, most)
-        found = self.clipped(_ranges(u, d.through(self.commands).tops()))
+        found = self.clipped(command_ranges(u, d.through(self.commands).tops()))
         for _ in range(GUESSES if plant.thrusters else 0):
             guess = [
                 smallest((top, 1.02 * x.upper() + 1e-3 * top))
@@ -138,7 +159,7 @@ class Pilot:
         reach = d.through(self.commands).tops()
         if not plant.sampled:
             reach = linear.within(self.commands, d, reach)
-        ranges = _ranges(u, reach)
+        ranges = command_ranges(u, reach)
         # What an error of the estimate adds to a command comes after the clip; without one, it counts.
         noise = self.noise if kind == "affine" else [arb(0)] * len(most)
         room = [top - x for top, x in zip(plant.u_max, noise, strict=True)]
@@ -154,52 +175,6 @@ class Pilot:
 
 
 @dataclass(frozen=True, eq=False)
-class Period:
-    """Motion over one period: ``d' = ... + g + V v`` with v of a push, held or not, and errors of inputs."""
-
-    motion: Motion
-    g: arb_mat
-    push: Push | None = None
-    error: Push | None = None
-    most: list[arb] | None = None  # bounds on the thrust, where they are known already
-
-    def ends(self, d: Zonotope) -> Zonotope:
-        """Where the motion without disturbance and without v ends."""
-        return d.through(self.motion.phi).moved(self.motion.gamma * self.g)
-
-    def after(self, end: Zonotope) -> Zonotope:
-        """The set at the next node, from `ends`."""
-        pushed, push = [], self.push
-        if push is not None:
-            held = self.motion.held is not None
-            pushed = [self.motion.gamma * push.V * push.cover if held else self.motion.pushed(push)]
-        if self.error is not None:
-            pushed.append(self.motion.pushed(self.error))
-        return end.grown(*pushed, self.motion.disturbance_set)
-
-    def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
-        """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.
-
-        They belong to the start and the end of the period; in between, their chord is a bound: what v and
-        the disturbance have done grows from nothing.
-        """
-        motion = self.motion
-        bend, last = motion.disturbance_along(rows)
-        first = sums(motion.bow(rows, d.through(motion.closed).moved(self.g)), bend)
-        for push in (self.push, self.error):
-            if push is not None:
-                first = sums(first, motion.push_bend(rows, push))
-                last = sums(last, motion.push_gain(rows, push))
-        return first, sums(first, last)
-
-    def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
-        """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
-        first, last = self.extra(rows, d)
-        ends = sums(self.ends(d).through(rows).tops(), last)
-        return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
-
-
-@dataclass(frozen=True, eq=False)
 class Flown:
     """One step flown."""
 
@@ -207,6 +182,7 @@ class Flown:
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
     spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
+    nodes: list[Zonotope]  # errors at the nodes within it
 
 
 def fly(
@@ -217,22 +193,26 @@ def fly(
     barrier: Barrier | None,
     merging: Merging,
     departures: Departures | None = None,
+    upsets: Sequence[arb_mat] = (),
 ) -> Flown:
     """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
     `start` are the errors about the safe reference at its start. There is no barrier of separating facets
     under the safety controller, whose separation follows from recoverability. Departures, if any, are
-    shown to hold where thrust may stop.
+    shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
     n, base = start.c.nrows(), pilot.base(k, path)
     rows, room = identity(n), []
     heights, bows = base.heights(rows), base.bows(rows)
     if barrier is not None:
         rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
+        added = [[arb(0)] * barrier.rows.nrows(), *((magnitude(barrier.rows) * x).entries() for x in upsets)]
+        most = [largest(each) for each in zip(*added, strict=True)]
+        room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent = arb(0)
+    spent, nodes = arb(0), []
     for i in range(pilot.plant.q):
         period = pilot.period(d, base, k, i)
         spent += pilot.spent(period, d, base.u)
@@ -256,14 +236,9 @@ def fly(
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
+        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent)
-
-
-def _ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
-    """Ranges of ``u + y`` from bounds on y and on -y, as exact numbers."""
-    m = u.nrows()
-    return [((u[i, 0] - most[m + i]).lower(), (u[i, 0] + most[i]).upper()) for i in range(m)]
+    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
 
 
 def _clipped(
@@ -280,44 +255,25 @@ def _clipped(
     plant, rows = pilot.plant, pilot.commands
     commands = list(zip(plant.u_max, u.entries(), strict=True))
     at_node = d.through(rows).tops()
-    ranges = _ranges(u, at_node)
+    ranges = command_ranges(u, at_node)
     if not plant.sampled:
         pushes = [(-top - x, top - x) for top, x in commands]
         for _ in range(ROUNDS):
-            middle, spread = zip(*(_around(*push) for push in pushes), strict=True)
+            middle, spread = zip(*(around(*push) for push in pushes), strict=True)
             free = Period(plant.open, plant.B * column(middle), Push.in_box(plant.B, list(spread)), error)
-            ranges = _ranges(u, free.within(rows, d, at_node))
+            ranges = command_ranges(u, free.within(rows, d, at_node))
             pushes = [
-                (_clip(lo, top) - x, _clip(hi, top) - x)
+                (clip(lo, top) - x, clip(hi, top) - x)
                 for (lo, hi), (top, x) in zip(ranges, commands, strict=True)
             ]
-    slopes = stored or [_secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
+    slopes = stored or [secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
     known, bands = [], []
     for slope, (lo, hi), (top, x) in zip(slopes, ranges, commands, strict=True):
         # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
         places = [lo, hi, *(y for y in (-top, top) if lo < y < hi)]
-        rests = [_clip(y, top) - slope * y for y in places]
-        middle_rest, band = _around(smallest(rests), largest(rests))
+        rests = [clip(y, top) - slope * y for y in places]
+        middle_rest, band = around(smallest(rests), largest(rests))
         known.append(slope * x + middle_rest - x)
         bands.append(band)
     period = Period(pilot.loop(slopes), plant.B * column(known), Push.in_box(plant.B, bands), error)
     return period, pilot.clipped(ranges)
-
-
-def _around(low: arb, high: arb) -> tuple[arb, arb]:
-    """An exact middle of two numbers, and how far both are from it at most."""
-    middle = ((low + high) / 2).mid()
-    return middle, largest((high - middle, middle - low))
-
-
-def _secant(lo: arb, hi: arb, top: arb) -> float:
-    """Slope of the clip between two commands."""
-    width = hi - lo
-    return float(((_clip(hi, top) - _clip(lo, top)) / width).mid()) if width > 0 else 1.0
-
-
-def _clip(y: arb, top: arb) -> arb:
-    """The command y limited to ``[-top, top]``."""
-    if y > top:
-        return top
-    return -top if y < -top else y

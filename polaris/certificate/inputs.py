@@ -13,10 +13,12 @@ from .balls import matrix, require, row_sums
 from .bodies import bodies_of
 from .document import Document
 from .lqr import check_gain, positive_definite
+from .navigation import measured_errors
 from .own import check_own
 from .perception import check_unsafe
 from .repeated import check_switching
 from .timing import check_timing
+from .transients import check_transients
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
@@ -39,10 +41,10 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         if scenario["name"] != document.scenario:
             raise Rejected("system", f"{document.scenario} is not the scenario {scenario['name']}")
         _check_system(document, scenario["system"])
-        _check_navigation(document, scenario.get("navigation", {}))
         _check_thrusters(document, scenario)
         check_allocation(document, scenario)
-        check_timing(document, scenario)
+        check_timing(document, scenario, measured_errors(document, scenario))
+        check_transients(document, scenario)
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
         _check_initial_set(document, scenario["initial_set"])
         record.holds("initial_set", f"contains the scenario's {scenario['initial_set']['kind']}")
@@ -125,20 +127,6 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
     C = matrix(document.C)
     if positive_definite(C * C.transpose()) is not True:
         raise Rejected("system", "the coordinates of the position are not independent")
-
-
-def _check_navigation(document: Document, spec: dict[str, Any]) -> None:
-    """The bounds on the errors of the estimates are the scenario's."""
-    if document.mean_motion is None:
-        given = spec.get("state_error", [0.0] * len(document.A))
-    else:
-        axes = [spec.get(key, 0.0) for key in ("position_error_m", "velocity_error_m_s")]
-        given = [x for part in axes for x in (part if isinstance(part, list) else [part] * 3)]
-    wrong = ("position_error_m", "velocity_error_m_s") if document.mean_motion is None else ("state_error",)
-    if any(key in spec and spec[key] != 0.0 for key in wrong):
-        raise Rejected("system", "errors of estimates are given for another kind of system")
-    found = document.measured if any(document.measured) else []
-    _need("system", "error of estimates", found, list(given) if any(given) else [])
 
 
 def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:

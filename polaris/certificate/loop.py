@@ -73,6 +73,8 @@ class Needs:
     motion: Motion  # the safety controller's loop
     memory: Memory
     rows: arb_mat  # shape (r, n)
+    upset: list[list[arb]] = field(default_factory=list)
+    """What a fault that is isolated late needs by the end of the period after node l, once in a flight."""
     _bowed: dict[tuple[int, int], tuple[Zonotope, list[arb]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -192,7 +194,8 @@ class Needs:
             [largest((a + f, b)) + k for a, b, f, k in zip(now, following, begun, curved, strict=True)]
             for (now, following), begun in zip(pairwise(self.responses), first, strict=False)
         ]
-        return [*until, sums(self.settled, first[-1], curved)]
+        found = [*until, sums(self.settled, first[-1], curved)]
+        return [sums(*each) for each in zip(found, self.upset, strict=True)] if self.upset else found
 
     @cached_property
     def forgotten(self) -> list[arb]:

@@ -7,10 +7,11 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
+from .arcs import Arc
 from .balls import above, beside, column, diagonal, identity, largest, matrix, row_sums, smallest, sums
 from .bodies import Whereabouts
 from .layers import Layer
-from .motion import Arc, Plant
+from .motion import Plant
 from .parts import Law
 from .zonotopes import Zonotope
 

@@ -10,10 +10,10 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
+from .arcs import Path
 from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
 from .document import Document
 from .loop import Needs
-from .motion import Path
 from .scheduled import Along
 from .verdict import Rejected
 from .zonotopes import Zonotope
@@ -64,13 +64,14 @@ class Limits:
     @classmethod
     def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
         """Limits around a path, with one facet per cell and unsafe set."""
-        plant, error = path.plant, path.plant.command_error(gain) * 2
+        plant = path.plant
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
         facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
         targets = []
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell])
+            error = replace(plant, estimate=tuple(document.known_to(cell))).command_error(gain) * 2
             thrust = sums(
                 plant.u_max * 2,
                 above(arc.u, -arc.u).entries(),
@@ -166,13 +167,13 @@ class Recovery:
         """Number of the last node."""
         return self.document.q * len(self.limits.targets)
 
-    def time(self, step: int, node: int) -> str:
-        """Time of a node after the start of a step, for messages."""
-        return f"{(step + node / self.document.q) * self.document.delta:.6g} s"
+    def time(self, node: int) -> str:
+        """Time of a node, for messages."""
+        return f"{node / self.document.q * self.document.delta:.6g} s"
 
-    def lags(self, step: int) -> int:
-        """Number of periods after the start of a step that are looked at one by one."""
-        return min(self.needs.memory.periods, self.nodes - step * self.document.q)
+    def lags(self, node: int) -> int:
+        """Number of periods after a node that are looked at one by one."""
+        return min(self.needs.memory.periods, self.nodes - node)
 
     @cached_property
     def _least(self) -> list[dict[int, Target]]:
@@ -186,27 +187,26 @@ class Recovery:
             found.append(least)
         return found[::-1]
 
-    def _far_cell(self, step: int) -> int:
-        """First cell whose limits lie beyond the memory, seen from the start of a step."""
+    def _far_cell(self, node: int) -> int:
+        """First cell whose limits lie beyond the memory, seen from a node."""
         doc = self.document
         most = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
-        return min(step + self.needs.memory.periods // doc.q, most)
+        return min(node // doc.q + self.needs.memory.periods // doc.q, most)
 
     def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
         """Check that each set is recoverable, and inside by the share of the room that is claimed.
 
-        `reached` are sets of errors at the starts of steps, `margins` shares of the room claimed to be left.
+        `reached` are sets of errors at nodes, `margins` shares of the room claimed to be left.
         A bound from the extents of the set comes first; only where it does not do, the exact support. Returns
         the least share found where that was needed; 1 if nowhere.
         """
-        steps = sorted(reached)
-        sizes = beside(*(reached[k].size() for k in steps))
+        sizes = beside(*(reached[k].size() for k in sorted(reached)))
         worst = 1.0
         coarse = [
             (absolute(row) + bend) * sizes
             for row, bend in zip(self.needs.carried, self.needs.bend, strict=True)
         ]
-        for place, k in enumerate(steps):
+        for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
@@ -220,14 +220,14 @@ class Recovery:
                 self._check_late(k, reached[k], share)
         return worst
 
-    def _all(self, step: int, lag: int) -> list[Target]:
-        """Limits that a set at the start of a step must keep to some periods later."""
+    def _all(self, node: int, lag: int) -> list[Target]:
+        """Limits that a set at a node must keep to some periods later."""
         booked = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
-        return self.limits.at(step * self.document.q + lag, first=lag == 0) + booked
+        return self.limits.at(node + lag, first=lag == 0) + booked
 
-    def _of(self, share: float, step: int, lag: int) -> float:
-        """The share claimed of limits some periods after the start of a step: none of those flown on to."""
-        return share if step * self.document.q + lag <= self.document.cells * self.document.q else 0.0
+    def _of(self, share: float, node: int, lag: int) -> float:
+        """The share claimed of limits some periods after a node: none of those flown on to."""
+        return share if node + lag <= self.document.cells * self.document.q else 0.0
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
@@ -235,7 +235,7 @@ class Recovery:
         part = largest(a / b for a, b in zip(z.size().entries(), extent, strict=True))
         for row, target in self._least[self._far_cell(k)].items():
             need = part * self.needs.forgotten[row] + self.needs.disturbed[-1][row]
-            where = f"the set at the start of step {k}, {target.name} beyond the memory of the loop"
+            where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
             self._leaves(share, target, need, where)
 
     def _leaves(self, share: float, target: Target, need: arb, where: str) -> None:
@@ -258,7 +258,7 @@ class Recovery:
                 need, room = most + extra + disturbance, target.room
                 if not room - need >= of * target.whole:  # the booked part can be had more exactly
                     need = most + needs.booked(z, lag)[row] + disturbance
-                where = f"the set at the start of step {k}, {target.name} at t = {self.time(k, lag)}"
+                where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
                 if target.whole > 0:
@@ -274,19 +274,21 @@ class Recovery:
                 for t in (*met, *(self.levels[-1] if self.levels else ())):
                     if need[t.row] <= t.room:
                         continue
-                    where = f"errors forgotten by the loop, {t.name} at t = {self.time(cell, i)}"
+                    at = self.time(cell * self.document.q + i)
+                    where = f"errors forgotten by the loop, {t.name} at t = {at}"
                     told = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
                     require("recoverable", t.room - need[t.row], told)
 
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
         """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
         per = self.needs.per_norm(inverse)
-        for k, radius in enumerate(radii):
+        for step, radius in enumerate(radii):
+            k = step * self.document.q
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
                 for t in self._all(k, lag):
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
-                        where = f"radius {radius:.6g} at {self.time(k, 0)}, {t.name} at {self.time(k, lag)}"
+                        where = f"radius {radius:.6g} at {self.time(k)}, {t.name} at {self.time(k + lag)}"
                         require("recoverable_sets", spare, where)
 
 

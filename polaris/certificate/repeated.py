@@ -284,6 +284,8 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
             if document.thrusters
             else None,
             "timing": document.timing or None,
+            "error_by_step": document.error_by_step or None,
+            "observer": document.observer,
         },
         "feedback": {
             "sampled": document.sampled,

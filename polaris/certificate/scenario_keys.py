@@ -46,6 +46,7 @@ _REFERENCE = Kinds({
 _AFFINE = {
     "name": NAME, "Q?": WEIGHT, "R?": WEIGHT, "gain?": MATRIX, "reference?": _REFERENCE, "weight?": WORTH,
 }
+_ESTIMATE = {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS}
 _GOAL = {"tolerance_m?": POSITIVE}
 _BODY = {"name": NAME, "velocity_m_s?": VECTOR}
 _POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
@@ -68,7 +69,12 @@ SCENARIO = {
         "scale_height_m": POSITIVE,
         "inclination_max_deg?": Real(least=0, most=90),
     },
-    "navigation?": {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS},
+    "navigation?": {
+        **_ESTIMATE,
+        "phases?": Rows({"from_s": POSITIVE, **_ESTIMATE}, 0, 64),
+        "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
+                         "error?": LIMITS},
+    },
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
@@ -78,7 +84,11 @@ SCENARIO = {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
         **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
     },
-    "faults?": Rows(Kinds({"stuck_off": {}, "loss": {"share": Real(above=0, below=1)}}), 0, 8),
+    "faults?": Rows(Kinds({
+        "stuck_off": {"isolation_s?": NOT_NEGATIVE}, "stuck_on": {"isolation_s": POSITIVE},
+        "loss": {"share": Real(above=0, below=1), "isolation_s?": NOT_NEGATIVE},
+        "navigation_lost": {"lasts_s": Real(above=0, most=1e4)},
+    }), 0, 8),
     "chaser?": {"radius_m": NOT_NEGATIVE},
     "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {

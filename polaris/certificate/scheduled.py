@@ -1,12 +1,16 @@
-"""What errors of the thrusters add because of the reference's own input, by the time of the flight."""
+"""Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from flint import arb, arb_mat
 
+from .arcs import Path
 from .balls import column, largest, magnitude, sums
+from .document import Document
 from .loop import Memory, Needs
-from .motion import Motion, Path, Push
+from .motion import Motion, Push
 from .verdict import Undecided
 
 ROUNDS, SPARE = 60, 1e-3
@@ -19,13 +23,20 @@ Along = list[list[list[arb]]]
 class Scheduled:
     """The input of the reference, what S corrects of its errors, and their response along rows.
 
+    So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
+
     Over the tail, which is flown again and again, commands are bounded by one number for every input.
     """
 
-    def __init__(self, loop: Motion, memory: Memory, path: Path, gain: arb_mat) -> None:
+    def __init__(self, document: Document, loop: Motion, memory: Memory, path: Path, gain: arb_mat) -> None:
         self.loop, self.memory, self.path = loop, memory, path
+        least, at = replace(loop.plant, estimate=tuple(document.calmest)).command_error(gain), loop.plant
+        known = [replace(at, estimate=tuple(document.known_to(k))) for k in range(len(path.arcs))]
+        parts = [zip(plant.command_error(gain), least, strict=True) for plant in known]
+        self.noise = [[(x - y).abs_upper() for x, y in each] for each in parts]
         self.planned = min(path.planned, len(path.arcs))
         nu = [[x.abs_upper() for x in arc.u.entries()] for arc in path.arcs]
+        nu = [sums(*pair) for pair in zip(nu, self.noise, strict=True)]
         self.commanded, needs = nu, Needs(loop, memory, gain)
         self._rates = needs.rates
         for _ in range(ROUNDS):
@@ -48,7 +59,10 @@ class Scheduled:
 
     def _along(self, needs: Needs) -> Along:
         plant, q = self.loop.plant, self.loop.plant.q
-        errors = [[x.upper() for x in plant.thruster_part(most)] for most in self.commanded]
+        caused = [
+            sums(plant.thruster_part(most), n) for most, n in zip(self.commanded, self.noise, strict=True)
+        ]
+        errors = [[x.upper() for x in each] for each in caused]
         worst = [largest(each) for each in zip(*errors, strict=True)]
         box = self.loop.box_of(Push.in_box(plant.B, worst))
         rates = (magnitude(column(sums(rate.always(worst), rate.late(box)))) for rate in self._rates)

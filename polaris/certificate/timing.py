@@ -27,8 +27,11 @@ NEAR = 1e-9
 """Share of a period."""
 
 
-def check_timing(document: Document, scenario: dict[str, Any]) -> None:
-    """Timing and pulses are the scenario's, and what they add to other errors no smaller than it must be."""
+def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:
+    """Timing and pulses are the scenario's, and what they add to other errors no smaller than it must be.
+
+    `measured` bounds the errors of estimates by step, if there is more than one row.
+    """
     spec, thrusters = scenario.get("timing", {}), scenario.get("thrusters", {})
     keys = {"delay": "delay_s", "jitter": "jitter_s", "missed": "missed_periods", "clock": "clock_error_s"}
     for key, name in keys.items():
@@ -55,28 +58,40 @@ def check_timing(document: Document, scenario: dict[str, Any]) -> None:
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
+    if (len(measured) > 1) != bool(document.error_by_step):
+        raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
     periods = arb(delay) / plant.h
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
     share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
-    seen = zip(document.measured or stored, document.at_nodes, document.pulsed, strict=True)
-    known = [x + y + share * z for x, y, z in seen]
-    ages = [delay + plant.h * i for i in range(missed + 1)]
-    least = [largest(each) for each in zip(*(_predicted(plant, known, age) for age in ages), strict=True)]
-    for i, (bound, needed) in enumerate(zip(stored, least, strict=True)):
-        require("system", bound * arb(1 + ROUNDED) - needed, f"error of the prediction of state {i}: {bound}")
+    away = [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
+    carried = [_carried(plant, delay + plant.h * i) for i in range(missed + 1)]
+    for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
+        known = column(sums(map(arb, row), away))
+        ages = [sums((over * known).entries(), more) for over, more in carried]
+        least = map(largest, zip(*ages, strict=True))
+        for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
+            spare = bound * arb(1 + ROUNDED) - needed
+            require("system", spare, f"error of the prediction of state {i}: {bound}")
 
 
-def _predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
+def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     """Bounds on the errors of states predicted over a time from known ones."""
+    over, more = _carried(plant, age)
+    return sums((over * column(known)).entries(), more)
+
+
+def _carried(plant: Plant, age: arb) -> tuple[arb_mat, list[arb]]:
+    """What a prediction over a time makes of errors of the states it starts from, and what it adds."""
+    n = plant.A.nrows()
     if age == 0:
-        return known
+        return identity(n), [arb(0)] * n
     part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(plant.u_max))
     pushes = [plant.disturbance, *plant.carry, *([thrusters] if thrusters else [])]
-    rows, found = identity(len(known)), [arb(0)] * len(known)
+    rows, found = identity(n), [arb(0)] * n
     for _ in range(PARTS):
         found = sums(found, *(part.push_gain(rows, push) for push in pushes))
         rows = rows * part.phi
-    return sums(found, (absolute(rows) * column(known)).entries())
+    return absolute(rows), found
 
 
 def _jitter(plant: Plant) -> tuple[arb, list[arb]]:

@@ -21,10 +21,14 @@ ROUNDED = 1e-9
 
 @dataclass(frozen=True)
 class Fault:
-    """One thruster, any, at any time, gives no more than a share of its thrust from then on."""
+    """One thruster, any, at any time, gives no more than a share of its thrust from then on.
+
+    That is known after at most `isolation` [s]. Of none less is `left` while navigation is lost for as long.
+    """
 
     name: str
     left: float
+    isolation: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

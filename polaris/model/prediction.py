@@ -5,21 +5,33 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 
 from reach.numerics.errors import ReachError
-from reach.numerics.linear import discretize
+from reach.numerics.linear import discretize, powers
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
 from .system import Array, LinearSystem
-from .timing import Timing
+from .timing import Observer, Timing
 
 PARTS = 32
 """Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
 
+IN_PERIOD = 4
+"""The same of a control period of an observer."""
+
 ROUNDED = 1e-9
 """Relative round-off of a bound, upwards."""
+
+SCATTER = 0.4
+"""Share of their bounds by which measurements scatter in the design of a gain; any gain is sound."""
+
+LEFT_OVER, LONGEST = 1e-2, 4096
+"""What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
+
+UNSEEN = 1e-6
+"""Share of the thrust limits that is taken for unknown, so that every gain forgets."""
 
 AT_NODES = 1e-6
 """Share of what pulses displace at most within a billionth of a period of its ends, where it is nothing."""
@@ -39,6 +51,56 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     pushed = flow.disturbance_support(np.eye(system.n), PARTS)[-1]
     carried = np.abs(np.linalg.matrix_power(flow.phi, PARTS)) @ estimate
     return np.asarray((carried + pushed) * (1 + ROUNDED))
+
+
+def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
+    """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
+
+    `moved` bounds by how much states are displaced when they are measured (docs/theory.md, Proposition 40).
+
+    Raises
+    ------
+    ScenarioError
+        If errors are not forgotten.
+    """
+    noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(moved, (system.n,))
+    loop, count = observer.rest @ np.asarray(expm(system.A * h)), 1
+    while True:
+        last = np.abs(np.linalg.matrix_power(loop, count))
+        if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
+            break
+        if count >= LONGEST or not np.all(np.isfinite(last)):
+            rule = "leave errors of the estimate that no filter forgets"
+            raise ScenarioError("navigation.measurement", observer.measures.tolist(), rule)
+        count *= 2
+    left = powers(loop, count - 1)
+    E = system.error_map(system.thrusters.error(system.u_max))
+    flow = LinearFlow.continuous(system.A, system.D, system.w_max, h / IN_PERIOD, E)
+    rows = (left @ observer.rest).reshape(-1, system.n)
+    pushed = flow.disturbance_support(rows, IN_PERIOD)[-1].reshape(left.shape[:2])
+    come = np.sum(pushed + np.abs(left @ observer.gain) @ noise, axis=0) * (1 + ROUNDED)
+    return np.asarray(np.linalg.solve(np.eye(system.n) - last, come) * (1 + ROUNDED))
+
+
+def design(system: LinearSystem, measures: Array, noise: Array, h: float) -> Observer:
+    """The observer of measurements (r, n) off by `noise` (r,) at most, with the steady Kalman gain.
+
+    Raises
+    ------
+    ScenarioError
+        If measurements do not see a motion that does not decay.
+    """
+    unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(system.u_max)])
+    unknown = np.hstack([unknown, system.B * (UNSEEN * system.u_max)])
+    step, excited = expm(system.A * h), expm(system.A * h / 2) @ unknown * h
+    covariance = np.diag((noise * SCATTER) ** 2)
+    try:
+        P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        rule = f"must see every motion that does not decay: there is no steady gain ({error})"
+        raise ScenarioError("navigation.measurement", measures.tolist(), rule) from error
+    gain = np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T
+    return Observer(measures, noise, gain)
 
 
 def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:
@@ -93,33 +155,48 @@ def _spreading(system: LinearSystem, h: float, field: str, given: object) -> Arr
     return np.linalg.pinv(moments)
 
 
+def between_nodes(timing: Timing, h: float) -> float:
+    """Share of what pulses displace within periods of h [s] that may be there when states are measured."""
+    off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
+    return 1.0 if off else AT_NODES * bool(timing.delay)
+
+
 def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
     """The system whose controllers act on predictions, of every age that may occur, with jitter or pulses.
 
     Raises
     ------
     ScenarioError
-        If the system is so unstable that nothing bounds a prediction.
+        If the system is so unstable that nothing bounds a prediction, or an observer has pulses to filter.
     """
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
+    steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
+    if system.observer is not None:
+        if timing.fired or timing.carried:
+            rule = "is not covered with pulses, or with impulses whose rest is carried"
+            raise ScenarioError("navigation.measurement", None, rule)
+        jittered = replace(system, thrusters=replace(exact, bit=exact.bit + bit))
+        steps = filtered(jittered, system.observer, h, moved)[None]
     if timing.carried:
         held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
         moved = moved + held * timing.carried * (1 + ROUNDED)
-    known = system.navigation + moved
+    away = moved
     if timing.fired:
         bit, within = pulse_error(system, np.array(timing.fired), h)
-        off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h  # measured between nodes
-        known = known + within * (1.0 if off else AT_NODES * bool(timing.delay))
+        away = moved + between_nodes(timing, h) * within
         moved, timing = moved + within, replace(timing, pulsed=tuple(within.tolist()))
-    measured, displaced = tuple(system.navigation.tolist()), tuple(moved.tolist())
+    measured, displaced = tuple(np.max(steps, axis=0).tolist()), tuple(moved.tolist())
     longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
     timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced, period=h)
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
+    known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:
-        errors = [prediction_error(system, known, worst, age) for age in ages.tolist()]
+        errors = [[prediction_error(system, each, worst, age) for each in known] for age in ages.tolist()]
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error
-    return replace(system, estimate_error=np.max(errors, axis=0))
+    found = np.max(errors, axis=0)
+    by_step = None if len(steps) == 1 else found[of_step.ravel()]
+    return replace(system, estimate_error=np.max(found, axis=0), error_by_step=by_step)

@@ -13,12 +13,15 @@ from reach.numerics.linear import discretize
 
 from .errors import ScenarioError
 from .thrusters import Thrusters
-from .timing import Timing
+from .timing import Observer, Timing
+from .transient import Transient
 
 Array = NDArray[np.float64]
 
 HILL_AXES = ("radial", "along-track", "cross-track")
 """Axes of Hill's frame, in the order of position, velocity and thrust."""
+AT_ONCE: dict[str, Any] = {"timing": Timing(), "error_by_step": None, "observer": None}
+"""Fields of a system whose commands rest on what is measured right then."""
 
 
 def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
@@ -66,10 +69,16 @@ class LinearSystem:
     estimate_error : array_like, shape (n,), optional
         How far each state may be from the estimate that controllers act on, at any time and however the
         difference changes, a prediction included (`polaris.model.prediction`); zero by default.
+    error_by_step : array_like, shape (K + 1, n), optional
+        The same in each step of a schedule, and from its end on, of which `estimate_error` is the largest.
+    observer : Observer, optional
+        What makes the estimates, where their errors are worked out from those of measurements.
     thrusters : Thrusters
         How far what is applied may be from what is commanded; not at all by default.
     timing : Timing
         What `estimate_error` holds of delays, and how far clocks may be apart; at once by default.
+    transients : tuple of Transient
+        Faults that are isolated late, of which at most one occurs; none by default.
 
     Raises
     ------
@@ -89,6 +98,9 @@ class LinearSystem:
     estimate_error: Array | None = None
     thrusters: Thrusters = Thrusters()
     timing: Timing = Timing()
+    error_by_step: Array | None = None
+    observer: Observer | None = None
+    transients: tuple[Transient, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -117,6 +129,9 @@ class LinearSystem:
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
             raise ScenarioError("system.C", self.position.shape, f"must be (d, {n}) with d = 1, 2 or 3")
         eta = np.zeros(n) if self.estimate_error is None else self.estimate_error
+        if self.error_by_step is not None:
+            put(self, "error_by_step", as_finite("navigation", self.error_by_step, 2))
+            eta = np.max(self.error_by_step, axis=0)
         put(self, "estimate_error", as_finite("navigation", eta, 1))
         if self.navigation.shape != (n,) or np.any(self.navigation < 0):
             raise ScenarioError("navigation", self.navigation.tolist(), f"must be {n} numbers >= 0")
@@ -146,8 +161,8 @@ class LinearSystem:
 
     @property
     def ideal(self) -> bool:
-        """Whether laws see the exact state, and what they command is what is applied."""
-        return self.thrusters.exact and not np.any(self.navigation)
+        """Whether laws see the exact state, and what they command is what is applied, without late faults."""
+        return self.thrusters.exact and not np.any(self.navigation) and not self.transients
 
     @property
     def displaced(self) -> Array:
@@ -174,13 +189,26 @@ class LinearSystem:
         if timing == Timing():
             return self
         own, measured = replace(own, bit=timing.bit), np.array(timing.measured)
-        return replace(self, estimate_error=measured, thrusters=own, timing=Timing())
+        return replace(self, estimate_error=measured, thrusters=own, **AT_ONCE)
 
     def as_ideal(self) -> LinearSystem:
-        """The same system without errors of estimates and thrusters."""
-        return (
-            self if self.ideal else replace(self, estimate_error=None, thrusters=Thrusters(), timing=Timing())
-        )
+        """The same system without errors of estimates and thrusters, and without faults known late."""
+        if self.ideal:
+            return self
+        return replace(self, estimate_error=None, thrusters=Thrusters(), transients=(), **AT_ONCE)
+
+    def at_step(self, k: int) -> LinearSystem:
+        """The same system with the errors of estimates that there may be in step k."""
+        steps = self.error_by_step
+        return self if steps is None else self._known_to(steps[min(k, len(steps) - 1)])
+
+    @cached_property
+    def calmest(self) -> LinearSystem:
+        """The same system with the least error of every estimate: what is more counts step by step."""
+        return self if self.error_by_step is None else self._known_to(np.min(self.error_by_step, axis=0))
+
+    def _known_to(self, error: Array) -> LinearSystem:
+        return replace(self, estimate_error=error, error_by_step=None)
 
     def command_error(self, gain: Array) -> Array:
         """By how much a command may differ from what it would be on the exact state, shape (m,)."""

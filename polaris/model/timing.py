@@ -1,8 +1,13 @@
-"""When commands take effect: delays since measurements, missed periods, jitter, pulses, clocks."""
+"""What lies between a measurement and the thrust that answers it: observers, delays, jitter, pulses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -49,3 +54,26 @@ class Timing:
     def instant(self) -> bool:
         """Whether commands take effect at once, and on time."""
         return not (self.delay > 0 or self.jitter > 0 or self.missed > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force.
+
+    Parameters
+    ----------
+    measures : ndarray, shape (r, n)
+        What is measured of a state.
+    noise : ndarray, shape (r,)
+        Bounds on the errors of what is measured.
+    gain : ndarray, shape (n, r)
+    """
+
+    measures: Array
+    noise: Array
+    gain: Array
+
+    @property
+    def rest(self) -> Array:
+        """What an update leaves of an error, shape (n, n)."""
+        return np.eye(len(self.gain)) - self.gain @ self.measures

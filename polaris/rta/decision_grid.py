@@ -91,6 +91,9 @@ class DecisionGrid:
         safety = schedule.safety
         known, delta, feedback = safety.tracking, safety.tracking.delta, safety.tracking.feedback
         n = known.system.n
+        if known.system.transients:
+            rule = "run-time methods know no faults that are isolated late: compare without them"
+            raise ScenarioError("faults", known.system.transients[0].name, rule)
         if period is None:
             period = known.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)
         positive("period", period, "s")

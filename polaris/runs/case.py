@@ -14,6 +14,7 @@ import numpy as np
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..simulation.failing import Failing
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.search import Failure, Falsification, violation
@@ -27,7 +28,7 @@ from .schedule import SCHEDULE, digest
 from .tables import json_text, read_reference
 
 FORMAT = "polaris case"
-VERSION = 2
+VERSION = 3
 
 
 def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleScenario, Schedule]:
@@ -77,6 +78,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "x0": attack.x0[0],
         "w": _packed(attack.w[:, 0]),
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
+        "failing": None if attack.failing is None else attack.failing.table(),
     }
     target = Path(path)
     write_whole(target, json_text(data))
@@ -109,12 +111,14 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
             _finite(data["x0"])[None],
             _unpacked(data["w"]),
             None if data["inputs"] is None else _unpacked(data["inputs"]),
+            Failing.of(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
-        claims = Claims(schedule, bool(data["tail"]))
+        claims = Claims(schedule, bool(data["tail"]), attack.failing is not None)
         flight = Integrator(schedule, claims.modes, int(data["substeps"]))
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
-        return violation(claims, attained(claims, attack.fly(flight))), scenario
+        found = attained(claims, attack.fly(flight), attack.failing)
+        return violation(claims, found), scenario
     except (ValueError, TypeError, IndexError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error
 
@@ -124,7 +128,7 @@ def _read(path: Path) -> dict[str, Any]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
-    wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs"}
+    wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing"}
     if not isinstance(data, dict) or data.get("format") != FORMAT or not wanted <= set(data):
         raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
     if data.get("version") != VERSION:

@@ -21,10 +21,12 @@ from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
+from ..model.transient import Transient
 from ..scenario.fields import python_name
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
+from ..synthesis.demand import command_errors
 from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
@@ -100,7 +102,18 @@ def _system(safety: Safety) -> dict[str, Any]:
             if safety.problem.allocation is None
             else {"allocation": _allocation(safety.problem.allocation)}
         ),
+        **_transients(system.transients),
     }
+
+
+def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
+    """Faults that are isolated late, if any; no pushes where navigation is lost."""
+    found = [
+        {"name": fault.name, "lasts": float(fault.lasts)}
+        | ({"pushes": fault.pushes} if len(fault.pushes) else {})
+        for fault in faults
+    ]
+    return {"transients": found} if found else {}
 
 
 def _allocation(made: Allocation) -> dict[str, Any]:
@@ -185,7 +198,7 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q) + scheduled[:K]
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
-    peak = np.maximum(above + nu, below - nu) + tracking.system.command_error(gain)
+    peak = np.maximum(above + nu, below - nu) + command_errors(tracking.system, gain, K)
     return {
         "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1] + scheduled[-1]},
         "thrust": {"peak": peak * (1 + ROUNDING)} | ({} if profile is None else {"profile": profile}),

@@ -145,6 +145,8 @@ def errors_of(safety: Safety) -> dict[str, Any]:
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": timing}),
+        **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
+        **({} if system.observer is None else {"observer": asdict(system.observer)}),
     }
 
 

@@ -1,4 +1,4 @@
-"""The scenario file's models of what is not exact: navigation, thrusters, timing, the chaser's size."""
+"""The scenario file's models of what is not exact: thrusters, timing, the chaser's size; and of an abort."""
 
 from __future__ import annotations
 
@@ -14,37 +14,11 @@ from ..model.prediction import predicting
 from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters as Errors
 from ..model.timing import Timing as Delays
+from ..model.transient import Transient
 from ..synthesis.passive import Abort as AbortOptions
 from . import fields as f
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit
-
-
-class Navigation(ScenarioPart):
-    """How well the state is known: bounds on the errors of the estimate that every controller acts on.
-
-    Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
-    in other systems states.
-    """
-
-    position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
-    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
-    state_error: f.WidthVector | None = unit("SI (state order)", "n numbers >= 0.", default=None)
-
-    def build(self, system: LinearSystem) -> Array:
-        """Bounds on the error of every state, shape (n,)."""
-        if system.mean_motion is None:
-            if np.any(self.position_error_m) or np.any(self.velocity_error_m_s):
-                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
-                raise ScenarioError("navigation.position_error_m", self.position_error_m, rule)
-            given = (0.0,) * system.n if self.state_error is None else self.state_error
-            f.check_length("navigation.state_error", given, system.n)
-            return np.array(given)
-        if self.state_error is not None:
-            rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
-            raise ScenarioError("navigation.state_error", self.state_error, rule)
-        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
-        return np.concatenate([f.per_axis(f"navigation.{name}", value, 3) for name, value in named])
 
 
 class Thrusters(ScenarioPart):
@@ -140,6 +114,7 @@ class Timing(ScenarioPart):
 
 def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """What the thrusters make of inputs in every fault; None where nothing is said of them."""
+    failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
     directions = None if table is None else table.directions
     limits = None if table is None else table.thrust_max_N
     if (directions is None) != (limits is None):
@@ -147,9 +122,23 @@ def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
         pairs = axis_pairs(u_max)
-        return Allocation.of(*pairs, u_max, [fault.build() for fault in faults]) if faults else None
+        return Allocation.of(*pairs, u_max, failed) if failed else None
     most = f.per_axis("thrusters.thrust_max_N", limits, len(directions))
-    return Allocation.of(np.array(directions), most, u_max, [fault.build() for fault in faults])
+    return Allocation.of(np.array(directions), most, u_max, failed)
+
+
+def transients(
+    faults: Sequence[Fault], made: Allocation | None, gains: Sequence[Array]
+) -> tuple[Transient, ...]:
+    """What faults do until they are isolated, where that takes time; the gains are those of the laws."""
+    found = []
+    for fault in (fault.build() for fault in faults):
+        thrust = np.zeros((0, gains[0].shape[0]))
+        if fault.left < 1 and made is not None:
+            thrust = made.directions * made.limits[:, None]
+        known = fault.name, fault.isolation, thrust, 1 - fault.left, np.max(np.abs(gains), axis=0)
+        found += [Transient(*known)] if fault.isolation > 0 else []
+    return tuple(found)
 
 
 class Abort(ScenarioPart):

@@ -11,9 +11,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from . import fields as f
-from .error_tables import Navigation, Thrusters, Timing
+from .error_tables import Thrusters, Timing
 from .fields import ScenarioPart, unit
 from .filter_tables import Filter, FlightFilter, StrengtheningTable
+from .navigation_tables import Estimate
 
 MOST_PERIODS = 200_000
 """Most control periods of one flight."""
@@ -135,7 +136,7 @@ class InspectionModel(_Filtered):
     filter: FlightFilter = unit("-", "Who filters the primary controller's thrust.")
     initial: Initial = unit("-", "Where it starts.")
     flight: FlightTime = unit("-", "Length and control period.", default_factory=FlightTime)
-    navigation: Navigation = unit("-", "Errors of the estimated states.", default_factory=Navigation)
+    navigation: Estimate = unit("-", "Errors of the estimated states.", default_factory=Estimate)
     thrusters: Thrusters = unit("-", "Errors of the thrusters.", default_factory=Thrusters)
     timing: Timing = unit("-", "Delay of the answers; nothing else of it.", default_factory=Timing)
     primary: Phases = unit("-", "Primary controllers, one after another.")

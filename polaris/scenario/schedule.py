@@ -19,7 +19,7 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import Timing, allocation
+from .error_tables import Timing, allocation, transients
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
@@ -57,6 +57,15 @@ class ScheduleScenario(Scenario):
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
+        late = [fault for fault in (each.build() for each in model.faults) if fault.isolation > 0]
+        if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
+            rule = "isolated late need sampled feedback, and last no less than its period"
+            raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
+        if late and (system.timing.fired or system.timing.carried > 0):
+            rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
+            raise ScenarioError("faults", late[0].name, rule)
+        if late and system.observer is not None:
+            raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
         if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
             given = model.abort.drift_orbits, model.abort.drift_s
             raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
@@ -91,14 +100,15 @@ class ScheduleScenario(Scenario):
     def system(self) -> LinearSystem:
         """The controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, self.model.system.build()
-        if model.navigation is not None:
-            system = replace(system, estimate_error=model.navigation.build(system))
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self._period))
         allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        return (model.timing or Timing()).build(system, self._period, model.thrusters, limits)
+        period, timing = self._period, model.timing or Timing()
+        if model.navigation is not None:
+            system = model.navigation.known(system, (self.steps, self.step), period, timing)
+        return timing.build(system, period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:
@@ -203,7 +213,10 @@ class ScheduleScenario(Scenario):
         from .experimental import gains_of
 
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
-        weight = tracking.weight
+        weight, gains = tracking.weight, gains_of(self.model, system)
+        unsteered = np.zeros((system.m, system.n))
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains))
+        system = replace(system, transients=late)
         return Problem(
             system=system,
             initial_set=self.initial_set(),
@@ -224,7 +237,7 @@ class ScheduleScenario(Scenario):
             thrust_reserve=given.pop("thrust_reserve"),
             thrust_share=tracking.thrust_share,
             planner=PlannerOptions(**given),
-            gains=gains_of(self.model, system),
+            gains=gains,
             allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),

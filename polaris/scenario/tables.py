@@ -20,10 +20,11 @@ from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import LinearSystem
 from . import fields as f
-from .error_tables import Abort, Chaser, Navigation, Tank, Thrusters, Timing
+from .error_tables import Abort, Chaser, Tank, Thrusters, Timing
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit
 from .method_tables import Planner, Recoverable, Schedule, Tracking
+from .navigation_tables import Navigation
 from .scene_tables import Experimental, Goal, KeepIn, Obstacle
 
 

@@ -1,10 +1,12 @@
-"""Delays, missed periods and predictions flown for real: what controllers act on is worked out on board."""
+"""Observers, delays, missed periods and predictions flown for real: estimates are worked out on board."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import expm
 
 from ..model.errors import ScenarioError
+from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array
 from .integration import Integrator
 
@@ -15,11 +17,14 @@ class Predicting(Integrator):
     `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
     Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
     flown as the nearest whole number of steps of the integration; jitter makes commands late by up to one.
+    An observer, if there is one, filters measurements, each off by its bound, with the sign of `eta` there.
     """
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
     late: Array  # by which share of a step a command comes late, (nodes, R)
     off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
+    filtered: Array  # an observer's estimates, (R, n), and at which step it measured last
+    measured: int
 
     def prepare(self, runs: int, rng: np.random.Generator) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
@@ -35,25 +40,66 @@ class Predicting(Integrator):
         # Every instant's measurement, and what is commanded from then on.
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
         self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
-        bound = np.maximum(system.navigation, 1e-300)
-        self.noise = np.array(timing.measured or system.navigation) / bound
+        self.noise = self._noise() / np.maximum(self.known, 1e-300)
+        self.measured = -1
+
+    def _noise(self) -> Array:
+        """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""
+        system, timing = self.system, self.system.timing
+        measured = np.array(timing.measured or system.navigation)
+        if system.error_by_step is None or timing.instant:
+            return self.known if timing.instant else measured + 0 * self.known
+        age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
+        left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
+        away = system.displaced_at_nodes
+        if timing.fired:
+            away = away + between_nodes(timing, timing.period) * np.array(timing.pulsed)
+        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, measured)
+        noise, steps = left, np.arange(len(left)) + self.lag
+        for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in
+            used = np.minimum(steps + late * self.substeps, len(left) - 1)
+            noise = np.minimum(noise, left[used])
+        return np.asarray(noise)
+
+    def _observed(self, start: int) -> Array:
+        """An observer's estimates (R, n) from all it has measured up to a step."""
+        observer, (Ad, Bd, _) = self.system.observer, self.held
+        assert observer is not None
+        if self.measured < 0:
+            self.filtered, self.measured = self.seen[start], start
+        while self.measured < start:
+            for at in range(self.measured, self.measured + self.substeps):
+                self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
+            self.measured += self.substeps
+            off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
+            if self.eta is not None:
+                off = off + observer.noise * np.sign(self.eta[self.measured] @ observer.measures.T)
+            self.filtered = self.filtered + off @ observer.gain.T
+        return self.filtered
 
     def estimate(self, step: int, x: Array) -> Array:
         """The state as it is predicted from the last measurement under what was commanded since."""
         self.seen[step] = x
         found, ages = super().estimate(step, x).copy(), self.ages[step // self.substeps]
-        bound = np.maximum(self.system.navigation + self.system.displaced_at_nodes, 1e-300)
+        bound = np.maximum(self.known[step, 0] + self.system.displaced_at_nodes, 1e-300)
         Ad, Bd, _ = self.held
+        asked = step - self.lag - ages * self.substeps
+        missing = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.missing(asked)
+        if self.failing is not None:
+            ages = np.where(missing, ages + (asked - self.failing.begins) // self.substeps + 1, ages)
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if start < 0:
                 continue
             y = self.seen[start, runs]
-            if self.eta is not None:
-                y = y + self.noise * self.eta[start, runs]
+            if self.system.observer is not None:
+                y = self._observed(start)[runs]
+            elif self.eta is not None:
+                y = y + self.noise[start] * self.eta[start, runs]
             for at in range(start, step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
-            self.off = np.maximum(self.off, np.max(np.abs(y - x[runs]), axis=0) / bound)
+            within = np.abs(y - x[runs])[~missing[runs]] / bound
+            self.off = np.maximum(self.off, np.max(within, axis=0, initial=0.0))
             found[runs] = y
         return np.asarray(found)
 

@@ -41,7 +41,7 @@ def disturbances(
     if count:
         longest = flight.steps_per_cell * 4
         w[:, worst:, :p] = _piecewise(steps, count, p, longest, rng) * system.w_max
-        for part, size in zip(places[1:], (system.navigation, np.ones(system.m), np.ones(told)), strict=True):
+        for part, size in zip(places[1:], (flight.known, np.ones(system.m), np.ones(told)), strict=True):
             if part.start < part.stop:
                 drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
                 far = np.max(np.abs(drawn), axis=2, keepdims=True)
@@ -129,7 +129,7 @@ def adjoint_worst_case(
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
         if eta.start < eta.stop:
-            w[step, :, eta] = np.sign(direction[:, eta]) * system.navigation
+            w[step, :, eta] = np.sign(direction[:, eta]) * flight.known[step]
         if errors.start < errors.stop:
             w[step, :, errors] = np.sign(kick)
         if free is not None:

@@ -15,6 +15,7 @@ from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
+from .failing import Failing
 from .run_metrics import Runs
 
 
@@ -50,6 +51,7 @@ class Integrator:
     satellites at the nodes, by name (R, N+1, n), it is the truth. Where a period has several steps, pulses of
     the thrust `fired` (m,) are flown, each step with its mean; else as what is held in their place.
     Whole flights make impulses in multiples of a bit where the rest is carried: `left` (R, m) [N s].
+    What fails, and is isolated late, is `failing`.
     """
 
     resolves = False  # instants within a step at which thrusters switch
@@ -59,6 +61,7 @@ class Integrator:
         self.free: Array | None = None
         self.eta: Array | None = None
         self.thrust: Array | None = None
+        self.failing: Failing | None = None
         self.left: Array | None = None
         self.shares: Array | None = None
         self.bodies: dict[str, Array] = {}
@@ -87,6 +90,12 @@ class Integrator:
         Ad, Bd = discretize(self.system.A, self.system.B, self.dt)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.dt)[1]
 
+    @cached_property
+    def known(self) -> Array:
+        """Bounds on the errors of estimates in every step of the integration, (steps, 1, n)."""
+        cells = [self.system.at_step(k).navigation for k in range(len(self.modes))]
+        return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
+
     @property
     def may_do_anything(self) -> bool:
         """Whether a controller flies of which nothing but the thrust limits is known."""
@@ -102,6 +111,11 @@ class Integrator:
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         """Command before clipping, shape (R, m), `later` half-steps after the half-step `half` of cell k."""
         controller, step = self.schedule.controllers[number], k * self.steps_per_cell + half // 2
+        if number and self.failing is not None and np.any(by_s := self.failing.by_s(step)):
+            failing, self.failing = self.failing, None
+            others = self.command(number, k, half, x, later)
+            self.failing = failing
+            return np.where(by_s[:, None], self.command(0, k, half, x, later), others)
         if self.free is not None and isinstance(controller, AnyThrust):
             return np.asarray(self.free[step])
         x, xi = self.estimate(step, x), self.safe[k, half + later]
@@ -126,10 +140,14 @@ class Integrator:
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
-        if self.eta is None or self.left is None:
-            return x if self.eta is None else x + self.eta[step]
-        flown = self.system.displaced_at_nodes / np.maximum(self.system.navigation, 1e-300)  # not as errors
-        return np.asarray(x + self.eta[step] * (1 - flown))
+        known = x if self.eta is None else x + self.eta[step]
+        if self.eta is not None and self.left is not None:
+            flown = self.system.displaced_at_nodes / np.maximum(self.known[step], 1e-300)  # not as errors
+            known = x + self.eta[step] * (1 - flown)
+        if self.failing is None:
+            return np.asarray(known)
+        lost = self.failing.on(step) & self.failing.lost
+        return np.where(lost[:, None], x + self.failing.gap, known)
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
@@ -141,7 +159,8 @@ class Integrator:
             u = np.sign(due) * np.minimum(whole / h, self.system.u_max)
             self.left = due - u * h
         self.asked = u
-        return u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
+        u = u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
+        return u if self.failing is None else u + self.failing.added(told, step)
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:
         """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
@@ -186,6 +205,11 @@ class Integrator:
                 u = self.applied(raw, k * self.steps_per_cell + step)
             first = np.clip(raw, -limit, limit) if sub == 0 else first
             x = self.move(number, k, step, x, u, w[sub])
+            if self.failing is not None:
+                at, (Ad, Bd, Dd) = k * self.steps_per_cell + step, self.held
+                wrong = w[sub] @ Dd.T + (u - np.clip(raw, -limit, limit)) @ Bd.T
+                eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
+                self.failing.predict(at, Ad, wrong, eta)
             size = np.abs(u)
             if self.system.timing.jitter > 0:  # moves thrust in time, and adds little of it
                 size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)))
@@ -241,7 +265,8 @@ class Integrator:
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
         held = self.sampled and self.substeps > 1
-        if not isinstance(law, AffineController) or held or self.thrust is not None or self.left is not None:
+        inexact = any(part is not None for part in (self.thrust, self.left, self.failing))
+        if not isinstance(law, AffineController) or held or inexact:
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]

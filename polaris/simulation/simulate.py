@@ -12,6 +12,7 @@ from ..model.errors import ScenarioError
 from ..model.satellite import true_states
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
+from .delayed import Predicting
 from .disturbances import Disturbance, disturbances
 from .integration import Integrator
 from .run_metrics import Runs
@@ -59,7 +60,8 @@ def simulate(
     Notes
     -----
     Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
-    feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command.
+    feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command. An observer is
+    flown as it would be on board; without one, estimates err within their bounds.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     whole("simulation.runs", n, 1)
@@ -73,7 +75,10 @@ def simulate(
         substeps = 1 if tracking.feedback.sampled and not tracking.system.timing.fired else 4
     whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
-    flight = Integrator(schedule, flown_modes(schedule, tail, mode), substeps)
+    observed = schedule.safety.problem.system.observer is not None
+    flight = (Predicting if observed else Integrator)(schedule, flown_modes(schedule, tail, mode), substeps)
+    if isinstance(flight, Predicting):
+        flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, initial)
     w, adjoint = disturbances(flight, n, rng, disturbance)
     if initial in ("corners", "mixed") and len(adjoint):

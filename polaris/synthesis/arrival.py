@@ -180,12 +180,12 @@ def _to_hold(tracking: Tracking, rows: Array) -> float:
 
 def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
-    tracking, system = safety.tracking, safety.problem.system
+    tracking, system, K = safety.tracking, safety.problem.system, safety.problem.K
     both = np.vstack([tracking.gain, -tracking.gain])
-    tubes = ((error_tube(tracking, z, both).need, since + np.arange(nodes + 1)) for z, since in held)
+    tubes = ((error_tube(tracking, z, both, False).need, since + np.arange(nodes + 1)) for z, since in held)
     need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
     need = need + safety.clearance.tail_need(both)
-    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.command_error(tracking.gain)
+    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.at_step(K).command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
     spent = float(np.maximum(at[:-1], at[1:]).sum()) * tracking.flow.h / system.mass
@@ -202,9 +202,9 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     if safety.reference.cells * safety.clearance.q < problem.K * safety.clearance.q + nodes:
         return None
     both = np.vstack([tracking.gain, -tracking.gain])
-    need = np.min([error_tube(tracking, z, both).need[-1] for z, _ in held], axis=0)
+    need = np.min([error_tube(tracking, z, both, False).need[-1] for z, _ in held], axis=0)
     need = need + safety.clearance.tail_need(both)
-    most = need.reshape(2, -1).max(axis=0) + system.command_error(tracking.gain)
+    most = need.reshape(2, -1).max(axis=0) + system.at_step(problem.K).command_error(tracking.gain)
     if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta

@@ -76,7 +76,7 @@ class Attempts:
         self.cut_by_clock = found.cut_by_clock
         self.clock.lap("plan")
         yield from self._references(found)
-        for _ in range(AFRESH if self.tracking.profile is not None else 0):
+        for _ in range(AFRESH if self.tracking.varies else 0):
             if self.margin.inside:
                 break
             asked = self._allowing(asked)
@@ -92,7 +92,7 @@ class Attempts:
             yield from self._references(again)
 
     def _allowing(self, asked: PlanProblem) -> PlanProblem:
-        """The same, with room for errors of thrusters as large as the last plan's commands cause them."""
+        """The same, with room for errors by the time of the flight, as large as along the last plan."""
         system, K = self.problem.system, self.problem.K
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
         caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
@@ -174,6 +174,9 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         if not system.timing.instant:
             late = errors_alone(tracking, int(axis), system.prompt)
             share += f" ({late:.4g} of that for delay, missed periods and jitter)"
+        if system.transients:
+            late = errors_alone(tracking, int(axis), replace(system, transients=()))
+            share += f" ({late:.4g} of that for a fault until it is isolated)"
         raise SynthesisInfeasible(
             f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
             f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
@@ -206,6 +209,23 @@ def errors_alone(tracking: Tracking, axis: int, other: LinearSystem) -> float:
     beyond = tracking.disturbance(row)[-1] - better.disturbance(row)[-1]
     noise = tracking.system.command_error(tracking.gain) - other.command_error(tracking.gain)
     return float(beyond[0] + noise[axis])
+
+
+def naming_faults(error: SynthesisInfeasible, tracking: Tracking) -> SynthesisInfeasible:
+    """An error that says, where faults are isolated late, which of them takes most, and how much."""
+    system, found = tracking.system, []
+    rows = np.vstack([system.position, tracking.gain / system.u_max[:, None]])
+    for fault in system.transients:
+        one = replace(tracking, system=replace(system, transients=(fault,)))
+        most = one.left(rows, one.upsets)[-1].max(axis=1)
+        found.append((most[system.d :].max(), most[: system.d].max(), fault))
+    if not found:
+        return error
+    thrust, clearance, fault = max(found, key=lambda each: each[0])
+    told = f" While {fault.name} lasts, {fault.lasts:g} s, it may take {clearance:.4g} m of every clearance"
+    told += f" and {thrust:.4g} of the thrust."
+    relax = f"{error.relax} Or isolate it sooner."
+    return SynthesisInfeasible(error.condition + told, error.shortfall, relax)
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:

@@ -14,7 +14,7 @@ from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .demand import Scheduled
+from .demand import Scheduled, command_errors
 from .tracking import Tracking, at_nodes
 
 
@@ -46,7 +46,7 @@ class Tube:
         return np.asarray(tracking.forgotten(self.rows, radius) + tracking.disturbance(self.rows)[-1])
 
 
-def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
+def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
     """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
 
     Parameters
@@ -56,13 +56,15 @@ def error_tube(tracking: Tracking, start: Zonotope, rows: Array) -> Tube:
         Set of errors ``x - xi`` at time 0.
     rows : ndarray, shape (r, n)
         Directions; give both signs for a two-sided bound.
+    failing : bool
+        Whether a fault that is isolated late may occur, where any is declared.
     """
     radius = float(start.norm_bound(tracking.W))
     curvature = tracking.curvature(rows)
     centre = rows @ tracking.transitions @ start.c
     spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
     support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-    disturbance = tracking.disturbance(rows)
+    disturbance = tracking.disturbance(rows, failing)
     booked = curvature * tracking.decay_before[:, None] * radius
     within = support + booked + disturbance[: len(support)]
     need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])
@@ -145,12 +147,12 @@ class Clearance:
 
     @cached_property
     def _scheduled(self) -> Scheduled | None:
-        if self.tracking.profile is None:
+        if not self.tracking.varies:
             return None
         return Scheduled(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array) -> Array:
-        """What errors of thrusters add along rows because of the reference's input, (cells, q + 1, r)."""
+        """What errors add along rows by the time of the flight, (cells, q + 1, r)."""
         if self._scheduled is None:
             return np.zeros((self.cells, self.q + 1, len(rows)))
         return self._scheduled.along(rows)
@@ -159,7 +161,7 @@ class Clearance:
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         system = self.tracking.system
-        limit = system.u_max * (1 - ROUNDING) - system.command_error(self.tracking.gain)
+        limit = system.u_max * (1 - ROUNDING) - command_errors(system, self.tracking.gain, self.cells)
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 

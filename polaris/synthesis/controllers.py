@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -110,20 +110,23 @@ class AffineController(AffineLaw):
         A tube that is found under errors of commands within some bound, and in which commands keep within it,
         holds every flight: none can be the first to exceed it.
         """
+        here = self._like(system=self.system.at_step(k))
         if not self.system.thrusters.proportional:
-            return self._flown(start, k)[0]
+            return here._flown(start, k)[0]
         most = LEVELS[0] * self.system.u_max
         while True:
-            tube, commanded = self._within(most)._flown(start, k)
+            tube, commanded = here._like(most=most)._flown(start, k)
             if tube.refused or np.all(commanded <= most):
                 return tube
             above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
             most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)
 
-    def _within(self, most: Array) -> AffineController:
-        """The same law while it commands no more than that."""
-        key = most.tobytes()
-        law = self._levels.get(key) or replace(self, most=most, _relaxed={}, _levels={})
+    def _like(self, **known: Any) -> AffineController:
+        """The same law while it commands no more than so much, or knows its state so well."""
+        if (system := known.get("system")) is self.system:
+            return self
+        key = (known["most"] if system is None else system.navigation).tobytes()
+        law = self._levels.get(key) or replace(self, **known, _relaxed={}, _levels={})
         self._levels[key] = law
         assert isinstance(law, AffineController)
         return law

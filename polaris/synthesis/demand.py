@@ -1,10 +1,10 @@
-"""What S commands because of its reference's input, and what errors of thrusters in proportion to it add."""
+"""Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .profile import ROUNDS, SETTLED, SPARE, summed
@@ -12,7 +12,10 @@ from .tracking import Tracking
 
 
 class Scheduled:
-    """What errors of the thrusters add because of the reference's own input, by the time of the flight.
+    """What errors add by the time of the flight: because of the reference's own input, and of its steps.
+
+    The former are errors of thrusters; the latter are by how much estimates may be off more than in the best
+    known step.
 
     Parameters
     ----------
@@ -24,7 +27,9 @@ class Scheduled:
 
     def __init__(self, tracking: Tracking, reference: Reference, planned: int) -> None:
         self.tracking, self.planned = tracking, planned
-        self.nu = np.abs(reference.nu)
+        system, gain = tracking.system, tracking.gain
+        self.noise = command_errors(system, gain, reference.cells) - system.calmest.command_error(gain)
+        self.nu = np.abs(reference.nu) + self.noise
         self.commanded = self._commanded()
 
     def _commanded(self) -> Array:
@@ -44,7 +49,9 @@ class Scheduled:
 
     def _along(self, rows: Array, commanded: Array) -> Array:
         tracking, cells = self.tracking, len(commanded)
-        q, errors = tracking.feedback.nodes_per_cell, tracking.system.thrusters.part(commanded)
+        q, errors = tracking.feedback.nodes_per_cell, self.noise
+        if tracking.profile is not None:
+            errors = errors + tracking.system.thrusters.part(commanded)
         gains = tracking.flow.input_gains(rows, tracking.system.B, tracking.memory + 2)
         sums, within = summed(gains, np.repeat(errors, q, axis=0)), errors @ gains[0].T
         now = sums[:-1].reshape(cells, q, -1) + within[:, None]
@@ -56,6 +63,12 @@ class Scheduled:
         found = np.concatenate([between[:, :1], between], axis=1)
         found[:, 1:-1] = np.maximum(between[:, :-1], between[:, 1:])
         return np.asarray((found + late + curved) * (1 + ROUNDING))
+
+
+def command_errors(system: LinearSystem, gain: Array, cells: int) -> Array:
+    """By how much commands may differ in each cell from those on the exact state, shape (cells, m)."""
+    rows = system.navigation[None] if system.error_by_step is None else system.error_by_step
+    return (rows @ np.abs(gain).T)[np.minimum(np.arange(cells), len(rows) - 1)]
 
 
 def taken_over(tracking: Tracking, reference: Reference) -> Array:

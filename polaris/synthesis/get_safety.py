@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.errors import ScenarioError
+from ..model.errors import ScenarioError, SynthesisInfeasible
 from ..planning.problem import Plan
 from ..planning.reference import Reference
-from .attempts import Attempts, Clock
+from .attempts import Attempts, Clock, naming_faults
 from .ball_sets import BallSets
 from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
@@ -137,6 +137,15 @@ def get_safety(
     tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share or SHARES[0])
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
     attempts = Attempts(problem, tracking, clock, along)
+    try:
+        return _proven(problem, tracking, bounds, attempts)
+    except SynthesisInfeasible as error:
+        raise naming_faults(error, tracking) from error
+
+
+def _proven(problem: Problem, tracking: Tracking, bounds: ErrorBounds, attempts: Attempts) -> Safety:
+    """Lines 4 to 10: the first reference along which enough is proven, or the last."""
+    clock = attempts.clock
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
         s = construct_s(tracking, reference)  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.

@@ -110,7 +110,7 @@ class Windows:
         asked = plan_problem(problem, tracking, sets)
         demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
         u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
-        own = Scheduled(u, law.own, law.own.cells) if u.profile is not None else None
+        own = Scheduled(u, law.own, law.own.cells) if u.varies else None
         margins = []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             rows = -unsafe.normals @ system.position

@@ -69,7 +69,9 @@ class PolytopeSets:
         above, below = clearance.thrust
         thrust = np.hstack([below, above])
         if tracking.profile is not None:
-            level = tracking.profile[0] * (1 - ROUNDING) - tracking.system.command_error(tracking.gain)
+            level = tracking.profile[0] * (1 - ROUNDING) - tracking.system.calmest.command_error(
+                tracking.gain
+            )
             thrust = np.hstack([thrust, *[level - clearance.jumps[1]] * 2])
         nodes = np.repeat(thrust[:, None, :], clearance.q + 1, axis=1)
         if tracking.feedback.sampled:
@@ -78,7 +80,7 @@ class PolytopeSets:
 
     @cached_property
     def _scheduled(self) -> Array:
-        """What errors of scheduled commands have taken of `room`, shape (cells, q+1, limits)."""
+        """What errors by the time of the flight have taken of `room`, shape (cells, q+1, limits)."""
         return np.take_along_axis(self._caused, self.index[:, None, :], axis=2)
 
     @cached_property

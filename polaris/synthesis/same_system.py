@@ -69,6 +69,11 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         rule = "was built on the reference of another Safety; build it on this one's"
         raise ScenarioError("experimental", name, rule)
     _same_parts(f"{name}.system", getattr(controller, "system", problem.system), problem.system)
+    for fault in problem.system.transients:
+        within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
+        if not within and not isinstance(controller, AnyThrust):
+            rule = f"{fault.name} isolated late needs any thrust, or an affine law whose gain the problem has"
+            raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
     own, K = getattr(controller, "own", reference), problem.K
     _same_parts(f"{name}.own.system", own.system, problem.system)
     _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")

@@ -135,7 +135,7 @@ class Schedule:
         """What the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
-        prompt = problem.system.prompt
+        prompt, observer = problem.system.prompt, problem.system.observer
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
         premises = Premises(
             problem.system.w_max,
@@ -145,12 +145,15 @@ class Schedule:
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
             estimate=prompt.navigation.tolist(),
+            by_step=problem.system.error_by_step is not None,
+            observer=() if observer is None else observer.noise.tolist(),
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
             pulses=problem.system.timing.fired,
             carried=problem.system.timing.carried,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
+            late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
@@ -258,7 +261,7 @@ def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
     centre, spread = law.commanded(tube.nodes - law.offset[step.k], tube.bow, step.k)
     middle = np.minimum(np.abs(centre), u_max)
     if isinstance(law, AffineController):  # a network flies on exact states
-        spread = spread + law.system.command_error(law.gain)
+        spread = spread + law.system.at_step(step.k).command_error(law.gain)
     highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
     highest = law.system.spent(highest)
     h = delta / (len(centre) - 1)

@@ -14,7 +14,9 @@ from reach.tubes.flow import LinearFlow
 
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
+from ..model.tolerances import ROUNDING
 from .profile import profile, summed
+from .transients import lost, moved
 
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
@@ -135,7 +137,12 @@ class Tracking:
     def error(self) -> Array:
         """Bounds on the errors of what S applies, shape (m,); without those that the profile bounds."""
         most = self.system.u_max if self.level is None else np.zeros(self.system.m)
-        return self.system.input_error(self.gain, most)
+        return self.system.calmest.input_error(self.gain, most)
+
+    @property
+    def varies(self) -> bool:
+        """Whether some errors of inputs are booked by the time of the flight, not since a hand-over."""
+        return self.profile is not None or self.system.error_by_step is not None
 
     @cached_property
     def profile(self) -> Array | None:
@@ -147,7 +154,8 @@ class Tracking:
             return None
         gain, u_max = self.gain, self.system.u_max
         norms = np.linalg.norm(gain @ self.transitions @ self.W_inverse, axis=-1)
-        left, noise = self.forgotten(gain, float(np.min(u_max / norms[0]))), self.system.command_error(gain)
+        left = self.forgotten(gain, float(np.min(u_max / norms[0])))
+        noise = self.system.calmest.command_error(gain)
         return profile(norms, self.level * u_max, left, u_max, lambda found: self.pushed(gain, found) + noise)
 
     @property
@@ -206,6 +214,24 @@ class Tracking:
         return np.concatenate([self.decay[:1], self.decay[:-1]])
 
     @cached_property
+    def upsets(self) -> Array:
+        """Boxes of states, one of which holds what a fault that is isolated late has added, shape (J, n)."""
+        system, h = self.system, self.flow.h
+        return np.vstack(
+            [
+                moved(system, fault, self.gain, h) if len(fault.thrust) else lost(system, fault, h, self.left)
+                for fault in system.transients
+            ]
+        )
+
+    def left(self, rows: Array, boxes: Array) -> Array:
+        """What errors in boxes (J, n) need along rows up to l periods later, shape (memory + 2, r, J)."""
+        size = np.linalg.norm(boxes @ np.abs(self.W).T, axis=1)
+        reach = np.maximum.accumulate(np.abs(rows @ self.transitions) @ boxes.T)
+        beyond = np.linalg.norm(rows @ self.W_inverse, axis=-1)[:, None] * self.decay[-1] * size
+        return np.asarray(np.maximum(reach, beyond) + self.curvature(rows)[:, None] * size)
+
+    @cached_property
     def period_gain(self) -> float:
         """Bound on ``norm(W e)`` reached within one period from rest by the disturbance."""
         return float(np.linalg.norm(np.abs(self.W) @ self.flow.period_box))
@@ -242,13 +268,13 @@ class Tracking:
         tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * size / (1 - factor)
         return tail, self.curvature(rows) * size * (self.accumulated + 1.0)
 
-    def disturbance(self, rows: Array) -> Array:
+    def disturbance(self, rows: Array, failing: bool = True) -> Array:
         """What the disturbance adds along each row until L periods have passed, shape (memory + 3, r).
 
         Entry L holds for every instant up to and including the (L+1)-st period, so that between
         nodes nothing is missing. The last entry holds for all time.
         """
-        return self.pushed(rows, self.profile)
+        return self.pushed(rows, self.profile, failing)
 
     def responses(self, rows: Array, count: int, settled: bool = False) -> Array:
         """What the disturbance adds along each row by node L = 0 ... count, count <= memory + 2.
@@ -262,7 +288,7 @@ class Tracking:
             sums = sums + summed(gains, self.system.thrusters.part(most))[: count + 1]
         return np.asarray(sums)
 
-    def pushed(self, rows: Array, profile: Array | None) -> Array:
+    def pushed(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
         """The same as `disturbance` under the errors of commands within a profile, shape (memory + 2, m)."""
         sums = self.flow.disturbance_support(rows, self.memory + 2)
         first = sums[1]
@@ -273,6 +299,11 @@ class Tracking:
             np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
         )
         found = np.vstack([until, until[-1] + tail])
+        if (
+            failing and self.system.transients
+        ):  # once in a flight: the largest of all instants (Proposition 42)
+            most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)
+            found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
         if profile is None:
             return found
         errors = self.system.thrusters.part(profile)

@@ -87,6 +87,7 @@ class Loop:
         self.cells = known + (known - self.K if safety.end.horizon == "infinite" else 0)
         self.N, self.dt = self.cells * self.per, safety.problem.delta / self.per
         self.modes = np.r_[schedule.modes, np.zeros(self.cells - self.K, dtype=int)]
+        self.known = np.array([self.system.at_step(k).navigation for k in range(self.cells)])
         self.gain = safety.tracking.gain
         rest = np.zeros((self.cells - known, self.system.m))
         self.nu = np.vstack([safety.reference.nu, rest])
@@ -224,7 +225,7 @@ class Loop:
                 if number in self.laws:
                     # Held inputs count in all of their period: the estimate at its first step is what errs.
                     counts = (spent[run] + thrust) * (1.0 - ((which >> np.arange(m)) & 1))
-                    far = np.where(counts @ self.laws[number][0] > 0, -1, 1) * self.system.navigation
+                    far = np.where(counts @ self.laws[number][0] > 0, -1, 1) * self.known[k]
                     eta[i, run] = far
                 if number not in self.laws:
                     free[i, run] = np.where(thrust < 0, -1, 1) * self.system.u_max
@@ -273,7 +274,7 @@ class Loop:
             mode = flown.modes[k * self.per : (k + 1) * self.per]
             safe = (np.vstack([mode, mode[-1:]]) == 0)[:end:every]
             raw = np.abs(self.nu[k] - need)
-            most = system.u_max - system.navigation @ np.abs(self.gain).T  # estimates add to commands
+            most = system.u_max - self.known[k] @ np.abs(self.gain).T  # estimates add to commands
             thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
             for sign in (1, -1):
                 room = most + sign * self.nu[k]
@@ -554,11 +555,12 @@ def by_chance(loop: Loop, worst: Attack, rng: np.random.Generator) -> Attack:
     w = rng.normal(size=(pieces, R, p))
     w *= loop.system.w_max / np.linalg.norm(w, axis=2, keepdims=True)
     free = np.sign(rng.uniform(-1, 1, (pieces, R, loop.system.m))) * loop.system.u_max
-    eta = rng.uniform(-1, 1, (pieces, R, loop.system.n)) * loop.system.navigation
+    eta = rng.uniform(-1, 1, (pieces, R, loop.system.n))
     off = rng.uniform(-1, 1, (pieces, R, loop.system.m))
     theta = loop.schedule.safety.problem.initial_set
     b = np.sign(rng.uniform(-1, 1, (R, theta.G.shape[1])))
     inside = rng.random(R) < 0.3
     b[inside] *= rng.random((int(inside.sum()), 1))
     spread = [np.repeat(x, hold, axis=0)[: loop.N] for x in (w, free, eta, off)]
+    spread[2] *= np.repeat(loop.known, loop.per, axis=0)[:, None]
     return Attack(theta.c + b @ theta.G.T, spread[0], spread[1], worst.way, *spread[2:])

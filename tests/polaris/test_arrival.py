@@ -13,6 +13,7 @@ import flint
 from flint import arb
 
 from polaris.certificate import arrival as checked
+from polaris.certificate import goal_rows
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import matrix
 from polaris.certificate.checker import verify
@@ -91,7 +92,7 @@ def random_goal(rng, kind):
     return {"center": middle.tolist(), "half_widths": half.tolist()}, Box(middle, half, eta or 1e-2), eta
 
 
-@pytest.mark.parametrize("kind", checked.GOALS)
+@pytest.mark.parametrize("kind", goal_rows.GOALS)
 def test_the_checker_derives_the_planner_s_rows(kind):
     """Distances of random states are the same, for goals of every kind and any number of states."""
     rng = np.random.default_rng(5)
@@ -100,8 +101,8 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         n, steps, delta = goal.n, int(rng.integers(5, 60)), float(rng.uniform(0.1, 60))
         C = np.eye(n)[: int(rng.integers(1, min(n, 3) + 1))]
         document = SimpleNamespace(mean_motion=eta, A=np.eye(n).tolist(), C=C.tolist())
-        found = checked.GOALS[kind](document, spec)
-        rows = checked.Weighted.of(found, arb(SOON) * steps * delta, document)
+        found = goal_rows.GOALS[kind](document, spec)
+        rows = goal_rows.Weighted.of(found, arb(SOON) * steps * delta, document)
         conditions = goal.conditions
         assert found.scale == pytest.approx(conditions.scale, rel=1e-15)
         problem = SimpleNamespace(system=SimpleNamespace(position=C), K=steps, delta=delta)

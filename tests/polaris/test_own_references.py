@@ -40,6 +40,7 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
         w_max=0.0,
         estimate=(),
         thrusters=(),
+        carried=0.0,
         prompt_thrusters=(),
         timing={},
         delta=delta,

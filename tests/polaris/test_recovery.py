@@ -32,8 +32,10 @@ def recovery(bad=None):
     return Recovery(document, limits, Needs(loop, memory, identity(1)))
 
 
-def check(found, step):
-    found.check_sets({step: Zonotope(column([arb(0)]), identity(1))}, {step: 0.1})
+def check(found, step, after=0):
+    """One set of errors, some periods after the start of a step."""
+    node = step * Q + after
+    found.check_sets({node: Zonotope(column([arb(0)]), identity(1))}, {node: 0.1})
     found.check_far()
 
 
@@ -63,3 +65,6 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
 
 def test_what_is_over_is_over():
     check(recovery((1, 1)), 3)
+    check(recovery((3, 0)), 3, after=1)
+    with pytest.raises(Rejected):
+        check(recovery((3, 2)), 3, after=1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
+from ..failing import Failing, drawn
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import initial_states
@@ -21,17 +22,19 @@ class Attack:
     """What is done to a schedule in R runs.
 
     Initial states (R, n), disturbances held over each step (steps, R, p), and the inputs (steps, R, m) of
-    controllers that may do anything.
+    controllers that may do anything; what fails in each, if that is isolated late.
     """
 
     x0: Array
     w: Array
     free: Array | None
+    failing: Failing | None = None
 
     def pick(self, chosen: NDArray[np.intp]) -> Attack:
         """Some of the runs."""
         free = None if self.free is None else self.free[:, chosen]
-        return Attack(self.x0[chosen], self.w[:, chosen], free)
+        failing = None if self.failing is None else self.failing.pick(chosen)
+        return Attack(self.x0[chosen], self.w[:, chosen], free, failing)
 
     @classmethod
     def join(cls, parts: list[Attack]) -> Attack:
@@ -47,7 +50,7 @@ class Attack:
 
     def fly(self, flight: Integrator) -> Runs:
         """Simulate."""
-        flight.free = self.free
+        flight.free, flight.failing = self.free, self.failing
         return flight.run(self.x0, self.w)
 
 
@@ -64,9 +67,9 @@ class Attacker:
         self._left = np.array([part.max(axis=1) for part in claims.facets]).reshape(shape)
 
     @classmethod
-    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator) -> Attacker:
+    def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
         """With S's flight after T or without, one integration step per node."""
-        claims = Claims(schedule, tail)
+        claims = Claims(schedule, tail, failing)
         return cls(claims, Integrator(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:
@@ -77,6 +80,37 @@ class Attacker:
 
     def worst(self, count: int) -> Attack:
         """The closed-form worst case of facets and instants: half of them where the proof leaves least."""
+        return self._towards(*self._aims(count))
+
+    def failed(self, count: int) -> Attack:
+        """The same with a fault in every flight, the worst case along S once it flies because of that."""
+        rows, targets = self._aims(count)
+        flight, schedule = self.flight, self.flight.schedule
+        failing = drawn(schedule, 1, rows, targets, self.rng)
+        taken = np.minimum(np.where(failing.lost, failing.begins, failing.ends), targets)
+        after = adjoint_worst_case(Integrator(schedule, 0 * flight.modes, 1), rows, targets)[0]
+        carried = schedule.safety.tracking.transitions
+        first, then = (
+            np.einsum("rn,rnm->rm", rows, carried[np.clip(targets - when, 0, len(carried) - 1)])
+            for when in (taken, failing.ends)
+        )
+        before = self._towards(first, taken)
+        w = np.where((np.arange(flight.steps)[:, None] >= taken)[..., None], after, before.w)
+        self._unseen(w, then, failing)
+        return Attack(before.x0, w, before.free, failing)
+
+    def _unseen(self, w: Array, rows: Array, failing: Failing) -> None:
+        """Where navigation is lost nobody answers the disturbance: its worst case along rows at the end."""
+        (Ad, _, Dd), p = self.flight.held, self.flight.system.p
+        for back in range(1, int((failing.ends - failing.begins).max()) + 1):
+            at = np.flatnonzero(failing.missing(failing.ends - back))
+            along = rows[at] @ Dd
+            size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+            w[failing.ends[at] - back, at, :p] = along * (self.flight.system.w_max / size)
+            rows[at] = rows[at] @ Ad
+
+    def _aims(self, count: int) -> tuple[Array, NDArray[np.int_]]:
+        """Rows, and instants at which the state is to be far along them."""
         rows = self.rows[self.rng.integers(0, len(self.rows), count)].copy()
         targets = self.rng.integers(1, self.flight.steps + 1, count)
         near = count // 2 if len(self._left) else 0
@@ -88,7 +122,7 @@ class Attacker:
             rows[:near] = self.rows[self.first[which] + self._best[which, period]]
             later = self.rng.integers(0, self.flight.substeps + 1, near)
             targets[:near] = np.clip(period * self.flight.substeps + later, 1, self.flight.steps)
-        return self._towards(rows, targets)
+        return rows, targets
 
     def again(self, runs: Runs, found: Attained, count: int) -> Attack:
         """The worst case about runs just flown, their clipped inputs as they were.

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from ...model.system import Array, LinearSystem
 from ...model.timed_polytope import TimedPolytope
 from ...synthesis.clearance import error_tube, facet_room
+from ...synthesis.demand import command_errors
 from ...synthesis.schedule import Schedule
+from ..failing import Failing
 from ..run_metrics import Runs, cubic
 from ..simulate import flown_modes
 
@@ -35,10 +37,12 @@ class Claims:
 
     The limits are the timed polytopes, one each (margin in m: how far outside the best facet), and then
     the inputs, one each (margin in N: thrust left while S flies). S's flight after T is included with `tail`.
+    Of flights in which something is `failing` no more is claimed than that no limit is violated.
     """
 
     schedule: Schedule
     tail: bool
+    failing: bool = False
 
     @property
     def system(self) -> LinearSystem:
@@ -111,14 +115,16 @@ class Claims:
         gain = safety.tracking.gain
         need, bow = self._needs(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
-        room = np.tile(self.system.u_max - self.system.command_error(gain), 2) + np.hstack([nu, -nu])
+        room = np.tile(self.system.u_max - command_errors(self.system, gain, self.cells), 2)
+        room = room + np.hstack([nu, -nu])
         left = np.min((room[:, None, :] - need).reshape(self.cells, self.q + 1, 2, m), axis=2)
         thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
         out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
         by_s = np.repeat(self.modes == 0, self.q)
         out[by_s] = np.maximum(out[by_s], 0.0)
         out[~by_s, o:] = -np.inf  # what U demands is limited by its own model alone
-        return out if self.schedule.guarantee == "proved" else np.full(out.shape, -np.inf)
+        claimed = self.schedule.guarantee == "proved" and not self.failing
+        return out if claimed else np.full(out.shape, -np.inf)
 
     def _flat(self, parts: Array) -> Array:
         """One row per period, out of (cells, q, columns)."""
@@ -158,8 +164,8 @@ class Attained:
     below: Array
 
 
-def attained(claims: Claims, runs: Runs) -> Attained:
-    """Measure runs against the limits of a schedule."""
+def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Attained:
+    """Measure runs against the limits of a schedule; where something fails, one step per node was flown."""
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
     p = (runs.states @ system.position.T).reshape(-1, system.d).T
@@ -182,9 +188,12 @@ def attained(claims: Claims, runs: Runs) -> Attained:
             near = np.argpartition(ends, few - 1, axis=1)[:, :few]
             run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)
             _look_closer(claims, runs, o, run, near[run, place], out)
-    flown = np.flatnonzero(np.repeat(claims.modes == 0, claims.q))
+    by_s = np.repeat(claims.modes == 0, claims.q)[:, None]
+    if failing is not None:
+        by_s = by_s | np.array([failing.by_s(period) for period in range(len(by_s))])
+    flown = np.flatnonzero(by_s.any(axis=1))
     if len(flown):
-        _measure_thrust(claims, runs, flown, out)
+        _measure_thrust(claims, runs, flown, by_s[flown].T, out)
     return out
 
 
@@ -208,14 +217,18 @@ def _look_closer(
     np.maximum.at(out.below[:, o], run, claims.floor[period, o] - least)
 
 
-def _measure_thrust(claims: Claims, runs: Runs, flown: NDArray[np.intp], out: Attained) -> None:
+def _measure_thrust(
+    claims: Claims, runs: Runs, flown: NDArray[np.intp], by_s: NDArray[np.bool_], out: Attained
+) -> None:
     """Thrust left at the nodes of the periods that S flies, the estimate being as wrong as it may be."""
     safety, system = claims.schedule.safety, claims.system
-    gain, wrong = safety.tracking.gain, system.navigation - claims.moved
-    most = system.u_max - np.abs(gain) @ wrong
+    gain = safety.tracking.gain
+    wrong = command_errors(system, gain, claims.cells) - np.abs(gain) @ claims.moved
+    most = system.u_max - np.repeat(wrong, claims.q, axis=0)[flown]
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
     left = most - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)
+    left = np.where(by_s[..., None], left, np.inf)
     inputs = slice(len(claims.unsafe), None)
     out.margin[:, inputs] = left.min(axis=1)
     out.when[:, inputs] = runs.times[flown][np.argmin(left, axis=1)]

@@ -25,6 +25,9 @@ BATCH = 100_000
 ELITES = 12
 """Attacks kept per limit."""
 
+FAILING_EVERY = 3
+"""Every so many batches something fails in every flight, where faults are isolated late."""
+
 TAIL_EVERY = 8
 """Every so many batches S flies on after T, and in the last one if it has not before."""
 
@@ -169,6 +172,8 @@ class _Search:
         self.main = Attacker.of(schedule, False, rng)
         proven_after = schedule.safety.end.proven and schedule.guarantee == "proved"
         self.tail = Attacker.of(schedule, True, rng) if proven_after else None
+        transients = schedule.safety.problem.system.transients
+        self.failing = Attacker.of(schedule, proven_after, rng, True) if transients else None
         limits = len(self.main.claims.names)
         self.least, self.at = np.full(limits, np.inf), np.full(limits, np.nan)
         claimed = (self.tail or self.main).claims.floor
@@ -185,13 +190,15 @@ class _Search:
             left = self.wanted - self.flown
             due = batch % TAIL_EVERY == TAIL_EVERY - 1 or (not beyond and left <= usual and batch > 0)
             attacker = self.tail if self.tail is not None and due else self.main
+            attacker = self.failing if self.failing is not None and batch % FAILING_EVERY == 1 else attacker
             beyond = beyond or attacker is self.tail
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
-            measured = attained(attacker.claims, flown)
+            measured = attained(attacker.claims, flown, attack.failing)
             self.flown, batch = self.flown + count, batch + 1
-            found = self._record(attacker.claims, attack, measured) or self._stopped(attack, flown)
+            found = self._record(attacker.claims, attack, measured)
+            found = found if found or attacker is self.failing else self._stopped(attack, flown)
             if attacker is self.main:
                 self.last = flown, measured
                 self._keep(attack, measured)
@@ -210,7 +217,7 @@ class _Search:
                 return attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
             if kind == "random":
                 return attacker.random(count)
-        return attacker.worst(count)
+        return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
 
     def _record(
         self, claims: Claims, attack: Attack, measured: Attained
@@ -218,7 +225,7 @@ class _Search:
         """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
         every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
         least, when = measured.margin[best, every], measured.when[best, every]
-        less = least < self.least
+        less = (least < self.least) & (not claims.failing)
         self.least[less], self.at[less] = least[less], when[less]
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
@@ -286,7 +293,7 @@ def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | Non
     """
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
-    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free)
+    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
     flight = Integrator(claims.schedule, claims.modes, substeps)
-    failure = violation(claims, attained(claims, finer.fly(flight)))
+    failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
     return None if failure is None else (failure, finer, substeps)

@@ -14,7 +14,8 @@ from ...model.system import Array
 from ...model.thrusters import Thrusters
 from ...synthesis.schedule import Schedule
 from ..delayed import Predicting
-from ..disturbances import disturbances
+from ..disturbances import disturbances, limit_rows
+from ..failing import drawn
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
@@ -66,7 +67,7 @@ def fly_true(
     linear loop. In the others estimates err at random, and thrusters are as built: each has its own strength,
     all are turned about an axis, and impulses are rounded to the bit. Under sampled feedback, delays and
     missed periods are flown as they are, with predictions on board; else as errors within the bounds of
-    predictions.
+    predictions. Where faults are isolated late every run has one of them.
 
     Parameters
     ----------
@@ -90,10 +91,16 @@ def fly_true(
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
-    at_once = schedule.safety.problem.system.timing.instant or not schedule.safety.tracking.feedback.sampled
+    system = schedule.safety.problem.system
+    prompt = system.timing.instant and system.observer is None
+    lost = any(not len(fault.thrust) for fault in system.transients)
+    at_once = prompt and not lost or not schedule.safety.tracking.feedback.sampled
     flight = (_TrueMotion if at_once else _Predicting)(schedule, modes, substeps)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
+    if system.transients:
+        rows = limit_rows(schedule)[rng.integers(0, len(limit_rows(schedule)), n)]
+        flight.failing = drawn(schedule, substeps, rows, rng.integers(1, flight.steps, n), rng)
     flight.env, flight.ballistic = env, ballistic
     flight.residual = np.zeros((len(modes) * flight.q, n))
     pushed, adjoint = flight.at_their_worst(push, rng)

@@ -1,0 +1,120 @@
+"""How far estimates may be off: as the scenario declares it, by phase of the flight, or an observer's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+from flint import arb
+
+from .balls import absolute, column, exponential, identity, magnitude, matrix, require, sums
+from .document import Document
+from .plants import plant_of
+from .verdict import Rejected
+
+PARTS = 4
+"""Parts of a period over each of which integrals are bounded by the trapezoid rule."""
+
+INSTANT = 1e-9
+"""Share of a step by which instants may differ and count as one."""
+
+FORGOTTEN, LONGEST = 1e-9, 4096
+"""What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
+
+
+def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[float]]:
+    """Bounds on the errors of the estimates, those of predictions apart, by step and from the last one on.
+
+    One row where they do not depend on the step. The certificate states the largest of each state.
+    """
+    spec, stored = scenario.get("navigation", {}), document.measured or [0.0] * len(document.A)
+    declared, timing = _declared(document, spec), scenario.get("timing", {})
+    if (asked := spec.get("measurement")) is None:
+        if document.observer is not None:
+            raise Rejected("system", "the scenario has no observer")
+        rows = _phased(document, spec.get("phases") or [], declared, timing)
+        if stored != [max(each) for each in zip(*rows, strict=True)]:
+            raise Rejected("system", f"error of estimates: {stored} is not the scenario's")
+        return rows
+    if any(declared) or spec.get("phases"):
+        raise Rejected("system", "an observer's estimates are declared as well")
+    if not document.sampled or timing.get("missed_periods", 0):
+        raise Rejected("system", "an observer needs a measurement in every control period")
+    if document.fired or document.carried or document.transients:  # as the scenario has them
+        raise Rejected("system", "an observer with pulses, carried impulses or faults isolated late")
+    _check_observer(document, asked, stored)
+    return [stored]
+
+
+def _declared(document: Document, spec: dict[str, Any]) -> list[float]:
+    """Bounds that are declared for every state."""
+    n, hill = len(document.A), document.mean_motion is not None
+    wrong = ("state_error",) if hill else ("position_error_m", "velocity_error_m_s")
+    if any(key in spec and spec[key] != 0.0 for key in wrong):
+        raise Rejected("system", "errors of estimates are given for another kind of system")
+    found: list[float] = _per_axis([spec.get(k, 0.0) for k in ("position_error_m", "velocity_error_m_s")])
+    if not hill:
+        found = spec.get("state_error", [0.0] * n)
+    if len(found) != n:
+        raise Rejected("system", "errors of estimates are not one for every state")
+    return found
+
+
+def _per_axis(parts: list[Any]) -> list[float]:
+    return [x for part in parts for x in (part if isinstance(part, list) else [part] * 3)]
+
+
+def _phased(
+    document: Document, phases: list[dict[str, Any]], declared: list[float], timing: dict[str, Any]
+) -> list[list[float]]:
+    """The largest bounds of the phases that measurements of each step may come from."""
+    if not phases:
+        return [declared]
+    delta, begin = arb(document.delta), [0.0, *(phase["from_s"] for phase in phases)]
+    if any(a >= b for a, b in pairwise(begin)):
+        raise Rejected("system", "phases of the navigation must begin one after the other")
+    bounds = [declared, *(_declared(document, phase) for phase in phases)]
+    oldest = timing.get("delay_s", 0.0) + timing.get("missed_periods", 0) * delta / document.q
+    slack, last, rows = INSTANT * delta, document.steps, []
+    for k in range(last + 1):
+        begun = [k == last or not a >= (k + 1) * delta - slack for a in begin]
+        over = [*(b <= k * delta - oldest + slack for b in begin[1:]), False]
+        met = [bound for bound, one, other in zip(bounds, begun, over, strict=True) if one and not other]
+        rows.append([max(each) for each in zip(*met, strict=True)])
+    return rows
+
+
+def _check_observer(document: Document, spec: dict[str, Any], stored: list[float]) -> None:
+    """Errors of an observer with the gain that is stated stay within what is stored."""
+    n, stated = len(document.A), document.observer
+    if stated is None:
+        raise Rejected("system", "the certificate does not state the observer's gain")
+    if document.mean_motion is None:
+        measures, noise = spec.get("matrix", []), spec.get("error", [])
+    else:
+        noise = _per_axis([spec[k] for k in ("position_error_m", "velocity_error_m_s") if k in spec])
+        measures = [[float(i == j) for j in range(n)] for i in range(len(noise))]
+        if "position_error_m" not in spec or {"matrix", "error"} & set(spec):
+            raise Rejected("system", "the observer does not measure the position")
+    if (stated["measures"], stated["noise"]) != (measures, noise):
+        raise Rejected("system", "the observer is not the scenario's")
+    plant, M, L = plant_of(document), matrix(measures), matrix(stated["gain"])
+    rest, part = identity(n) - L * M, replace(plant, h=plant.h / PARTS).open
+    pushes = [plant.disturbance, plant.push(plant.thruster_error(plant.u_max))]
+    v = column(sums(map(arb, noise), (absolute(M) * column(document.displaced)).entries()))
+    left, come, loop = identity(n), [arb(0)] * n, rest * exponential(plant.A, plant.h)[0]
+    for _ in range(LONGEST):
+        rows, more = left * rest, (magnitude(left * L) * v).entries()
+        for _ in range(PARTS):
+            more = sums(more, *(part.push_gain(rows, push) for push in pushes if push is not None))
+            rows = rows * part.phi
+        come, left = sums(come, more), left * loop
+        late = (magnitude(left) * column(stored)).entries()
+        spare = [bound * arb(1 + 1e-12) - x for bound, x in zip(stored, sums(come, late), strict=True)]
+        if all(x >= 0 for x in spare):
+            return
+        if all(x <= FORGOTTEN * bound for x, bound in zip(late, stored, strict=True)):
+            break
+    for i, x in enumerate(spare):
+        require("system", x, f"error of the observer's state {i}: {stored[i]}")

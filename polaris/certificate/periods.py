@@ -1,0 +1,82 @@
+"""One period of a flight as a linear motion with an input within bands, and what a clipped command may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flint import arb, arb_mat
+
+from .balls import largest, sums
+from .motion import Motion, Push
+from .zonotopes import Zonotope
+
+
+@dataclass(frozen=True, eq=False)
+class Period:
+    """Motion over one period: ``d' = ... + g + V v`` with v of a push, held or not, and errors of inputs."""
+
+    motion: Motion
+    g: arb_mat
+    push: Push | None = None
+    error: Push | None = None
+    most: list[arb] | None = None  # bounds on the thrust, where they are known already
+
+    def ends(self, d: Zonotope) -> Zonotope:
+        """Where the motion without disturbance and without v ends."""
+        return d.through(self.motion.phi).moved(self.motion.gamma * self.g)
+
+    def after(self, end: Zonotope) -> Zonotope:
+        """The set at the next node, from `ends`."""
+        pushed, push = [], self.push
+        if push is not None:
+            held = self.motion.held is not None
+            pushed = [self.motion.gamma * push.V * push.cover if held else self.motion.pushed(push)]
+        if self.error is not None:
+            pushed.append(self.motion.pushed(self.error))
+        return end.grown(*pushed, self.motion.disturbance_set)
+
+    def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
+        """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.
+
+        They belong to the start and the end of the period; in between, their chord is a bound: what v and
+        the disturbance have done grows from nothing.
+        """
+        motion = self.motion
+        bend, last = motion.disturbance_along(rows)
+        first = sums(motion.bow(rows, d.through(motion.closed).moved(self.g)), bend)
+        for push in (self.push, self.error):
+            if push is not None:
+                first = sums(first, motion.push_bend(rows, push))
+                last = sums(last, motion.push_gain(rows, push))
+        return first, sums(first, last)
+
+    def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
+        """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
+        first, last = self.extra(rows, d)
+        ends = sums(self.ends(d).through(rows).tops(), last)
+        return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
+
+
+def command_ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
+    """Ranges of ``u + y`` from bounds on y and on -y, as exact numbers."""
+    m = u.nrows()
+    return [((u[i, 0] - most[m + i]).lower(), (u[i, 0] + most[i]).upper()) for i in range(m)]
+
+
+def around(low: arb, high: arb) -> tuple[arb, arb]:
+    """An exact middle of two numbers, and how far both are from it at most."""
+    middle = ((low + high) / 2).mid()
+    return middle, largest((high - middle, middle - low))
+
+
+def secant(lo: arb, hi: arb, top: arb) -> float:
+    """Slope of the clip between two commands."""
+    width = hi - lo
+    return float(((clip(hi, top) - clip(lo, top)) / width).mid()) if width > 0 else 1.0
+
+
+def clip(y: arb, top: arb) -> arb:
+    """The command y limited to ``[-top, top]``."""
+    if y > top:
+        return top
+    return -top if y < -top else y

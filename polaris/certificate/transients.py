@@ -1,0 +1,111 @@
+"""What faults do until they are isolated: boxes of what they add to the states, and whether all are told."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import Any
+
+from flint import arb, arb_mat
+
+from .balls import absolute, column, diagonal, exponential, identity, largest, magnitude, matrix
+from .document import Document
+from .loop import Memory, Needs
+from .motion import Motion, Plant
+from .timing import predicted
+from .verdict import Rejected, Undecided
+
+ROUNDED = 1e-12
+"""Rounding of products of numbers of the scenario, relative to them."""
+
+WHOLE = 1e-9
+"""Share by which a delay may exceed a whole number of periods and count as one."""
+
+
+def check_transients(document: Document, scenario: dict[str, Any]) -> None:
+    """Every fault of the scenario that is isolated late is told: for how long, and how far inputs are off."""
+    faults = [fault for fault in scenario.get("faults", []) if _lasts(fault) > 0]
+    given = [(fault["kind"], _lasts(fault)) for fault in faults]
+    told = [(each["name"], each["lasts"]) for each in document.transients]
+    if told != given:
+        raise Rejected(
+            "system", f"faults isolated late are {told} in the certificate, {given} in the scenario"
+        )
+    for fault, each in zip(faults, document.transients, strict=True):
+        lost, pushes = fault["kind"] == "navigation_lost", each.get("pushes") or []
+        if lost == bool(pushes):
+            raise Rejected("system", f"{fault['kind']} belongs to thrusters, or to none")
+        made = document.allocation or {"directions": [], "limits": []}
+        thrusters = [] if lost else zip(made["directions"], made["limits"], strict=True)
+        for way, limit in thrusters:
+            least = [abs(x) * arb(limit) * arb(fault.get("share", 1.0)) * (1 - ROUNDED) for x in way]
+            if not any(all(x >= y for x, y in zip(push, least, strict=True)) for push in pushes):
+                raise Rejected("system", f"what {fault['kind']} does to a thruster is not covered")
+
+
+def _lasts(fault: dict[str, Any]) -> float:
+    return float(fault["lasts_s"] if fault["kind"] == "navigation_lost" else fault.get("isolation_s", 0.0))
+
+
+def moved(document: Document, plant: Plant) -> list[arb_mat]:
+    """Boxes, one of which holds what thrust that is not as commanded has added to the states, (n, 1) each.
+
+    Every law answers with no more than its gain times the deviation, whatever clips it.
+    """
+    if document.transients and any(law.kind in ("neural", "black_box") for law in document.laws):
+        raise Undecided("controllers", "networks and black boxes under faults isolated late are not followed")
+    n, m = plant.B.nrows(), plant.B.ncols()
+    gains = [absolute(matrix(law.gain)).entries() for law in document.laws if law.gain is not None]
+    most = arb_mat(m, n, [largest(each) for each in zip(*gains, strict=True)])
+    along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
+    answer = diagonal([1 + arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
+    growth = absolute(plant.A) + absolute(plant.B) * answer * most
+    found = []
+    for each in document.transients:
+        late = exponential(growth, arb(each["lasts"]) + _hidden(document, plant))[1] * absolute(plant.B)
+        for push in each.get("pushes") or []:
+            size = [arb(x) for x in push]
+            wrong = [a + b for a, b in zip(size, plant.thruster_part(size), strict=True)]
+            found.append(magnitude(late * column(wrong)))
+    return found
+
+
+def _hidden(document: Document, plant: Plant) -> arb:
+    """For how long what happens may be hidden from commands."""
+    delay, missed = arb(document.timing.get("delay", 0.0)), document.timing.get("missed", 0)
+    periods: int = ceil(float((delay / plant.h).mid()) * (1 - WHOLE)) + missed
+    return plant.h * arb(periods)
+
+
+def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
+    """The same while navigation is lost: errors of predictions, and what is left of the first estimate's."""
+    plant, n = loop.plant, loop.plant.A.nrows()
+    measured = zip(document.measured or [0.0] * n, document.displaced, strict=True)
+    known, found = [arb(x) + y for x, y in measured], []
+    for each in document.transients:
+        if not each.get("pushes"):
+            age = arb(each["lasts"]) + document.timing.get("delay", 0.0)
+            age += plant.h * (2 * document.timing.get("missed", 0) + 1)
+            estimate = column(document.estimate or [0.0] * n)
+            carried = zip(estimate.entries(), (magnitude(plant.open.phi) * estimate).entries(), strict=True)
+            first = upset(Needs(loop, memory, identity(n)), [column([largest(pair) for pair in carried])])[-1]
+            found.append(column(predicted(plant, known, age)) + column(first))
+    return found
+
+
+def upset(needs: Needs, boxes: list[arb_mat]) -> list[list[arb]]:
+    """What errors in any of some boxes need along rows by the end of the period after node l + 1."""
+    found: list[list[arb]] = [[arb(0)] * needs.rows.nrows()]
+    for box in boxes:
+        share = largest(a / b for a, b in zip(box.entries(), needs.memory.z.entries(), strict=True))
+        found.append([x * share for x in needs.forgotten])
+    most, steps = _largest(found), []
+    for row, bend in zip(needs.carried, needs.bend, strict=True):
+        most = _largest([most, *(((magnitude(row) + bend) * box).entries() for box in boxes)])
+        steps.append(most)
+    last = len(steps) - 1
+    return [steps[min(lag + 2, last)] for lag in range(last + 1)]
+
+
+def _largest(lists: list[list[arb]]) -> list[arb]:
+    """The largest of each entry."""
+    return [largest(each) for each in zip(*lists, strict=True)]

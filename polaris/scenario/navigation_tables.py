@@ -1,0 +1,130 @@
+"""The scenario file's models of navigation: bounds on errors, by phase of the flight, or an observer's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..model.errors import ScenarioError
+from ..model.prediction import design, filtered
+from ..model.system import Array, LinearSystem
+from . import fields as f
+from .error_tables import Timing
+from .fields import ScenarioPart, unit
+
+INSTANT = 1e-9
+"""Share of a step by which instants may differ and count as one."""
+
+
+class Estimate(ScenarioPart):
+    """Bounds on the errors of an estimate: in Hill's frame of position and velocity, else of states."""
+
+    position_error_m: f.NonNegativePerAxis = unit("m", "Per axis, or one number for all.", default=0.0)
+    velocity_error_m_s: f.NonNegativePerAxis = unit("m/s", "Per axis, or one number for all.", default=0.0)
+    state_error: f.WidthVector | None = unit("SI (state order)", "n numbers >= 0.", default=None)
+
+    def build(self, system: LinearSystem, path: str = "navigation") -> Array:
+        """Bounds on the error of every state, shape (n,)."""
+        if system.mean_motion is None:
+            if np.any(self.position_error_m) or np.any(self.velocity_error_m_s):
+                rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
+                raise ScenarioError(f"{path}.position_error_m", self.position_error_m, rule)
+            given = (0.0,) * system.n if self.state_error is None else self.state_error
+            f.check_length(f"{path}.state_error", given, system.n)
+            return np.array(given)
+        if self.state_error is not None:
+            rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
+            raise ScenarioError(f"{path}.state_error", self.state_error, rule)
+        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
+        return np.concatenate([f.per_axis(f"{path}.{name}", value, 3) for name, value in named])
+
+
+class Phase(Estimate):
+    """Bounds that hold from an instant on, by the schedule's clock, until the next phase begins."""
+
+    from_s: f.Positive = unit("s", "When it begins, later than the phase before.")
+
+
+class Measurement(ScenarioPart):
+    """What an observer measures once a control period: the errors of its estimates are worked out.
+
+    It has long been at work when the flight starts, with a steady Kalman gain. In Hill's frame it measures
+    the position, and the velocity if that has a bound. Refused with pulses, with impulses whose rest is
+    carried, and with faults that are isolated late.
+    """
+
+    position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
+    velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured without.", default=None)
+    matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
+    error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
+
+    def build(self, system: LinearSystem) -> tuple[Array, Array]:
+        """What is measured, shape (r, n), and bounds on its errors, shape (r,)."""
+        path = "navigation.measurement"
+        own, hill = ("position_error_m", "velocity_error_m_s"), system.mean_motion is not None
+        where = "in Hill's frame" if hill else "outside Hill's frame"
+        for name in (*own, "matrix", "error"):
+            value, here = getattr(self, name), (name in own) == hill
+            if value is not None and not here:
+                raise ScenarioError(f"{path}.{name}", value, f"has no meaning {where}")
+            if value is None and here and name != own[1]:
+                raise ScenarioError(f"{path}.{name}", value, f"must be given {where}")
+        if self.matrix is not None and self.error is not None:
+            f.check_length(f"{path}.matrix", self.matrix[0], system.n)
+            f.check_length(f"{path}.error", self.error, len(self.matrix))
+            return np.array(self.matrix), np.array(self.error)
+        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
+        noise = np.concatenate([f.per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
+        return np.eye(6)[: len(noise)], noise
+
+    def known(self, system: LinearSystem, period: float | None, timing: Timing) -> LinearSystem:
+        """The system whose estimates are an observer's."""
+        if period is None:
+            rule = "needs sampled feedback (feedback.kind = 'sampled')"
+            raise ScenarioError("navigation.measurement", None, rule)
+        if timing.missed_periods:
+            rule = "must be 0 with an observer, which measures in every period"
+            raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
+        observer = design(system, *self.build(system), period)
+        return replace(system, observer=observer, estimate_error=filtered(system, observer, period))
+
+
+class Navigation(Estimate):
+    """How well the state is known: bounds on the errors of the estimate that every controller acts on.
+
+    Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
+    in other systems states. Where there are phases, these hold until the first. For networks, and for what
+    run-time methods know of states, the largest bounds of all phases count throughout.
+    """
+
+    phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)
+    measurement: Measurement | None = unit("-", default=None)
+    """What an observer measures, in the place of bounds on what it estimates. Needs sampled feedback."""
+
+    def known(
+        self, system: LinearSystem, horizon: tuple[int, float], period: float | None, timing: Timing
+    ) -> LinearSystem:
+        """The system with these errors of estimates.
+
+        `horizon` is the number of steps and their length [s], `period` a control period [s].
+        """
+        declared = self.build(system)
+        if self.measurement is not None:
+            if np.any(declared) or self.phases:
+                rule = "must be left out where an observer's estimates are declared"
+                raise ScenarioError("navigation.measurement", None, rule)
+            return self.measurement.known(system, period, timing)
+        if not self.phases:
+            return replace(system, estimate_error=declared)
+        begin = [0.0, *(phase.from_s for phase in self.phases)]
+        if np.any(np.diff(begin) <= 0):
+            raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
+        later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
+        bounds, end, (steps, step) = np.array([declared, *later]), np.array([*begin[1:], np.inf]), horizon
+        oldest, rows = timing.delay_s + timing.missed_periods * (period or 0.0), []
+        for k in range(steps + 1):
+            begun = np.array(begin) < (k + 1) * step - INSTANT * step
+            over = end <= k * step - oldest + INSTANT * step
+            rows.append(bounds[(begun | (k == steps)) & ~over].max(axis=0))
+        return replace(system, error_by_step=np.array(rows))

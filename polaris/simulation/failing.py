@@ -1,0 +1,98 @@
+"""Faults that are isolated late as they are flown: one in each flight, when it is worst or at random."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.system import Array
+from ..synthesis.schedule import Schedule
+
+
+@dataclass(frozen=True, eq=False)
+class Failing:
+    """What fails in R flights, in steps of the integration: from when until when, and S flies from then on.
+
+    Thrust (R, m) that a thruster makes at its limit, none where navigation is lost; the share of it that is
+    lost, or -1 if it pushes unasked. While navigation is lost S flies on predictions, which are `gap` off.
+    """
+
+    begins: NDArray[np.int_]
+    ends: NDArray[np.int_]
+    thrust: Array
+    share: Array
+    lost: NDArray[np.bool_]
+    gap: Array = field(repr=False)
+
+    def pick(self, chosen: NDArray[np.intp]) -> Failing:
+        """Some of the flights."""
+        when = self.begins[chosen], self.ends[chosen]
+        return Failing(
+            *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
+        )
+
+    def table(self) -> dict[str, Any]:
+        """The first of the flights, as `of` reads it."""
+        names = ("begins", "ends", "thrust", "share", "lost")
+        return {name: getattr(self, name)[0].tolist() for name in names}
+
+    @classmethod
+    def of(cls, table: dict[str, Any], n: int) -> Failing:
+        """One flight with n states from a `table`."""
+        return cls(**{name: np.array([x]) for name, x in table.items()}, gap=np.zeros((1, n)))
+
+    def on(self, step: int) -> NDArray[np.bool_]:
+        """Whether the fault lasts."""
+        return np.asarray((self.begins <= step) & (step < self.ends))
+
+    def missing(self, when: NDArray[Any]) -> NDArray[np.bool_]:
+        """Whether what is measured in some steps (R,) is lost."""
+        return np.asarray(self.lost & (self.begins <= when) & (when < self.ends))
+
+    def by_s(self, step: int) -> NDArray[np.bool_]:
+        """Whether S flies because of it."""
+        return np.asarray(np.where(self.lost, self.begins, self.ends) <= step)
+
+    def added(self, u: Array, step: int) -> Array:
+        """What a thruster that fails adds to commands u, which ask of it what lies along it."""
+        size = np.maximum(np.sum(self.thrust**2, axis=1), 1e-300)
+        asked = np.clip(np.sum(u * self.thrust, axis=1) / size, 0.0, 1.0)
+        level = np.where(self.share < 0, 1.0, -self.share * asked)
+        return np.asarray((level * self.on(step))[:, None] * self.thrust)
+
+    def predict(self, step: int, carried: Array, wrong: Array, eta: Array | float) -> None:
+        """Carry the errors of predictions on over a step, which end when measurements come again."""
+        started = (self.begins == step + 1) & self.lost
+        running = self.on(step + 1) & self.lost & ~started
+        self.gap[:] = np.where(running[:, None], self.gap @ carried.T - wrong, 0.0)
+        self.gap[started] = np.broadcast_to(eta, self.gap.shape)[started]
+
+
+def drawn(
+    schedule: Schedule, per_node: int, rows: Array, targets: NDArray[np.int_], rng: np.random.Generator
+) -> Failing:
+    """One fault per flight; half of them are the worst along a row.
+
+    Rows are (R, n), targets (R,) instants as numbers of steps, so many per node. S flies on at nodes.
+    """
+    tracking, count = schedule.safety.tracking, len(rows)
+    system, worst = tracking.system, rng.random(count) < 0.5
+    which = rng.integers(0, len(system.transients), count)
+    ends, length = np.where(worst, targets, rng.integers(1, targets + 1)), np.zeros(count, dtype=int)
+    thrust, share, lost = np.zeros((count, system.m)), np.ones(count), np.zeros(count, dtype=bool)
+    kicks = np.einsum("lrn,nm->rlm", rows @ tracking.transitions, system.B)
+    for number, fault in enumerate(system.transients):
+        mine, thrusters, on = np.flatnonzero(which == number), len(fault.thrust), fault.name == "stuck_on"
+        length[mine] = np.clip(int(fault.lasts / tracking.flow.h * per_node + 1e-9), 1, targets.max())
+        lost[mine] = not thrusters
+        if thrusters and len(mine):
+            along = kicks[mine] @ fault.thrust.T * (1 if on else -1)
+            age, best = np.divmod(along.reshape(len(mine), -1).argmax(axis=1), thrusters)
+            chosen = np.where(worst[mine], best, rng.integers(0, thrusters, len(mine)))
+            ends[mine] -= np.where(worst[mine], np.minimum(age * per_node, ends[mine] - 1), 0)
+            thrust[mine], share[mine] = fault.thrust[chosen], -1.0 if on else fault.share
+    ends = -(-np.maximum(ends, length) // per_node) * per_node
+    return Failing(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))

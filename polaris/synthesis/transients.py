@@ -1,0 +1,47 @@
+"""What faults add to the states until they are isolated (docs/theory.md, Lemma 41)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import ceil
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..model.prediction import prediction_error
+from ..model.system import Array, LinearSystem
+from ..model.tolerances import ROUNDING
+from ..model.transient import Transient
+
+WHOLE = 1e-9
+"""Share by which a delay may exceed a whole number of periods and count as one."""
+
+
+def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Array:
+    """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
+
+    Every law answers with no more than its gain times the deviation, whatever clips it (Gronwall's
+    inequality). What a delay hides from it counts as if the fault lasted longer. Periods are of h [s].
+    """
+    timing, thrusters, n = system.timing, system.thrusters, system.n
+    late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed)
+    answer = np.eye(system.m) * (1 + thrusters.along) + thrusters.across
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ np.maximum(fault.gains, np.abs(gain))
+    block[:n, n:] = np.eye(n)
+    spread = expm(block * (fault.lasts + late))[:n, n:] @ np.abs(system.B)
+    return np.asarray((fault.pushes + thrusters.part(fault.pushes)) @ spread.T * (1 + ROUNDING))
+
+
+def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, Array], Array]) -> Array:
+    """Error of predictions over a whole outage, and what is left of that of the first estimate, (1, n).
+
+    S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and boxes
+    (J, n) remains. Periods may be missed before and after.
+    """
+    timing, every = system.timing, np.eye(system.n)
+    measured = np.array(timing.measured or system.navigation) + system.displaced
+    age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
+    found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
+    first = np.maximum(system.navigation, np.abs(expm(system.A * h)) @ system.navigation)
+    return np.asarray((found + left(every, first[None])[-1].T) * (1 + ROUNDING))

@@ -1,0 +1,232 @@
+"""Navigation by phase of the flight, and an observer on board: bounds, sets, certificates and flights."""
+
+import json
+from copy import copy
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from polaris.certificate.checker import verify_document
+from polaris.certificate.document import Document
+from polaris.certificate.navigation import measured_errors
+from polaris.certificate.verdict import Rejected
+from polaris.model.errors import PolarisError, ScenarioError
+from polaris.runs.certificate import certificate
+from polaris.scenario.reading import write_toml
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.synthesize import synthesize
+
+from ..kept import kept
+from .closed_loops import attack, attack_monitor
+from .forging import CERTIFICATE, Forger, make
+from .random_scenarios import random_scenario
+from .test_closed_loops import judge, monitored
+from .test_timing import fly_delayed
+from .tiny import TINY
+
+SAMPLED = ("feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]")
+MEASURED = (
+    "navigation.measurement.matrix=[[1,0,0,0],[0,1,0,0]]",
+    "navigation.measurement.error=[0.005, 0.005]",
+)
+PHASED = (
+    "navigation.state_error=[0.01, 0.01, 0.004, 0.004]",
+    "navigation.phases=[{from_s=3.0, state_error=[0.002, 0.002, 0.001, 0.001]},"
+    " {from_s=8.5, state_error=[0.006, 0.0, 0.003, 0.003]}]",
+)
+LATE = ("timing.delay_s=0.3", "thrusters.magnitude_error=0.01")
+
+
+def scene(*assignments):
+    return load_scenario(TINY).with_assignments([*SAMPLED, *assignments])
+
+
+def observed(name, *more):
+    """The tiny scene with an observer."""
+    return kept(f"observed-{name}", lambda: synthesize(scene(*MEASURED, *more)))
+
+
+@pytest.mark.parametrize("name", ["tiny", "static"])
+def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
+    """Period by period, the worst of all that comes for one state: the bound is little above it."""
+    hill = ("feedback.kind=sampled", "feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1")
+    scenario = scene(*MEASURED) if name == "tiny" else load_scenario("static").with_assignments(hill)
+    system, h, parts = scenario.system(), scenario.problem().period, 10
+    observer, n = system.observer, system.n
+    left, reached = np.eye(n), np.zeros(n)
+    step, small = expm(system.A * h), expm(system.A * h / parts)
+    for _ in range(600):
+        back = left @ observer.rest @ expm(system.A * h / parts / 2)
+        for _ in range(parts if np.abs(left).max() > 1e-9 else 0):
+            reached += np.linalg.norm(back @ system.D, axis=1) * system.w_max * h / parts
+            back = back @ small
+        reached += np.abs(left @ observer.gain) @ observer.noise
+        left = left @ observer.rest @ step
+    assert np.all(reached <= system.navigation * (1 + 1e-6))
+    assert np.all(reached >= 0.98 * system.navigation)
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "substeps"),
+    [
+        ("plain", (), 1),
+        *(pytest.param("late", LATE, q, marks=pytest.mark.slow) for q in (1, 4)),
+    ],
+)
+def test_observers_flown_for_real_stay_within_their_bounds_and_use_them(name, more, substeps):
+    schedule = observed(name, *more)
+    runs, off = fly_delayed(schedule, 60, 1, substeps)
+    assert np.all(off <= 1) and off.max() > 0.75 and not runs.metrics().collided.any()
+    assert falsify(schedule, 50, 1).failure is None
+    still = simulate(schedule, 3, initial="center", disturbance="none")
+    assert np.ptp(still.states, axis=0).max() == 0 and not still.metrics().collided.any()
+
+
+def test_errors_of_a_phase_count_in_its_steps_alone():
+    plain, phased = scene(PHASED[0]), scene(*PHASED)
+    system, steps = phased.system(), phased.system().error_by_step
+    assert steps.shape == (13, 4) and steps[:, 0].tolist() == [0.01] * 3 + [0.002] * 5 + [0.006] * 5
+    assert np.array_equal(system.navigation, plain.system().navigation)
+    assert np.array_equal(system.at_step(99).navigation, steps[-1])
+    late = scene(*PHASED, "timing.delay_s=0.5").system().error_by_step
+    assert np.all(late >= steps) and np.all(late[3] >= late[0] - 1e-12) and np.all(late[4] < late[0])
+    one, two = (kept(f"phased-{i}", lambda s=s: synthesize(s)) for i, s in enumerate((plain, phased)))
+    assert two.share(1) >= one.share(1)
+    assert two.safety.tracking.disturbance(two.safety.tracking.gain)[-1].max() < (
+        one.safety.tracking.disturbance(one.safety.tracking.gain)[-1].max()
+    )
+    judge(0, attack(two, 40, 0))
+    assert falsify(two, 100, 0).failure is None
+    wrong = np.repeat(20 * steps.max(axis=0)[None], 13, axis=0)
+    object.__setattr__(two.safety.problem.system, "error_by_step", wrong)
+    assert attack(two, 40, 0).over > 1e-3  # the attack would find errors that are left out
+    object.__setattr__(two.safety.problem.system, "error_by_step", steps)
+
+
+@pytest.mark.parametrize("made", ["pulse='centred'", "impulse_bit_N_s=0.001,remainder='carried'"])
+def test_phases_go_with_pulses_and_what_is_carried(made):
+    """Measurements err within the bounds of the steps that use them, and predictions within theirs."""
+    late = (f"thrusters={{magnitude_error=0.01,{made}}}", "timing.delay_s=0.25", "timing.missed_periods=1")
+    schedule = kept(f"phased-{made}", lambda: synthesize(scene(*PHASED, *late)))
+    known, timing = schedule.safety.problem.system.error_by_step, schedule.safety.problem.system.timing
+    assert len(np.unique(known, axis=0)) >= 3 and (timing.fired or timing.carried)
+    plain = scene(*PHASED, "thrusters.magnitude_error=0.01", *late[1:]).system().error_by_step
+    assert np.all(known > plain)
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    assert falsify(schedule, 100, 1).failure is None
+    assert np.all(fly_delayed(schedule, 50, 1)[1] <= 1 + 1e-6)
+
+
+def test_without_phases_everything_is_as_it_was():
+    plain, none = scene(PHASED[0]), scene(PHASED[0], "navigation.phases=[]")
+    assert none.system().error_by_step is None and none.system().observer is None
+    assert certificate(synthesize(plain), "tiny") == certificate(synthesize(none), "tiny")
+
+
+@pytest.mark.parametrize(
+    ("assignments", "field"),
+    [
+        ((*MEASURED, PHASED[0]), "navigation.measurement"),
+        ((MEASURED[0],), "navigation.measurement.error"),
+        ((MEASURED[0], "navigation.measurement.error=[0.1]"), "navigation.measurement.error"),
+        ((*MEASURED, "feedback={kind='continuous'}"), "navigation.measurement"),
+        ((*MEASURED, "timing.missed_periods=1"), "timing.missed_periods"),
+        (("navigation.measurement.position_error_m=0.1",), "navigation.measurement.position_error_m"),
+        (("navigation.measurement.matrix=[[0,0,1,0]]", "navigation.measurement.error=[0.1]"), "navigation"),
+        (("navigation.measurement.matrix=[[1,0]]", "navigation.measurement.error=[0.1]"), "navigation"),
+        (("navigation.phases=[{from_s=3.0},{from_s=3.0}]",), "navigation.phases"),
+        (("navigation.phases=[{from_s=3.0,position_error_m=1.0}]",), "navigation.phases[0].position_error_m"),
+        ((*MEASURED, "thrusters.pulse='centred'"), "navigation.measurement"),
+        ((*MEASURED, "thrusters={impulse_bit_N_s=0.001,remainder='carried'}"), "navigation.measurement"),
+        ((*MEASURED, "faults=[{kind='navigation_lost',lasts_s=1.0}]"), "faults"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(assignments, field):
+    with pytest.raises(ScenarioError) as error:
+        scene(*assignments)
+    assert error.value.field.startswith(field)
+
+
+def test_forged_observers_are_refused(tmp_path):
+    """Neither another gain, nor less noise, nor smaller bounds than they give."""
+    forger = Forger(make([*SAMPLED[:2], *MEASURED], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    data = forger.tree(CERTIFICATE)["system"]
+
+    def judged(observer=(), **system):
+        told = data | system | {"observer": data["observer"] | dict(observer)}
+        return forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": told})})
+
+    half = [[(float.fromhex(x) / 2).hex() for x in row] for row in data["observer"]["gain"]]
+    less = [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]
+    for verdict in (judged({"gain": half}), judged(estimate_error=less)):
+        assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    assert judged({"noise": [(0.001).hex()] * 2}).outcome == "REJECTED"
+    document, honest = Document(forger.honest), forger.tree("scenario.toml")
+    assert measured_errors(document, honest) == [document.measured]
+    for key, there in (("fired", [1.0]), ("carried", 0.001), ("transients", [{"name": "stuck_on"}])):
+        forged = copy(document)
+        setattr(forged, key, there)
+        with pytest.raises(Rejected, match="an observer with pulses"):
+            measured_errors(forged, honest)
+    scenario = forger.tree("scenario.toml")
+    scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
+    assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
+
+
+@pytest.mark.slow
+def test_forged_phases_are_refused(tmp_path):
+    forger = Forger(make([*SAMPLED[:2], *PHASED, "timing.delay_s=0.25"], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    data = forger.tree(CERTIFICATE)["system"]
+    for step in (3, 12):
+        less = [list(row) for row in data["error_by_step"]]
+        less[step] = [(float.fromhex(x) * 0.999).hex() for x in less[step]]
+        told = data | {"error_by_step": less}
+        assert forger.judge({CERTIFICATE: json.dumps(forger.honest | {"system": told})}).outcome == "REJECTED"
+    for phase, key, value in ((0, "from_s", 4.5), (1, "state_error", [0.007, 0.0, 0.003, 0.003])):
+        scenario = forger.tree("scenario.toml")
+        scenario["navigation"]["phases"][phase][key] = value
+        assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
+
+
+@pytest.mark.slow
+def test_proofs_of_random_scenes_hold_with_observers_and_phases():
+    scenes = 0
+    for seed in range(5000, 5080):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "scene.toml"
+            path.write_text(random_scenario(seed), encoding="utf-8")
+            scenario = load_scenario(path, ["recoverable.kind=polytope"])
+        problem, rng = scenario.problem(), np.random.default_rng(seed)
+        hill, widths = problem.system.mean_motion is not None, problem.initial_set.half_widths / 20
+        T, n = problem.K * problem.delta, problem.system.n
+        if problem.period and seed % 4:
+            key = "position_error_m" if hill else "error"
+            more = [f"navigation.measurement.{key}={(widths[: n // 2] + 1e-9).tolist()}"]
+            rows = [] if hill else [f"navigation.measurement.matrix={np.eye(n)[: n // 2].tolist()}"]
+            more += [*rows, f"timing.delay_s={problem.period}", "thrusters.mass_error=0.01"]
+        else:
+            keys = ("position_error_m", "velocity_error_m_s") if hill else ("state_error",)
+            parts = [np.split(widths * size, len(keys)) for size in rng.uniform(0, 1.5, 3)]
+            told = [",".join(f"{k}={v.tolist()}" for k, v in zip(keys, part, strict=True)) for part in parts]
+            more = [f"navigation.{k}={v.tolist()}" for k, v in zip(keys, parts[0], strict=True)]
+            later = [f"{{from_s={at * T},{each}}}" for at, each in zip((0.37, 0.8), told[1:], strict=True)]
+            more.append(f"navigation.phases=[{','.join(later)}]")
+        try:
+            schedule = synthesize(scenario.with_assignments(more))
+        except PolarisError:
+            continue
+        scenes += 1
+        judge(seed, attack(schedule, 100, seed))
+        assert falsify(schedule, 100, seed).failure is None
+        if scenes % 10 == 1 and (monitor := monitored(seed, schedule)) is not None:
+            judge(seed, attack_monitor(monitor, 30, seed)[0])
+        if schedule.safety.problem.system.observer is not None:
+            assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1 + 1e-6), seed
+    assert scenes >= 40

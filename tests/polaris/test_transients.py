@@ -1,0 +1,198 @@
+"""Faults that are isolated late: in sets, certificates, and flown where they are worst."""
+
+import copy
+import json
+from functools import cache
+
+import flint
+import numpy as np
+import pytest
+
+from polaris.certificate.argument import Argument
+from polaris.certificate.balls import PRECISION
+from polaris.certificate.document import Document
+from polaris.certificate.verdict import Record
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.runs.case import replay, write_case
+from polaris.runs.certificate import certificate
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.orbit.environment import Environment
+from polaris.simulation.orbit.truth import fly_true
+from polaris.synthesis.synthesize import synthesize
+
+from .forging import CERTIFICATE, Forger, make
+from .test_error_sources import exact, tables
+from .tiny import TINY
+
+SOFT = ["tracking.R=[60.0,60.0]", "feedback.kind=sampled", "feedback.period_s=0.25"]
+LATE = 'faults=[{kind="loss",share=0.1,isolation_s=0.3}]'
+LOST = 'faults=[{kind="navigation_lost",lasts_s=1.0}]'
+KINDS = ("loss", "stuck_off", "stuck_on", "navigation_lost")
+
+
+def failing(scenario, seed):
+    """Assignments of a fault that is isolated late, of each kind in turn; thrusters come in twos."""
+    rng, kind, u_max = np.random.default_rng(seed), KINDS[seed % 4], scenario.system().u_max
+    step, m = scenario.step, len(u_max)
+    period = scenario.problem().period or step / 4
+    sampled = ["feedback.kind=sampled", f"feedback.period_s={period!r}"]
+    if kind == "navigation_lost":
+        return [*sampled, f'faults=[{{kind="{kind}",lasts_s={max(rng.uniform(0.2, 2) * step, period)!r}}}]']
+    share = f"share={rng.uniform(0.1, 0.4):.3g}," if kind == "loss" else ""
+    ways = np.vstack([np.eye(m), -np.eye(m)] * 2)
+    limits = [*u_max.tolist() * 4]
+    fault = f'faults=[{{kind="{kind}",{share}isolation_s={period * rng.uniform(1, 2)!r}}}]'
+    return [*sampled, f"thrusters.directions={ways.tolist()}", f"thrusters.thrust_max_N={limits}", fault]
+
+
+@cache
+def made(seed, errors=False):
+    """Schedule of a random scene with a fault that is isolated late, if it is proved."""
+    scenario = exact(seed)
+    given = [x for x in tables(scenario, seed, 0.05) if "thrusters" not in x] if errors else []
+    try:
+        return synthesize(scenario.with_assignments([*given, *failing(scenario, seed)]))
+    except PolarisError:
+        return None
+
+
+def checked(schedule):
+    """Whether the checker's argument holds, the fault derived by itself."""
+    told, record = Document(json.loads(json.dumps(certificate(schedule, "scene")))), Record()
+    with flint.ctx.workprec(2 * PRECISION):
+        Argument(told, record).run()
+    return ("guarantee", "proved") in record.checked
+
+
+@pytest.mark.parametrize("seed", [pytest.param(5006, marks=pytest.mark.slow), 5007])
+def test_a_few_proofs_hold_with_a_fault_in_every_flight(seed):
+    schedule = made(seed)
+    assert checked(schedule) and schedule.share() > 0.5
+    assert falsify(schedule, 300, seed).failure is None
+
+
+@pytest.mark.slow
+def test_many_proofs_hold_with_a_fault_in_every_flight():
+    proved = [0] * 4
+    for seed in range(5000, 5036):
+        if (schedule := made(seed, seed % 3 == 0)) is not None:
+            assert checked(schedule), seed
+            assert falsify(schedule, 600, seed).failure is None, seed
+            proved[seed % 4] += 1
+    assert sum(proved) >= 20 and min(proved) >= 3
+
+
+@pytest.mark.parametrize("given", [LATE, LOST])
+def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
+    """S alone, from a box that is left, or a thruster that pushes as hard as it may until S knows."""
+    tracking = synthesize(load_scenario(TINY).with_assignments([*SOFT, given])).safety.tracking
+    rows = np.vstack([tracking.system.position, tracking.gain])
+    bound, box = tracking.left(rows, tracking.upsets)[-1].max(axis=1), tracking.upsets.max(axis=0)
+    reached = np.max(np.abs(rows @ tracking.transitions) @ box, axis=0)
+    assert np.all(reached <= bound) and np.all(reached > 0.8 * bound)
+    fault, steps = tracking.system.transients[0], 50
+    if not len(fault.thrust):
+        w, age = tracking.system.w_max, fault.lasts + tracking.flow.h  # a double integrator, along one axis
+        assert box == pytest.approx([w * age**2 / 2] * 2 + [w * age] * 2, rel=1e-6)
+        return
+    flow = type(tracking.flow).continuous(tracking.flow.A_c, tracking.flow.D, 0.0, fault.lasts / steps)
+    x = np.zeros(4)
+    for _ in range(steps):
+        x = flow.phi @ x + flow.input_map(tracking.system.B) @ fault.pushes[-1]
+    assert np.all(np.abs(x) <= box) and abs(x[2]) > 0.4 * box[2]
+
+
+@pytest.mark.parametrize("told", ['kind="stuck_on",isolation_s=2.0', 'kind="navigation_lost",lasts_s=6.0'])
+def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
+    """The same flights refute a schedule that was made without them, and the case can be flown again."""
+    ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2
+    twos = [f"thrusters.directions={ways}", "thrusters.thrust_max_N=1.0"]
+    known = load_scenario(TINY).with_assignments([*SOFT, *twos, 'faults=[{kind="stuck_off"}]'])
+    late = known.with_assignments([f"faults=[{{{told}}}]"])
+    schedule, late = synthesize(known), late.problem().system.transients
+    object.__setattr__(schedule.safety.problem.system, "transients", late)
+    found = falsify(schedule, 3000, 0)
+    assert found.failure is not None and found.case[0].failing is not None
+    again, _ = replay(write_case(tmp_path / "case.json", known, found))
+    assert again == found.failure
+
+
+@pytest.mark.slow
+def test_in_the_nonlinear_motion_a_craft_without_measurements_flies_on_its_prediction():
+    given = [
+        "feedback.kind=sampled",
+        "feedback.period_s=2.0",
+        "timing.delay_s=2.0",
+        "recoverable.recourse=none",
+    ]
+    given += ["navigation.position_error_m=0.05", "navigation.velocity_error_m_s=0.002"]
+    faults = '{kind="navigation_lost",lasts_s=60.0},{kind="loss",share=0.2,isolation_s=4.0}'
+    schedule = synthesize(load_scenario("static").with_assignments([*given, f"faults=[{faults}]"]))
+    flown = fly_true(schedule, Environment(schedule.safety.problem.system.mean_motion, 0.9), 24, substeps=1)
+    assert not flown.runs.metrics().collided.any()
+
+
+def test_known_at_once_is_as_before_and_other_numbers_are_not():
+    plain = load_scenario(TINY).with_assignments([*SOFT, 'faults=[{kind="loss",share=0.1}]'])
+    zero = certificate(synthesize(plain.with_assignments(["faults.0.isolation_s=0.0"])), "tiny")
+    assert zero == certificate(synthesize(plain), "tiny") and "transients" not in zero["system"]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        'kind="stuck_on"',
+        'kind="stuck_on",isolation_s=0.0',
+        'kind="navigation_lost"',
+        'kind="loss",share=0.1,isolation_s=-1.0',
+        'kind="loss",share=0.1,isolation_s=1.0',  # with continuous feedback
+    ],
+)
+def test_bad_tables_are_refused_by_name(fault):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments([f"faults=[{{{fault}}}]"])
+    assert error.value.field.startswith("faults")
+
+
+def test_what_cannot_be_survived_or_is_not_covered_is_named():
+    scenario = load_scenario(TINY).with_assignments(SOFT)
+    with pytest.raises(
+        SynthesisInfeasible, match=r"While loss lasts, 0.8 s, it may take .* m of every clearance"
+    ):
+        synthesize(scenario.with_assignments(['faults=[{kind="loss",share=0.3,isolation_s=0.8}]']))
+    schedule = synthesize(scenario.with_assignments([LOST]))
+    with pytest.raises(ScenarioError, match="run-time methods know no faults"):
+        DecisionGrid.of(schedule)
+    with pytest.raises(ScenarioError, match="polytope"):
+        synthesize(scenario.with_assignments([LOST, "recoverable.kind=ball"]))
+
+
+def test_forged_transients_are_refused(tmp_path):
+    forger = Forger(make([*SOFT, LATE, "simulation.runs=2"], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+
+    def forged(change):
+        data = copy.deepcopy(forger.honest)
+        change(data["system"]["transients"])
+        return forger.judge({CERTIFICATE: json.dumps(data)})
+
+    def shorter(faults):
+        faults[0]["lasts"] = (0.1).hex()
+
+    def weaker(faults):
+        faults[0]["pushes"][0] = [(0.01).hex(), (0.01).hex()]
+
+    def fewer(faults):
+        faults[0]["pushes"].pop()
+
+    def other(faults):
+        faults[0]["name"] = "navigation_lost"
+
+    for change in (shorter, weaker, fewer, other):
+        verdict = forged(change)
+        assert verdict.outcome == "REJECTED", change.__name__
+    without = copy.deepcopy(forger.honest)
+    del without["system"]["transients"]
+    assert forger.judge({CERTIFICATE: json.dumps(without)}).outcome == "REJECTED"
