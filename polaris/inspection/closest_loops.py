@@ -1,7 +1,7 @@
-"""Closest approaches of free flights in loops over single ones, for numba to compile.
+"""Closest approaches of free flights, and motions within a period, in loops for numba to compile.
 
-Formulas are those of `polaris.inspection.closest`, which are what these loops are tested against, to
-rounding; the accounts of what they mean are there.
+Formulas are those of `polaris.inspection.closest` and `polaris.inspection.constraints.motion`, which are what
+these loops are tested against, to rounding; the accounts of what they mean are there.
 """
 
 from __future__ import annotations
@@ -32,6 +32,39 @@ def approaches(x: Array, pairs: Array, beyond: float, flight: Array) -> Array:
             if distance <= beyond:
                 angle = n * when
                 _position(_parts(z, n), when, 2 * np.sin(angle / 2) ** 2, np.sin(angle), found[r, k, 2:])
+    return found
+
+
+@compiled
+def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
+    """Bounds as of `Motion`, (R, N + P, 5); of known thrust if it is `held` (R, N, 3), not (1, 0, 3).
+
+    For `numbers` see `polaris.inspection.loops.rows`.
+    """
+    runs, deputies, n, D, growth = len(x), x.shape[1], numbers[0], numbers[11], numbers[13]
+    found, z, push, known = (
+        np.empty((runs, deputies + len(pairs), 5)),
+        np.empty(6),
+        np.zeros(3),
+        held.shape[1] > 0,
+    )
+    for r in range(runs):
+        for k in range(deputies + len(pairs)):
+            thrust, spread = (1.0 if k < deputies else 2.0) * numbers[14], 1 - 1 / np.sqrt(3)
+            one, two = (k, -1) if k < deputies else (pairs[k - deputies, 0], pairs[k - deputies, 1])
+            for j in range(6):
+                z[j] = x[r, one, j] - (x[r, two, j] if two >= 0 else 0.0)
+            if known:
+                for j in range(3):
+                    push[j] = (held[r, one, j] - (held[r, two, j] if two >= 0 else 0.0)) * numbers[1]
+                thrust, spread = np.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2), 0.0
+            ax, ay = 3 * n**2 * z[0] + 2 * n * z[4] + push[0], push[1] - 2 * n * z[3]
+            a = np.sqrt(ax**2 + ay**2 + (push[2] - n**2 * z[2]) ** 2) + (0.0 if known else thrust)
+            speed = np.sqrt(z[3] ** 2 + z[4] ** 2 + z[5] ** 2)
+            a = (a + 3 * n**2 * speed * D) * growth
+            fastest = speed + a * D
+            found[r, k, 0], found[r, k, 1], found[r, k, 2] = fastest, a, 3 * n**2 * fastest + 2 * n * a
+            found[r, k, 3], found[r, k, 4] = thrust, a - spread * thrust
     return found
 
 

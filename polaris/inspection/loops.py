@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..model.compiled import compiled
+from ..model.compiled import compiled, inlined
 from ..model.system import Array
 
 SPHERE, CONE, PASSIVE, SPEED, VELOCITY, SEGMENTS = range(6)
@@ -23,11 +23,11 @@ Parts = tuple[Array, Array, Array]
 def rows(
     x: Array,
     sun: Array,
+    about: Array,
     pairs: Array,
     table: Array,
     values: Array,
     numbers: Array,
-    about: Array,
     flights: Array,
 ) -> Parts:
     """Values (R, M), ``G`` (R, M, 3) and bounds (R, M) at states x (R, N, 6) and sun angles (R,) [rad].
@@ -35,68 +35,70 @@ def rows(
     `table` (M, 2) has a row's formula and its place in the stack of deputies and `pairs` (P, 2); `values`
     (M, 9) its radius or axis, acceleration, side, and strengthening. `numbers` are n, 1 / m, the depth of
     the layer, the speed back, the cone's half-angle, least lengths for directions and velocities, nu_0,
-    nu_1, v_max and the closest approach that need not be exact; of sampled data, else 0, the period and the
-    share, and of free flights the bow per amplitude, its margin, and how thrust turns them. `about`
-    (R, N + P, 5) is what `approaches` found; for sampled data it is `Motion.stacked`, and `flights`
-    (S + 2, 4, 6) has the maps of free flights to S places, with their norms, and to the circle's vectors.
+    nu_1, v_max and the closest approach that need not be exact; of sampled data, else 0, the period, the
+    share, the growth, the largest acceleration by thrust, and of free flights the bow per amplitude, its
+    margin, and how thrust turns them. `about` (R, N + P, 5) is what `approaches` found, or for sampled data
+    `motions`, and `flights` (S + 2, 4, 6) has the maps of free flights to S places, with their norms, and to
+    the circle's vectors.
     """
-    runs, deputies, count = x.shape[0], x.shape[1], len(table)
+    runs, deputies, count, n = x.shape[0], x.shape[1], len(table), numbers[0]
     h, G, bound = np.empty((runs, count)), np.empty((runs, count, 3)), np.empty((runs, count))
     z, gradient, seen = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)
-    tight, motion = numbers[11] > 0, np.zeros(5)
+    s, v, found, tight = np.empty(6), np.empty(9), np.empty(5), numbers[11] > 0  # copies: quicker than views
     for r in range(runs):
         z[:deputies] = x[r]
         for k in range(len(pairs)):
             for j in range(6):
                 z[deputies + k, j] = x[r, pairs[k, 0], j] - x[r, pairs[k, 1], j]
-        cosine, sine, m = np.cos(sun[r]), np.sin(sun[r]), 0
+        cone, m = (np.cos(sun[r]), np.sin(sun[r]), np.cos(numbers[4]), np.sin(numbers[4])), 0
         while m < count:
             formula, at, change, curvature = table[m, 0], table[m, 1], 0.0, 0.0
-            s = z[at]
-            for j in range(5 if tight else 0):
-                motion[j] = about[r, at, j]
+            for j in range(9):
+                v[j] = values[m, j]
+            for j in range(6):
+                s[j] = z[at, j]
+            for j in range(5):
+                found[j] = about[r, at, j]
             if formula == SEGMENTS:
                 last = m + 2 * len(flights) - 6
                 part = h[r, m:last], G[r, m:last], bound[r, m:last]
-                _segments(s, motion, values[m], numbers, flights, part)
+                _segments(s, found, v, numbers, flights, part)
                 m = last
                 continue
             if formula == SPHERE:
-                value = _sphere(s, values[m], numbers, gradient, seen)
+                value = _sphere(s, v, numbers, gradient, seen)
             elif formula == CONE:
-                value, change = _cone(s, cosine, sine, values[m], numbers, gradient, seen)
+                value, change = _cone(s, cone, v, numbers, gradient, seen)
             elif formula == PASSIVE:
-                value = about[r, at, 0] - values[m, 0]
-                _passive(about[r, at], numbers[10], numbers[0], gradient)
+                value = found[0] - v[0]
+                _passive(found, numbers[10], numbers[0], gradient)
             elif formula == SPEED:
-                value, curvature = _speed(s, tight, motion, numbers, gradient)
+                value, curvature = _speed(s, tight, found, numbers, gradient)
             else:
-                value, curvature = _velocity(s, int(values[m, 0]), tight, motion, numbers, gradient)
+                value, curvature = _velocity(s, int(v[0]), tight, found, numbers, gradient)
             if tight and formula <= CONE:
-                curvature = _curvature(s, seen, formula == CONE, motion, values[m], numbers)
+                curvature = _curvature(s, seen, formula == CONE, found, v, numbers)
             h[r, m] = value
             for j in range(3):
                 G[r, m, j] = gradient[3 + j] * numbers[1]
-            bound[r, m] = _least(s, gradient, change, value, curvature, values[m], numbers)
+            rate = change + gradient[0] * s[3] + gradient[1] * s[4] + gradient[2] * s[5]
+            rate += gradient[3] * (3 * n**2 * s[0] + 2 * n * s[4]) - gradient[4] * 2 * n * s[3]
+            bound[r, m] = _least(rate - gradient[5] * n**2 * s[2], value, curvature, v, numbers)
             m += 1
     return h, G, bound
 
 
-@compiled
-def _least(
-    z: Array, gradient: Array, change: float, h: float, curvature: float, values: Array, numbers: Array
-) -> float:
-    """The bound of a row, tightened for sampled data."""
-    n, alpha, D = numbers[0], _alpha(h, values), numbers[11]
-    rate = gradient[0] * z[3] + gradient[1] * z[4] + gradient[2] * z[5]
-    rate += gradient[3] * (3 * n**2 * z[0] + 2 * n * z[4]) - gradient[4] * 2 * n * z[3]
-    bound = -(rate + change - gradient[5] * n**2 * z[2]) - alpha
+@inlined
+def _least(rate: float, h: float, curvature: float, values: Array, numbers: Array) -> float:
+    """The bound of a row whose value has a rate without thrust, tightened for sampled data."""
+    alpha, D = _alpha(h, values), numbers[11]
+    bound = -rate - alpha
     if D > 0:
         bound += (max(alpha - h * (numbers[12] / D), 0.0) if h > 0 else 0.0) + curvature * (D / 2)
     return float(bound)
 
 
-@compiled
+@inlined
 def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, numbers: Array) -> float:
     """As `Braking.curvature`, of the signed distance, its rate and the distance that are `seen`."""
     delta, rate, distance, D = seen[0], seen[1], seen[2], numbers[11]
@@ -125,48 +127,50 @@ def _curvature(z: Array, seen: Array, cone: bool, motion: Array, values: Array, 
     return float(bend * fastest**2 + steepest * low + third)
 
 
-@compiled
+@inlined
 def _segments(z: Array, motion: Array, values: Array, numbers: Array, flights: Array, out: Parts) -> None:
     """All rows of a free flight, as `PassiveSegments`."""
-    S, bow, margin, turn, (h, G, bound) = len(flights) - 2, numbers[13], numbers[14], numbers[15], out
-    places, growth = np.zeros((S + 2, 3)), np.zeros(6)
-    outward, gradient = np.empty(3), np.empty(6)
-    for s in range(S + 2):
+    S, bow, margin, turn, (h, G, bound) = len(flights) - 2, numbers[15], numbers[16], numbers[17], out
+    n, places, growth, o = numbers[0], np.zeros((S + 2, 6)), np.zeros(4), np.empty(3)
+    drift = z[3], z[4], z[5], 3 * n**2 * z[0] + 2 * n * z[4], -2 * n * z[3], -(n**2) * z[2]
+    for s in range(S + 2):  # where each map leads, and how that changes without thrust
         for i in range(3):
             for j in range(6):
                 places[s, i] += flights[s, i, j] * z[j]
-    amplitude = np.sqrt((places[S:] ** 2).sum() + margin**2)
+                places[s, 3 + i] += flights[s, i, j] * drift[j]
+    amplitude = np.sqrt((places[S:, :3] ** 2).sum() + margin**2)
     for s in range(S, S + 2):
         for i in range(3):
-            for j in range(6):
-                growth[j] += bow / amplitude * places[s, i] * flights[s, i, j]
+            part = bow / amplitude * places[s, i]
+            growth[3] += part * places[s, 3 + i]
+            for j in range(3):
+                growth[j] += part * flights[s, i, 3 + j]
     rate = turn * motion[3]
-    turned = bow * (rate**2 / max(amplitude - rate * numbers[11], margin) + numbers[0] * rate)
+    turned = bow * (rate**2 / max(amplitude - rate * numbers[11], margin) + n * rate)
     for s in range(S - 1):
-        start, end, along, across = places[s], places[s + 1], 0.0, 0.0
+        along = across = 0.0
         for i in range(3):
-            along, across = along - start[i] * (end[i] - start[i]), across + (end[i] - start[i]) ** 2
+            chord = places[s + 1, i] - places[s, i]
+            along, across = along - places[s, i] * chord, across + chord**2
         part = min(max(along / max(across, 1e-30), 0.0), 1.0)
         for i in range(3):
-            outward[i] = start[i] + part * (end[i] - start[i])
-        by = _rounded(outward[0], outward[1], outward[2], 1e-9)[1]
+            o[i] = places[s, i] + part * (places[s + 1, i] - places[s, i])
+        by = _rounded(o[0], o[1], o[2], 1e-9)[1]
         for i in range(3):
-            outward[i] /= by
+            o[i] /= by
         for k in range(2 * s, 2 * s + 2):
-            place, at = places[s + k % 2], flights[s + k % 2]
-            for j in range(6):
-                gradient[j] = (
-                    outward[0] * at[0, j] + outward[1] * at[1, j] + outward[2] * at[2, j] - growth[j]
-                )
-            value = outward[0] * place[0] + outward[1] * place[1] + outward[2] * place[2]
-            h[k] = value = value - values[0] - bow * amplitude
+            at, gain = s + k % 2, flights[s + k % 2]
+            value, rate = -values[0] - bow * amplitude, -growth[3]
+            for i in range(3):
+                value, rate = value + o[i] * places[at, i], rate + o[i] * places[at, 3 + i]
             for j in range(3):
-                G[k, j] = gradient[3 + j] * numbers[1]
-            curvature = motion[1] * at[3, 0] + motion[2] * at[3, 1] + turned
-            bound[k] = _least(z, gradient, 0.0, value, curvature, values, numbers)
+                turns = o[0] * gain[0, 3 + j] + o[1] * gain[1, 3 + j] + o[2] * gain[2, 3 + j]
+                G[k, j] = (turns - growth[j]) * numbers[1]
+            curvature = motion[1] * gain[3, 0] + motion[2] * gain[3, 1] + turned
+            h[k], bound[k] = value, _least(rate, value, curvature, values, numbers)
 
 
-@compiled
+@inlined
 def _alpha(h: float, values: Array) -> float:
     s = h - values[6]
     size = abs(s)
@@ -174,7 +178,7 @@ def _alpha(h: float, values: Array) -> float:
     return float(values[7] * alpha - values[8] if s < 0 else alpha)
 
 
-@compiled
+@inlined
 def _rounded(a: float, b: float, c: float, least: float) -> tuple[float, float]:
     """Length, and what to divide by for a direction."""
     exact = np.sqrt(a * a + b * b + c * c)
@@ -183,7 +187,7 @@ def _rounded(a: float, b: float, c: float, least: float) -> tuple[float, float]:
     return exact + (least - exact) ** 2 / (2 * least), least
 
 
-@compiled
+@inlined
 def _braking(delta: float, a: float, depth: float, back: float) -> tuple[float, float]:
     """Speed at a signed distance, and its slope."""
     k, half = np.sqrt(a / depth), depth / 2
@@ -195,7 +199,7 @@ def _braking(delta: float, a: float, depth: float, back: float) -> tuple[float, 
     return speed, slope
 
 
-@compiled
+@inlined
 def _sphere(z: Array, values: Array, numbers: Array, gradient: Array, seen: Array) -> float:
     """Value; `seen` are the signed distance, its rate and the distance."""
     centre, side = numbers[5], values[2]
@@ -215,18 +219,17 @@ def _sphere(z: Array, values: Array, numbers: Array, gradient: Array, seen: Arra
     return float(speed + side * away)
 
 
-@compiled
+@inlined
 def _cone(
-    z: Array, cosine: float, sine: float, values: Array, numbers: Array, gradient: Array, seen: Array
+    z: Array, cone: tuple[float, ...], values: Array, numbers: Array, gradient: Array, seen: Array
 ) -> tuple[float, float]:
     """Value, and its change with time: the cone turns at -n; `seen` as in `_sphere`."""
-    n, centre = numbers[0], numbers[5]
+    n, centre, (cosine, sine, c, s) = numbers[0], numbers[5], cone
     ax, ay = -values[2] * cosine, -values[2] * sine
     along = z[0] * ax + z[1] * ay
     px, py = z[0] - along * ax, z[1] - along * ay
     radius, by = _rounded(px, py, z[2], centre)
     ox, oy, oz = px / by, py / by, z[2] / by
-    c, s = np.cos(numbers[4]), np.sin(numbers[4])
     nx, ny, nz = c * ox - s * ax, c * oy - s * ay, c * oz
     delta = c * radius - s * along
     speed, slope = _braking(delta, values[1], numbers[2], numbers[3])
@@ -245,7 +248,7 @@ def _cone(
     return speed + rate, n * change
 
 
-@compiled
+@inlined
 def _speed(z: Array, tight: bool, motion: Array, numbers: Array, gradient: Array) -> tuple[float, float]:
     """Value and curvature, the latter of the form in squares."""
     distance, by = _rounded(z[0], z[1], z[2], numbers[5])
@@ -262,13 +265,14 @@ def _speed(z: Array, tight: bool, motion: Array, numbers: Array, gradient: Array
     return limit - speed, M
 
 
-@compiled
+@inlined
 def _velocity(
     z: Array, axis: int, tight: bool, motion: Array, numbers: Array, gradient: Array
 ) -> tuple[float, float]:
     """Value and curvature, the latter of the form on the nearer side."""
     limit, along, M = numbers[9], z[3 + axis], 0.0
-    gradient[:] = 0.0
+    for j in range(6):
+        gradient[j] = 0.0
     gradient[3 + axis] = -2 * along
     if tight:
         speed, change = abs(along), motion[4] * numbers[11]
@@ -278,9 +282,10 @@ def _velocity(
     return limit**2 - along**2, M
 
 
-@compiled
+@inlined
 def _passive(found: Array, beyond: float, n: float, gradient: Array) -> None:
-    gradient[:] = 0.0
+    for j in range(6):
+        gradient[j] = 0.0
     if found[0] <= beyond:  # farther, the row allows every input
         when = found[1]
         s, c = np.sin(n * when), np.cos(n * when)

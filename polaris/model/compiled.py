@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
@@ -29,8 +29,8 @@ def plain(x: Array) -> Array:
     return x if good else np.array(x, dtype=np.float64, order="C")
 
 
-def compiled(loop: Loop) -> Loop:
-    """Compile a function of loops at its first call; as it stands without numba, for tests.
+def compiled(loop: Loop, inline: bool = False) -> Loop:
+    """Compile a function of loops, at its first call or into its callers; without numba it stands as it is.
 
     What is compiled is kept on disk, by its file alone: such a function calls no function of another file,
     and takes constants of other files as arguments. Operations keep their order and their rounding.
@@ -39,11 +39,16 @@ def compiled(loop: Loop) -> Loop:
         return loop
     import numba
 
+    options = {"error_model": "numpy", "nogil": True, "forceinline": inline}
     try:
-        made: Loop = numba.njit(cache=True, error_model="numpy", nogil=True)(loop)
+        made: Loop = numba.njit(cache=True, **options)(loop)
     except RuntimeError:  # nowhere to keep it
-        made = numba.njit(error_model="numpy", nogil=True)(loop)
+        made = numba.njit(**options)(loop)
     return made
+
+
+inlined = partial(compiled, inline=True)
+"""For functions that `compiled` ones of their file call many times: the call costs more than they do."""
 
 
 @cache

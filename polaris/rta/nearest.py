@@ -29,10 +29,11 @@ MET = 1e-13  # violation of a row of length 1 at which the method stops
 def alone(
     G: Array, bounds: Array, mine: Index, sign: Array, desired: Array, limit: float
 ) -> tuple[Array, Statuses, int]:
-    """Project each deputy's input (R, N, 3) on its own rows: `mine` (N, m) of G (R, M, 3).
+    """Project each deputy's input (R, N, 3), clipped, on its own rows: `mine` (N, m) of G (R, M, 3).
 
-    `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative.
-    Returned are the inputs, how they came about (R, N), `LEFT` where they did not, and how many were left.
+    `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative; or
+    (1, R, M) for both. Returned are the inputs, how they came about (R, N), and how many were left: those are
+    `LEFT`, as clipped.
     """
     runs, deputies, count = desired.shape[0], desired.shape[1], mine.shape[1]
     u, status, left = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0
@@ -47,13 +48,13 @@ def alone(
                     rows[kept, j] = sign[i, k] * G[r, m, j]
                     value += rows[kept, j] * u[r, i, j]
                     span += abs(rows[kept, j])
-                least[kept] = bounds[0 if sign[i, k] > 0 else 1, r, m]
+                least[kept] = bounds[0 if sign[i, k] > 0 else len(bounds) - 1, r, m]
                 met = met and value >= least[kept]
                 if not least[kept] <= -limit * span:  # the others hold for every admissible input
                     columns[kept] = 0, 1, 2
                     kept += 1
             if not met:
-                good = _nearest((rows, columns, least), kept, desired[r, i], limit, u[r, i])
+                good = _nearest((rows, columns, least), kept, u[r, i].copy(), limit, u[r, i])
                 status[r, i], left = (FILTERED, left) if good else (LEFT, left + 1)
     return u, status, left
 
@@ -87,7 +88,7 @@ def coupled(
                 for k in range(3):
                     rows[at, k], columns[at, k] = G[r, m, k], 3 * i + k
                     rows[at, 3 + k], columns[at, 3 + k] = (-G[r, m, k] if j >= 0 else 0.0), 3 * max(j, 0) + k
-            if not _nearest((rows, columns, least), len(kept), desired[r].copy().reshape(size), limit, found):
+            if not _nearest((rows, columns, least), len(kept), u[r].copy().reshape(size), limit, found):
                 status[r], left = LEFT, left + 1
                 continue
             u[r] = found.reshape(deputies, 3)
@@ -102,15 +103,18 @@ def _clip(desired: Array, limit: float, u: Array) -> bool:
     """Clip an input to the limits; whether that leaves it as it is."""
     same = True
     for k in range(3):
-        u[k] = min(max(desired[k], -limit), limit)
+        u[k] = limit if desired[k] > limit else -limit if desired[k] < -limit else desired[k]  # nan stays
         same = same and u[k] == desired[k]
     return same
 
 
 @compiled
-def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within: float) -> Index:
-    """Rows (of one run) that an input (N, 3) meets with equality, but for `within` times their size."""
-    found, count = np.empty(len(first), np.int64), 0
+def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within: float, most: float) -> Index:
+    """Rows (of one run) that an input (N, 3) meets with equality, but for `within` times their size.
+
+    Behind the rows are counted the deputies with an input of at least `most`.
+    """
+    found, count = np.empty(len(first) + len(u), np.int64), 0
     for m in range(len(first)):
         gap, size = -bound[m], 0.0
         for k in range(3):
@@ -118,6 +122,10 @@ def tight(G: Array, bound: Array, first: Index, second: Index, u: Array, within:
             size += abs(G[m, k])
         if gap <= within * size:
             found[count] = m
+            count += 1
+    for i in range(len(u)):
+        if max(abs(u[i, 0]), abs(u[i, 1]), abs(u[i, 2])) >= most:
+            found[count] = len(first) + i
             count += 1
     return found[:count]
 

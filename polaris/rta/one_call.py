@@ -122,7 +122,7 @@ class Answer:
             return "short"
         if not self.regular and (self.backup & ~self.coasting).any():
             return "backup"
-        return "filtered" if self.intervened.any() else "desired"
+        return "filtered" if True in self.intervened.tolist() else "desired"  # quicker than any()
 
 
 class CallByCall(ABC):

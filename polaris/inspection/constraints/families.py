@@ -85,9 +85,10 @@ class Families(Table):
         super().__init__(inspection, "h", without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
+        self._largest = np.sqrt(3) * inspection.thrust_max / inspection.mass  # acceleration by thrust
         self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
-            (*self._fixed, self._maps), self._approaches = self._for_loops(), approach.loops.approaches
+            self._fixed, self._about = self._for_loops(), approach.loops
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
         """From which value on a passive constraint allows every input: it then need not be exact."""
@@ -101,14 +102,13 @@ class Families(Table):
         lead = x.shape[:-2]
         if x.ndim != 3 or sun.shape != lead:
             x, sun = x.reshape(-1, *x.shape[-2:]), np.broadcast_to(sun, lead).reshape(-1)
+        pairs, _, _, numbers, _ = self._fixed
         if self.sampled is None:
-            about = self._approaches(x, self._fixed[0], self._fixed[3][10], self.approach.numbers)
+            about = self._about.approaches(x, pairs, numbers[10], self.approach.numbers)
         else:
-            every, held = self.stack(x), None if held is None else held.reshape(len(x), -1, 3)
-            motion = self._motion(every, every @ self.inspection.system.A.T, held)
-            assert motion is not None
-            about = motion.stacked()
-        h, G, bound = self.loops.rows(x, plain(sun), *self._fixed, about, self._maps)
+            given = np.empty((1, 0, 3)) if held is None else plain(held).reshape(len(x), -1, 3)
+            about = self._about.motions(x, pairs, given, numbers)
+        h, G, bound = self.loops.rows(x, plain(sun), about, *self._fixed)
         if len(lead) == 1:
             return Rows(h, G, bound)
         return Rows(h.reshape(*lead, -1), G.reshape(*lead, -1, 3), bound.reshape(*lead, -1))
@@ -132,8 +132,10 @@ class Families(Table):
         values[:, 3:] = np.array(self._alpha).T
         about_rows = (q.mean_motion, 1 / q.mass, q.smoothing, q.return_speed, q.field_of_view / 2)
         about_speeds = (CENTRE, STANDSTILL, q.docking_speed, q.nu_1, q.speed_max, exact)
-        periods = (self.sampled.period, self.sampled.share) if self.sampled else (0.0, 0.0)
-        numbers = np.array([*about_rows, *about_speeds, *periods, *flights])
+        periods: tuple[float, ...] = (0.0, 0.0, 0.0)
+        if self.sampled:
+            periods = (self.sampled.period, self.sampled.share, self.sampled.growth(q.mean_motion))
+        numbers = np.array([*about_rows, *about_speeds, *periods, self._largest, *flights])
         return q.pairs, np.stack([table, self.place], axis=1), values, numbers, maps
 
     def rank(self, h: Array) -> Index:
@@ -203,7 +205,7 @@ class Families(Table):
             push = self.stack(held) / q.mass
             rates = drift + np.concatenate([np.zeros_like(push), push], axis=-1)
             return self.sampled.held(every, rates, q.mean_motion, np.sqrt(dot(push, push)))
-        thrust = np.full(every.shape[-2], np.sqrt(3) * q.thrust_max / q.mass)
+        thrust = np.full(every.shape[-2], self._largest)
         thrust[q.deputies :] *= 2
         return self.sampled.motion(every, drift, q.mean_motion, thrust)
 

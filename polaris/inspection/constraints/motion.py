@@ -108,8 +108,3 @@ class Motion:
         """The bounds of some states."""
         parts = (self.speed, self.acceleration, self.jerk, self.thrust, self.along)
         return Motion(self.period, *(part[..., place] for part in parts))
-
-    def stacked(self) -> Array:
-        """All bounds, shape (..., 5), in the order above."""
-        parts = self.speed, self.acceleration, self.jerk, self.thrust, self.along
-        return np.stack(np.broadcast_arrays(*parts), axis=-1)

@@ -48,7 +48,9 @@ class ActiveSetFilter(CallByCall):
         self.filtering, self.backup, self.sun_start = filtering, backup, sun_start
         self.families, self.inspection = filtering.families, filtering.families.inspection
         sampled = self.families.sampled
-        labels = np.array(self.families.labels)
+        labels, told = np.array(self.families.labels), self.families.labels
+        self._words = (*told, *(f"thrust[{i}]" for i in range(self.inspection.deputies)))
+        self._most = self.inspection.thrust_max * (1 - 1e-12)
         # Several rows may stand for one constraint; they follow each other.
         self._starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
         self._names = tuple(labels[self._starts].tolist())
@@ -74,7 +76,7 @@ class ActiveSetFilter(CallByCall):
             if on_backup.any():
                 desired = np.where(on_backup[:, None], self._backed_up(self.backup, got, notes), desired)
         sun = np.array([self.sun_start - self.inspection.mean_motion * got.t])
-        found = self.filtering.batch(got.x[None], sun, self._bounded(desired)[None])
+        found = self.filtering.batch(got.x[None], sun, desired[None])
         u, status, rows = found.u[0], found.status[0], found.rows
         worst, changed = max(status.tolist()), status > DESIRED
         failed = self._nobody
@@ -90,18 +92,13 @@ class ActiveSetFilter(CallByCall):
             values = np.minimum.reduceat(values, self._starts)
         margins, short = named(self._names, values), worst == SHORT
         answer = Answer(u, changed, on_backup, self._nobody, margins, notes, short=short, regular=regular)
-        if True in changed.tolist():
+        if worst > DESIRED or True in changed.tolist():
             answer.active = self._active(rows, u)
         if worst >= SHORT:
             answer.missed = self._missed(rows, u)
         if answer.short:
             notes.append(f"no input satisfies all conditions: least violation, misses {_told(answer.missed)}")
         return answer
-
-    def _bounded(self, desired: Array) -> Array:
-        """Commands beyond a million times the limit are as good as that; squares of huge ones overflow."""
-        most = 1e6 * self.inspection.thrust_max
-        return desired if np.vdot(desired, desired) <= most**2 else np.clip(desired, -most, most)
 
     def _missed(self, rows: Rows, u: Array) -> dict[str, float]:
         """Constraints whose condition is not met, and by how much [N]."""
@@ -111,16 +108,13 @@ class ActiveSetFilter(CallByCall):
 
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
-        G, bound = rows.G[0], rows.bound[0]
+        G, bound, families, most = rows.G[0], rows.bound[0], self.families, self._most
         if self.filtering.loops:
-            tight = self.filtering.loops.tight(G, bound, self.families.first, self.families.second, u, TIGHT)
+            tight = self.filtering.loops.tight(G, bound, families.first, families.second, u, TIGHT, most)
         else:
-            gap = dot(G, self.families.relative(u)) - bound
-            tight = np.flatnonzero(gap <= TIGHT * np.abs(G).sum(axis=1))
-        names = dict.fromkeys(self.families.labels[k] for k in tight.tolist())
-        most = self.inspection.thrust_max * (1 - 1e-12)
-        at_limit = (i for i, (a, b, c) in enumerate(np.abs(u).tolist()) if max(a, b, c) >= most)
-        return (*names, *(f"thrust[{i}]" for i in at_limit))
+            met = dot(G, families.relative(u)) - bound <= TIGHT * np.abs(G).sum(axis=1)
+            tight = np.flatnonzero(np.append(met, np.abs(u).max(axis=1) >= most))
+        return tuple(dict.fromkeys([self._words[k] for k in tight.tolist()]))
 
 
 def _told(missed: dict[str, float], most: int = 5) -> str:

@@ -63,25 +63,25 @@ class Centralized:
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        rows, wanted = self.families(x, sun), self.families.given(desired)
-        u, status = self.project(rows, wanted)
+        rows = self.families(x, sun)
+        u, status = self.project(rows, desired)
         if self.families.sampled is not None and status.max() >= SHORT:
             runs = np.flatnonzero(status.max(axis=1) >= SHORT)
-            self._tighten(Filtered(u, status, rows), runs, x, sun, wanted)
-        return Filtered(u, _clipped(status, u, desired), rows)
+            self._tighten(Filtered(u, status, rows), runs, x, sun, desired)
+        return Filtered(u, status, rows)
 
-    def _tighten(self, found: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, wanted: Array) -> None:
+    def _tighten(self, found: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, desired: Array) -> None:
         """Solve again for some runs: bound the curvature by the thrust chosen, not by all there is.
 
         Begun with no thrust's curvature; an answer stands if it satisfies the rows of its own, otherwise
         these are added. Those for which that does not do stay as they are.
         """
-        families, held = self.families, np.zeros_like(wanted[runs])
+        families, held = self.families, np.zeros_like(desired[runs])
         bound: Array = np.full(found.rows.bound[runs].shape, -np.inf)
         for _ in range(TRIES):
             rows = families(x[runs], sun[runs], held)
             bound = np.maximum(bound, rows.bound)
-            held, status = self.project(Rows(rows.h, rows.G, bound), wanted[runs])
+            held, status = self.project(Rows(rows.h, rows.G, bound), desired[runs])
             solved = status.max(axis=1) < SHORT
             if not solved.any():
                 return
@@ -100,7 +100,7 @@ class Centralized:
                 return
 
     def project(self, rows: Rows, desired: Array) -> tuple[Array, Statuses]:
-        """Nearest inputs that satisfy all rows, shapes (R, N, 3) and (R, N)."""
+        """Inputs nearest to the clipped ones that satisfy all rows, shapes (R, N, 3) and (R, N)."""
         families, limit = self.families, self.families.inspection.thrust_max
         who = families.first, families.second
         if self.loops:
@@ -110,13 +110,13 @@ class Centralized:
                 return u, status
             runs = np.flatnonzero(status[:, 0] == LEFT)
         else:
-            u = np.clip(desired, -limit, limit)
+            u = families.given(desired)
             status = _unchanged(u, desired)
             broken = ~(dot(rows.G, families.relative(u)) >= rows.bound)  # nan: not met
             runs = np.flatnonzero(broken.any(axis=1))
         if len(runs):
             G, bound, rank = rows.G[runs], rows.bound[runs], families.rank(rows.h[runs])
-            found = project_coupled(G, bound, desired[runs], limit, *who, rank)
+            found = project_coupled(G, bound, u[runs], limit, *who, rank)
             u[runs] = found.u
             worse = found.status[:, None]
             status[runs] = np.where(worse > FILTERED, worse, _unchanged(found.u, desired[runs]))
@@ -150,20 +150,19 @@ class Decentralized:
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        rows, asked = self.families(x, sun), desired
-        limit, desired = self.families.inspection.thrust_max, self.families.given(asked)
+        rows, limit = self.families(x, sun), self.families.inspection.thrust_max
         bounds, agreed = self._shares(rows, desired.shape[1])
         if self.loops:
             which = self._mine, self._sign, plain(desired)
             u, status, left = self.loops.alone(rows.G, bounds, *which, limit)
             if agreed is None and not left:
-                return Filtered(u, _clipped(status, u, asked), rows)
+                return Filtered(u, status, rows)
             run, who = np.nonzero(status == LEFT)
         else:
-            u = np.clip(desired, -limit, limit)
+            u = self.families.given(desired)
             status = _unchanged(u, desired)
         # Row by row, as the deputies see it: their rows, signs and bounds, shapes (R, N, m, ...).
-        bound = np.where(self._as_second, bounds[1][:, self._mine], bounds[0][:, self._mine])
+        bound = np.where(self._as_second, bounds[-1][:, self._mine], bounds[0][:, self._mine])
         if not self.loops:
             signed = rows.G[:, self._mine] * self._sign[..., None]
             met = np.einsum("rnmv,rnv->rnm", signed, u)
@@ -171,18 +170,19 @@ class Decentralized:
         if len(run):
             signed = rows.G[run[:, None], self._mine[who]] * self._sign[who][..., None]
             rank = self.families.rank(rows.h)[:, self._mine][run, who]
-            found = project(signed, bound[run, who], desired[run, who], limit, rank)
-            u[run, who], status[run, who] = found.u, found.status
+            found = project(signed, bound[run, who], u[run, who], limit, rank)
+            u[run, who] = found.u  # clipping alone counts as filtering, too
+            status[run, who] = np.maximum(found.status, _unchanged(found.u, desired[run, who]))
         if agreed is not None:
             status = np.maximum(status, np.where(agreed >= SHORT, agreed, DESIRED)[:, None]).astype(np.int8)
         u[status == FAILED] = np.nan
-        return Filtered(u, _clipped(status, u, asked), rows)
+        return Filtered(u, status, rows)
 
     def _shares(self, rows: Rows, deputies: int) -> tuple[Array, Statuses | None]:
-        """Bounds for a row's first and second deputy, (2, R, M); the status of what was agreed, (R,)."""
+        """Bounds for a row's first and second deputy, (2, R, M), or both; the status of what was agreed."""
         bound = rows.bound
         if self.sharing == "coasting":
-            return np.concatenate([bound, bound]).reshape(2, *bound.shape), None
+            return bound[None], None
         if self.sharing == "half":
             half = np.where(self._pair, bound / 2, bound)
             return np.stack([half, half]), None
@@ -207,8 +207,3 @@ def make_filter(families: Families, sharing: str) -> Centralized | Decentralized
 def _unchanged(u: Array, desired: Array) -> Statuses:
     same = (u == desired).all(axis=-1)
     return np.asarray(~same, dtype=np.int8)  # DESIRED is 0, FILTERED is 1
-
-
-def _clipped(status: Statuses, u: Array, desired: Array) -> Statuses:
-    """The statuses of inputs (R, N, 3): also where nothing but the thrusters' limits was in the way."""
-    return np.maximum(status, _unchanged(u, desired))  # DESIRED is the least
