@@ -95,6 +95,7 @@ def _light_font() -> str:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = Path(folder, "PolarisSans.ttf")
     font.save(path)
+    font.close()
     font_manager.fontManager.addfont(path)
     return "PolarisSans"
 
