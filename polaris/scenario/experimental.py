@@ -26,7 +26,8 @@ from ..synthesis.neural import NEEDS_SAMPLES, NeuralController
 from ..synthesis.policy import Policy, Senses
 from ..synthesis.problem import Problem
 from ..synthesis.tracking import lqr_gain
-from .scene_tables import Affine, Experimental, Neural, hill_rate
+from .goal_tables import hill_rate
+from .scene_tables import Affine, Experimental, Neural
 from .scene_tables import AnyThrust as AnyThrustTable
 from .scene_tables import BlackBox as BlackBoxTable
 from .tables import SampledFeedback, ScenarioModel

@@ -22,6 +22,7 @@ from ..model.system import Array, LinearSystem
 from . import scene_tables as scene
 from . import tables as models
 from .fields import MAX_STEPS, check_length, in_file_terms, whole_parts
+from .goal_tables import StationaryGoal, hill_rate
 
 MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not
@@ -88,7 +89,7 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
         if spec.reference.kind == "setpoint":
             check_length(f"{path}.reference.state", spec.reference.state, n)
         if spec.reference.kind == "nmt":
-            scene.hill_rate(system, f"{path}.reference.kind", "nmt")
+            hill_rate(system, f"{path}.reference.kind", "nmt")
         if spec.gain is not None and (len(spec.gain), len(spec.gain[0])) != (m, n):
             shape = f"{len(spec.gain)} x {len(spec.gain[0])} numbers"
             raise ScenarioError(f"{path}.gain", shape, f"must be {m} x {n} numbers")
@@ -174,7 +175,7 @@ def check_start_and_goal(
             rule = f"must keep all of the initial set {named}, reaches {depth:.4g} m {into}"
             raise ScenarioError(*_size_of(model), rule)
         # Where another satellite is at the end is uncertain; the planner decides.
-        if isinstance(model.goal, scene.StationaryGoal) and not isinstance(item, SatelliteObstacle):
+        if isinstance(model.goal, StationaryGoal) and not isinstance(item, SatelliteObstacle):
             spot = Zonotope.point(system.position @ np.array(model.goal.state))
             if (depth := unsafe_depth(item, spot, end, system)) > _TOUCH_M:
                 rule = f"must lie {named}{'' if kept else ' at the end'}, is {depth:.4g} m {wrong}"

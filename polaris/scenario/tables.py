@@ -23,9 +23,10 @@ from . import fields as f
 from .error_tables import Abort, Chaser, Tank, Thrusters, Timing
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit
+from .goal_tables import Goal
 from .method_tables import Planner, Recoverable, Schedule, Tracking
 from .navigation_tables import Navigation
-from .scene_tables import Experimental, Goal, KeepIn, Obstacle
+from .scene_tables import Experimental, KeepIn, Obstacle
 
 
 class ClohessyWiltshire(ScenarioPart):

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
-from polaris.scenario import rules, scene_tables, tables
+from polaris.scenario import goal_tables, rules, scene_tables, tables
 from polaris.scenario.reading import MAX_BYTES
 from polaris.scenario.scenario import Scenario, load_scenario
 
@@ -562,7 +562,7 @@ def test_misspelt_name_is_answered_with_the_right_one():
 
 def test_the_length_of_every_vector_is_checked():
     """Lists of numbers in an initial set, a goal or an unsafe set: one for each state, or for each axis."""
-    unions = (tables.InitialSet, scene_tables.Goal, scene_tables.Obstacle, scene_tables.KeepIn)
+    unions = (tables.InitialSet, goal_tables.Goal, scene_tables.Obstacle, scene_tables.KeepIn)
     parts = [part for union in unions for part in get_args(get_args(union)[0])]
     fields = {(name, str(field.annotation)) for part in parts for name, field in part.model_fields.items()}
     vectors = {name for name, kind in fields if "tuple[" in kind and "tuple[tuple[" not in kind}

@@ -10,6 +10,7 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema, reference_text, schema, texts, write
+from polaris.scenario import goal_tables
 from polaris.scenario import scene_tables as scene
 from polaris.scenario import tables as scenario_model
 from polaris.scenario.scenario import bundled_scenarios, load_scenario
@@ -153,17 +154,17 @@ NAMES = {"normals": "H", "offsets": "b", "half_angle": "half_angle_rad"}
         (scene.SatelliteObstacle, polaris.SatelliteObstacle),
         (scene.KeepInPolytope, polaris.KeepInPolytope),
         (scene.KeepInCone, polaris.KeepInCone),
-        (scene.EllipticalNMTGoal, polaris.EllipticalNMT),
-        (scene.LinearNMTGoal, polaris.LinearNMT),
-        (scene.StationaryGoal, polaris.StationaryPoint),
-        (scene.BoxGoal, polaris.Box),
+        (goal_tables.EllipticalNMTGoal, polaris.EllipticalNMT),
+        (goal_tables.LinearNMTGoal, polaris.LinearNMT),
+        (goal_tables.StationaryGoal, polaris.StationaryPoint),
+        (goal_tables.BoxGoal, polaris.Box),
         (scenario_model.Schedule, polaris.SwitchingRules),
     ],
 )
 def test_python_names_are_those_of_the_file_without_units(table, made):
     """As the reference says: one rule, and the exceptions it lists."""
     bare = {UNIT.sub("", key) for key in table.model_fields} - {"kind"}
-    if issubclass(table, scene.GoalTable):
+    if issubclass(table, goal_tables.GoalTable):
         bare -= {"tolerance"}  # a field of `Problem`
     bare -= {"bound_programs"}  # an argument of `share_bound`
     taken = set(inspect.signature(made).parameters)
