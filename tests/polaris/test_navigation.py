@@ -2,8 +2,6 @@
 
 import json
 from copy import copy
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -24,8 +22,8 @@ from polaris.synthesis.synthesize import synthesize
 from ..kept import kept
 from .closed_loops import attack, attack_monitor
 from .forging import CERTIFICATE, Forger, make
-from .random_scenarios import random_scenario
 from .test_closed_loops import judge, monitored
+from .test_error_sources import exact
 from .test_timing import fly_delayed
 from .tiny import TINY
 
@@ -199,10 +197,7 @@ def test_forged_phases_are_refused(tmp_path):
 def test_proofs_of_random_scenes_hold_with_observers_and_phases():
     scenes = 0
     for seed in range(5000, 5080):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "scene.toml"
-            path.write_text(random_scenario(seed), encoding="utf-8")
-            scenario = load_scenario(path, ["recoverable.kind=polytope"])
+        scenario = exact(seed)
         problem, rng = scenario.problem(), np.random.default_rng(seed)
         hill, widths = problem.system.mean_motion is not None, problem.initial_set.half_widths / 20
         T, n = problem.K * problem.delta, problem.system.n

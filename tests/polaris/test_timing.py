@@ -2,8 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -31,8 +29,8 @@ from polaris.synthesis.synthesize import synthesize
 from ..kept import kept
 from .closed_loops import attack
 from .forging import CERTIFICATE, Forger, make
-from .random_scenarios import random_scenario
 from .test_closed_loops import judge
+from .test_error_sources import exact
 from .tiny import TINY
 
 SAMPLED = ("feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]")
@@ -176,10 +174,7 @@ def test_where_jitter_or_clocks_are_not_covered_they_are_refused():
 def test_proofs_of_random_scenes_hold_with_all_of_it():
     scenes = 0
     for seed in range(5000, 5060):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "scene.toml"
-            path.write_text(random_scenario(seed), encoding="utf-8")
-            scenario = load_scenario(path, ["recoverable.kind=polytope"])
+        scenario = exact(seed)
         period, step = scenario.problem().period, scenario.problem().delta
         more = ["thrusters.magnitude_error=0.01", f"timing.delay_s={(period or step / 8) * 2}"]
         more += ["timing.missed_periods=1", f"timing.jitter_s={period / 500}"] if period else []
