@@ -169,11 +169,7 @@ def main() -> None:
         print(head)
         for K in (30, 60, 120, 240):
             for count in (1, 2, 4, 8):
-                show(
-                    f"K={K} obstacles={count}",
-                    "tree",
-                    *run(field(K, count), "facets", args.limit),
-                )
+                show(f"K={K} obstacles={count}", "tree", *run(field(K, count), "facets", args.limit))
 
 
 if __name__ == "__main__":

@@ -32,11 +32,7 @@ DOCS = Path(__file__).resolve().parents[1]
 def schema() -> dict[str, Any]:
     """JSON Schema of the scenario format; every field carries its unit under ``unit``."""
     found: dict[str, Any] = _tidy(ScenarioModel.model_json_schema())
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **found,
-        "title": "Polaris scenario",
-    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found, "title": "Polaris scenario"}
 
 
 def inspection_schema() -> dict[str, Any]:

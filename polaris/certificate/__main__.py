@@ -1,7 +1,5 @@
 """``python -m polaris.certificate FILE``: check a certificate without the rest of Polaris."""
 
-from __future__ import annotations
-
 import sys
 
 

@@ -1,7 +1,5 @@
 """Thrusters that push only: every input within the limits is made, whichever one of them has failed."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

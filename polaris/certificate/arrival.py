@@ -1,7 +1,5 @@
 """What a run claims of the goal and of the velocity change, derived again from the sets of the argument."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """What a certificate rests on and no checker can confirm, in words: one list for runs and certificates."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Matrices of balls: every number is enclosed, every operation rounds outwards (python-flint's arb)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from flint import arb, arb_mat

@@ -6,8 +6,6 @@ shown period by period (`Departures`), that the drift from each stays clear, ove
 step, facet by facet (`clear`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate

@@ -4,8 +4,6 @@ Raised are `Rejected` (claim ``artefacts``) for a folder, or a device or pipe, w
 `Undecided` for a file that is too large; `OSError` for one that cannot be read.
 """
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The certificate against the scenario beside it: the system and the scene that were asked for."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Layers of a network as a certificate has them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Gains that a scenario gives by weights: the stabilising solution of the Riccati equation, and no other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from flint import arb, arb_mat

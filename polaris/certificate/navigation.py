@@ -1,7 +1,5 @@
 """How far estimates may be off: as the scenario declares it, by phase of the flight, or an observer's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Neural networks over sets of states, in ball arithmetic: each activation within an affine band."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

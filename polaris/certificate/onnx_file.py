@@ -3,8 +3,6 @@
 For a chain of operators; what it does not know is not decided.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a certificate is made of: unsafe sets, controllers, and what is said of drifts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

@@ -4,8 +4,6 @@ A polytope contains a set if each of its facets lies beyond the set's support in
 supports are worked out here anew, from the scenario's numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

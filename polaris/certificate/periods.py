@@ -1,7 +1,5 @@
 """One period of a flight as a linear motion with an input within bands, and what a clipped command may be."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from flint import arb, arb_mat

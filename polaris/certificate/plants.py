@@ -1,7 +1,5 @@
 """The plant that a certificate speaks about, with exact entries."""
 
-from __future__ import annotations
-
 import math
 
 from flint import arb, arb_mat

@@ -72,11 +72,7 @@ class Limits:
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell])
             error = replace(plant, estimate=tuple(document.known_to(cell))).command_error(gain) * 2
-            thrust = sums(
-                plant.u_max * 2,
-                above(arc.u, -arc.u).entries(),
-                [-x for x in error],
-            )
+            thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
             inputs = [
                 Target(len(pairs) + j, room, name, room)
                 for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))

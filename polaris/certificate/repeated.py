@@ -1,7 +1,5 @@
 """What the readable files of a run folder repeat of the certificate: the same numbers, bit for bit."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """What samples of black boxes are said to show: the exact binomial bound, derived again."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from flint import arb

@@ -1,7 +1,5 @@
 """Another satellite: every place where it may be, against the timed polytope that stands for it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from flint import arb, arb_mat, fmpq, fmpq_mat

@@ -1,7 +1,5 @@
 """Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from flint import arb, arb_mat

@@ -4,8 +4,6 @@ A shape is one of the classes below, ``bool``, ``None``, ``object`` for what is 
 table of keys and their shapes, in which keys that may be missing end in a question mark.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

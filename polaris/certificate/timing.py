@@ -1,7 +1,5 @@
 """What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

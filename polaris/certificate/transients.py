@@ -1,7 +1,5 @@
 """What faults do until they are isolated: boxes of what they add to the states, and whether all are told."""
 
-from __future__ import annotations
-
 from math import ceil
 from typing import Any
 

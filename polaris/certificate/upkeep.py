@@ -1,7 +1,5 @@
 """What S spends for as long as it flies on after T, and how long the tank lasts."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -80,9 +80,7 @@ def replay_command(
 
 
 @verb("verify")
-def verify(
-    run: str = Argument(..., metavar="RUN", help="A run folder, or a certificate file."),
-) -> int:
+def verify(run: str = Argument(..., metavar="RUN", help="A run folder, or a certificate file.")) -> int:
     """Check the certificate of a run, independently of how it was made.
 
     Exit codes: 0 VERIFIED, 5 REJECTED, 6 UNKNOWN, 7 STATISTICAL, 2 nothing to check.

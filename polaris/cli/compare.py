@@ -1,7 +1,5 @@
 """The verbs that fly one scene in many ways: compare (every method), tradeoff (prices, or other values)."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from typing import Any

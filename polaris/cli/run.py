@@ -1,7 +1,5 @@
 """The verbs about scenarios and run folders: run, check, scenarios, plot, report."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import typer

@@ -1,7 +1,5 @@
 """The verbs for traces of RTAEval: evaluate, export."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal

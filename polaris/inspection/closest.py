@@ -1,7 +1,5 @@
 """Closest approach to the origin in free flight, over continuous time (eqs. 20 to 22)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Formulas are those of `polaris.inspection.closest` and `polaris.inspection.const
 these loops are tested against, to rounding; the accounts of what they mean are there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.compiled import compiled

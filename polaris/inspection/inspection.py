@@ -1,7 +1,5 @@
 """The inspection problem: N deputies about a passive chief, with the values of the paper's Table 1."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations

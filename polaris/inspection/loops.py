@@ -4,8 +4,6 @@ Formulas are those of `polaris.inspection.constraints`, which are what these loo
 rounding; the accounts of what they mean are there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.compiled import compiled, inlined

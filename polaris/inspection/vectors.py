@@ -1,7 +1,5 @@
 """Vectors along the last axis: inner products, lengths and directions that stay continuous at zero."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.system import Array

@@ -1,7 +1,5 @@
 """Checks of single arguments: each refuses with one message naming field, value and rule."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 

@@ -1,7 +1,5 @@
 """Plain loops over arrays that numba compiles, where it is installed (the extra ``fast``)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import cache, partial

@@ -4,8 +4,6 @@ Everything is vectorised over runs and times: arrays are shaped (..., T) with th
 (before the axes of a vector), and per-obstacle results have the obstacle axis first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

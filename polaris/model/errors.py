@@ -1,7 +1,5 @@
 """The one family of errors. Each carries the exit code the command line ends with."""
 
-from __future__ import annotations
-
 
 class PolarisError(Exception):
     """Root of every error this package raises on purpose."""

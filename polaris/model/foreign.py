@@ -5,8 +5,6 @@ Converting an object to numbers runs its own code: ``__array__`` of a tensor tha
 So what arrives in flight is turned into plain numbers of our own, once, and only those are used and logged.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Time to collision along free drift: when unforced motion first enters an obstacle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 

@@ -3,8 +3,6 @@
 Frame: x radial (outward), y along-track, z cross-track; origin at the target.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """How far the state that flight software predicts may be from the true one; what instants and pulses add."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Timed polytopes (Definition 2): what the planner, the recoverable sets and the checks all read."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What lies between a measurement and the thrust that answers it: observers, delays, jitter, pulses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What faults do until they are isolated: thrust that is not as commanded, or no measurement, for a while."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The version, read from the one place that states it: the project file."""
 
-from __future__ import annotations
-
 from importlib import metadata
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Two back ends of PuLP, in process: HiGHS with a warm start, and Gurobi; same limits and tolerances."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec

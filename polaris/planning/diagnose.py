@@ -1,7 +1,5 @@
 """Why there is no plan: relaxations of the problem, each naming what to relax and by how much."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from time import perf_counter
 from typing import Any, NoReturn

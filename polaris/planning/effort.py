@@ -1,7 +1,5 @@
 """What a run of the planner has used of its effort and its time, and how far it may still go."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter

@@ -1,7 +1,5 @@
 """Goals: where a plan must end. To the planner each is a few linear conditions on the last state."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property

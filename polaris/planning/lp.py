@@ -4,8 +4,6 @@ The mixed-integer program goes through PuLP (`model`); the hundreds of small lin
 path search do not, because they differ by a few rows and the simplex basis carries over.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

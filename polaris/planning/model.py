@@ -3,8 +3,6 @@
 Disjunctions enter the program when its solution lacks clearance there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable
 from itertools import chain
 from operator import eq, ge, le

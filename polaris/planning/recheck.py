@@ -5,8 +5,6 @@ length h the distance to a moving facet is a smooth function of time, whose cubi
 lies above its smallest Bezier coefficient and differs from it by at most ``h^4 / 384 sup |f''''|``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,13 +73,7 @@ def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:
 
 
 def certified(
-    problem: PlanProblem,
-    nu: Array,
-    wanted: Array,
-    value: float,
-    bound: float,
-    status: str,
-    **found: Any,
+    problem: PlanProblem, nu: Array, wanted: Array, value: float, bound: float, status: str, **found: Any
 ) -> Plan:
     """Re-check inputs and make a `Plan` of them, with `found` for the rest; `NotCertified` if one fails."""
     K = problem.K

@@ -4,8 +4,6 @@ A path found here is a feasible point of the mixed-integer program; its velocity
 the optimal path can stray, which is what makes the program small and its big-M tight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter

@@ -1,7 +1,5 @@
 """`plan`: the reference trajectory, by branch and bound over separating facets."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Interactive reports: one HTML file per run or comparison, which needs no network."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..model.errors import ScenarioError

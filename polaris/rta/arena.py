@@ -1,7 +1,5 @@
 """Every method on the same scene: same references to choose from, same disturbances, same U."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

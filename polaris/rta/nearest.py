@@ -4,8 +4,6 @@ What it answers satisfies every row to `PRIMAL` and the conditions of optimality
 program without a solution, is left to the solver.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

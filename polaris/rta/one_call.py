@@ -3,8 +3,6 @@
 Beside it, `polaris.rta.method` is the protocol by which many runs are decided at once.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Each rank's rows come as near to being met as the ranks before it leave room for
 later rank; rows that can be met together with all of their own rank and of the ranks before it are met.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import daqp

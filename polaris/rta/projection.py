@@ -1,7 +1,5 @@
 """The quadratic program of an active set invariance filter (eq. 5): nearest input that satisfies all rows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 

@@ -1,7 +1,5 @@
 """What a filter is handed, made safe to compute with: unknown states, missing and impossible inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite, isnan

@@ -1,7 +1,5 @@
 """Many flights of a switching scene for learning, each at its own decision, with or without the monitor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -3,8 +3,6 @@
 For programs whose rows are so nearly dependent that a solver's tolerances decide the answer.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import flint

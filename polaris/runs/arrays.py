@@ -1,7 +1,5 @@
 """The arrays of a run folder: recoverable sets, tubes, simulated runs. Plain arrays, no pickle."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Written beside, under a hidden name with host and process, and renamed into plac
 folder does not list is somebody else's, and is linked into the folder that takes its place.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What is attacked, and counterexamples as files: all that is needed to fly one again, exact to the bit."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Sequence

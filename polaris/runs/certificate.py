@@ -1,7 +1,5 @@
 """The certificate of a schedule: everything that the argument for its safety rests on, as JSON."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """What a run claims beside safety and the goal, in words: what S spends after T, and passive safety."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

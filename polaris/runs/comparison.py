@@ -9,8 +9,6 @@ figures/           PDF and PNG
 ================== ==================================================================================
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,13 +27,7 @@ from .schedule import SCHEDULE, write_run
 from .stages import Stages
 from .tables import strict, write_text
 
-ARRAYS = {
-    "t_s": "times",
-    "states": "states",
-    "inputs": "inputs",
-    "modes": "modes",
-    "distance_m": "nearest",
-}
+ARRAYS = {"t_s": "times", "states": "states", "inputs": "inputs", "modes": "modes", "distance_m": "nearest"}
 """Attribute of the flights of a method by the name of its array."""
 
 
@@ -151,11 +143,6 @@ def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
 
 
 COMPARISON = RunKind(
-    "comparison",
-    ("comparison.json", "comparison.npz"),
-    _write,
-    _tell,
-    _read,
-    summary="comparison.json",
+    "comparison", ("comparison.json", "comparison.npz"), _write, _tell, _read, summary="comparison.json"
 )
 """What a comparison leaves."""

@@ -3,8 +3,6 @@
 The same scenario and seed give the same bytes, but for ``created`` and wall times in the summary.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import zipfile

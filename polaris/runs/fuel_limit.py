@@ -1,7 +1,5 @@
 """Run folders of a flight into the fuel limit (figure 9): scenario, summary, ``fuel.npz``, figures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -9,8 +9,6 @@ figures/           PDF and PNG, drawn from the files above alone
 ================== ==================================================================================
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Inspection flights for policies that learn: what they read and are paid for, and what shields them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -4,8 +4,6 @@ Besides what every campaign holds (see `polaris.runs.campaign.folder`), the fold
 ``failures.csv`` (every failure of every study) and ``figures/``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass

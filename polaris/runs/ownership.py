@@ -1,7 +1,5 @@
 """What in a folder Polaris wrote, and what is somebody else's; and what killed processes leave."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

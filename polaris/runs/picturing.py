@@ -1,7 +1,5 @@
 """Pictures of what Algorithms 1 and 2 found, with slices of the recoverable sets."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

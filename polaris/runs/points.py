@@ -9,8 +9,6 @@ tradeoff.json/csv  what each of them reaches, costs and proves, and which none o
 ================== ==================================================================================
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ flights, and the state of the safe reference there. The answer is ``{"u": [[...]
 A question with t = 0 begins new flights, one per row: what is kept in mind of others is to be forgotten.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Run a scenario of any kind into a folder, and open a folder of any kind."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tomllib

@@ -14,8 +14,6 @@ figures/           PDF and PNG, drawn from the files above alone
 ================== ==================================================================================
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace

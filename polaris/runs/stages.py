@@ -46,10 +46,6 @@ class Stages:
 
 def planner_line(progress: Progress) -> str:
     """One line on how far the planner is."""
-    known = {
-        "best {:.4g}": progress.incumbent,
-        "bound {:.4g}": progress.bound,
-        "gap {:.2%}": progress.gap,
-    }
+    known = {"best {:.4g}": progress.incumbent, "bound {:.4g}": progress.bound, "gap {:.2%}": progress.gap}
     parts = [form.format(value) for form, value in known.items() if abs(value) < float("inf")]
     return ", ".join([f"plan: {progress.stage}", *parts])

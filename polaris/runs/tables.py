@@ -1,7 +1,5 @@
 """The readable files of a run folder: tables (CSV) and strict JSON."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence

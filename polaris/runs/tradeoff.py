@@ -1,7 +1,5 @@
 """Trade-offs: a scenario at several prices of velocity change, or values of any fields, a run folder each."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -178,11 +176,7 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
 
 
 def _compute(
-    missing: Sequence[Point],
-    count: int,
-    target: Path,
-    workers: Workers,
-    progress: Callable[[int, int], None],
+    missing: Sequence[Point], count: int, target: Path, workers: Workers, progress: Callable[[int, int], None]
 ) -> None:
     """Write the run folders of the points that are not there yet, of so many in all."""
     done = count - len(missing)

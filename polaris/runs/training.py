@@ -7,8 +7,6 @@ Import this module to have them registered, or let gymnasium do it::
 Needs the extra ``gym``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

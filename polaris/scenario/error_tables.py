@@ -1,7 +1,5 @@
 """The scenario file's models of what is not exact: thrusters, timing, the chaser's size; and of an abort."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal

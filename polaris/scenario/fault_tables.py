@@ -1,7 +1,5 @@
 """The scenario file's models of faults of thrusters and of navigation."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from ..model.allocation import Fault as Failed

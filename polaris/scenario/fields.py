@@ -1,7 +1,5 @@
 """Building blocks of the scenario models: strict numbers, vectors, matrices, and the base class."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

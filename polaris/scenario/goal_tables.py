@@ -1,7 +1,5 @@
 """The scenario file's models of goals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 

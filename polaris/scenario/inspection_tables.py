@@ -4,8 +4,6 @@ These models know the rules of a single field. Rules that join several fields ar
 `polaris.scenario.inspection`. Defaults are the paper's Table 1 where it gives a value.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

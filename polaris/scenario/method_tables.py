@@ -1,7 +1,5 @@
 """The scenario file's models of the methods: tracking, recoverable sets, planner, switching schedule."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from . import fields as f

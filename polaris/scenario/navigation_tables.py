@@ -1,7 +1,5 @@
 """The scenario file's models of navigation: bounds on errors, by phase of the flight, or an observer's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a file to a validated model: every way this can fail ends in one `ScenarioError`."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """The scenario file's models of the scene: obstacles, keep-in sets, experimental controllers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal
 

@@ -6,8 +6,6 @@ States are written in the order of the system's state vector; in Hill's frame th
 ``[r_x, r_y, r_z, v_x, v_y, v_z]`` in m and m/s (x radial, y along-track, z cross-track).
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """The safety controller alone, the experimental one alone, and Polaris, flown under the same conditions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Observers, delays, missed periods and predictions flown for real: estimates are worked out on board."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

@@ -1,7 +1,5 @@
 """Disturbances of simulated runs: random ones, and the worst case of a facet in closed form."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

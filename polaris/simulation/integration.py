@@ -1,7 +1,5 @@
 """Integration of closed loops over all runs at once: whole cells where nothing clips, else step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 

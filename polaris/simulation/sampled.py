@@ -4,8 +4,6 @@ Everything is decided first: modes, sets, margins. Then flights that nothing was
 many of them leave any band is held against the asked probability by the exact binomial bound.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Closed-loop simulation, vectorised over runs, with random and worst-case disturbances."""
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 import numpy as np

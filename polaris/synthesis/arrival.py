@@ -1,7 +1,5 @@
 """The goal as a claim: when every flight is proven to be within a tolerance of it, or how far off."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the planner is asked, which references Algorithm 1 tries, and what it proves of each after T."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Recoverable balls, constant and time-varying (section III-B, corrected)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -5,8 +5,6 @@ with a band about it. Whether commands keep to their bands is what sampled fligh
 (`polaris.simulation.sampled`); all else is proven of every admissible disturbance (docs/theory.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Where the safe reference is, and how much room it has: what every recoverable set is made from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

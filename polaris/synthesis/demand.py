@@ -1,7 +1,5 @@
 """Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.system import Array, LinearSystem

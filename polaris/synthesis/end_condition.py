@@ -1,7 +1,5 @@
 """What is proven after T (theory item 12): coasting on a natural motion, tracked by S."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

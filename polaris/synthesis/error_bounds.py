@@ -1,7 +1,5 @@
 """Lemma 1, corrected: exponential bounds on the tracking error in a weighted norm."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Algorithm 1, GetSafety: the safety controller and its recoverable sets."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

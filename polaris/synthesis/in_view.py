@@ -8,8 +8,6 @@ side of an obstacle they lead, is decided by what the schedule is worth. Nothing
 reference will do for Theorem 2, and each candidate passes both algorithms whole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace

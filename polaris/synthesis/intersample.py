@@ -5,8 +5,6 @@ Under continuous feedback two things are bounded at once: the path itself, and t
 Under sampled feedback S can only take over at a node.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from reach.sets.zonotope import Zonotope

@@ -1,7 +1,5 @@
 """Passive safety: where the chaser drifts if all thrust stops, at whatever instant of a step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Polytopic recoverable sets: every limit carried back exactly through the closed loop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

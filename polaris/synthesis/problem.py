@@ -1,7 +1,5 @@
 """What the two algorithms are asked: the mathematical problem of section II, without a file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any

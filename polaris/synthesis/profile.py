@@ -1,7 +1,5 @@
 """A bound on what S's feedback commands after a hand-over, and the response to errors that vary by period."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

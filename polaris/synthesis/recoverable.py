@@ -4,8 +4,6 @@ Three kinds behind one interface, from the paper's to the least conservative. Al
 not saturate from here to the end" (theory item 7), and all hold for the whole of every period.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
 from typing import Protocol

@@ -5,8 +5,6 @@ out of one `Problem` belongs together by construction; what is assembled by hand
 scenario, is looked at here before anything is proven with it.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One period of a feedback law whose command is clipped by the thrusters, as a set."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from reach.numerics.linear import discretize

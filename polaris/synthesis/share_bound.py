@@ -7,8 +7,6 @@ proven impossible demands a step more, and an integer program tells how few step
 (docs/theory.md, Proposition 20).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Algorithm 2, Polaris: which controller flies when, decided before the flight."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The tracking controller of section III-A: LQR gain, its error dynamics, and the tight error tube."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """What faults add to the states until they are isolated (docs/theory.md, Lemma 41)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import ceil
 

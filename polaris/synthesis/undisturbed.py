@@ -5,8 +5,6 @@ what a clipped command may differ from its band. Where every choice of facets is
 clear (docs/theory.md, Proposition 20).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs as traces: from bare arrays, run folders and comparison folders."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The numbers RTAEval gives, defects (docs/traces.md) included: every deviation is meant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Unsafe sets where they are at given times: what distances and times to collision are taken to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import daqp

@@ -1,7 +1,5 @@
 """Traces as files of strict JSON in RTAEval's form: one clear message for whatever is wrong with one."""
 
-from __future__ import annotations
-
 import gc
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Rows of a trace: from nested lists to tables of numbers, and where the first bad row is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any

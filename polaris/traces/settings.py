@@ -1,7 +1,5 @@
 """What the numbers of a trace mean: axes, velocities, values between stamps, stamps of a simulator."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

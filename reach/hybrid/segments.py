@@ -1,7 +1,5 @@
 """What a tube of a hybrid automaton is made of: stretches of one mode from many start sets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Networks from ONNX files: read as data, never executed (optional package ``onnx``)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Rounding: what sums can be wrong by, and exact integers (floats times a power of two)."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import combinations
 from typing import Any

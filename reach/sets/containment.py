@@ -1,7 +1,5 @@
 """Is one set inside another? Exact where that is affordable, with a witness for every "no"."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Nearest points of two convex sets, from their support vectors alone; answers about two sets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Planar outlines of convex sets, from their support vectors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

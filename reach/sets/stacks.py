@@ -1,7 +1,5 @@
 """What boxes, zonotopes and ellipsoids share: two arrays, leading axes as a stack, images of a fixed body."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self

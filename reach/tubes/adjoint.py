@@ -10,8 +10,6 @@ is convex in its row, and a smooth row bends away from its chord over a step h b
 trapezoid from above) and between the nodes alike.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

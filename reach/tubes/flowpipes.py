@@ -1,7 +1,5 @@
 """Tubes of many start sets at once: rows are carried once and applied to a stack of zonotopes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The motion that a known input signal causes: a trajectory, exact but for rounding."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any

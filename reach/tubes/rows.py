@@ -1,7 +1,5 @@
 """Rows ``d e^{A t}`` on regular grids, and how far their rounding can have grown."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

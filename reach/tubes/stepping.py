@@ -1,7 +1,5 @@
 """Stepping over time: blocks of steps, of one length or as long as a tolerance allows."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass

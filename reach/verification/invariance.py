@@ -1,7 +1,5 @@
 """Staying in a polytope: one tube along its normals, sharper where it must be."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property

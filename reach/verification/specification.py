@@ -1,7 +1,5 @@
 """What is asked of all trajectories, and the answer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ..numerics.checks import Array, as_numbers

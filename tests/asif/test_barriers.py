@@ -23,11 +23,7 @@ BRAKING = Braking(A_, DEPTH, BACK)
 
 def forms():
     """Name, barrier, and the paper's formula as a function of state and sun angle."""
-    yield (
-        "h1",
-        Radial(10.0, BRAKING),
-        lambda z, sun: oracle.h_outside(z, 10.0, A_, DEPTH),
-    )
+    yield ("h1", Radial(10.0, BRAKING), lambda z, sun: oracle.h_outside(z, 10.0, A_, DEPTH))
     yield (
         "h2",
         Radial(10.0, Braking(2 * A_, DEPTH, BACK)),
@@ -40,17 +36,9 @@ def forms():
             SunCone(HALF, N_, BRAKING, side),
             lambda z, sun, side=side: oracle.h_cone(z, sun, HALF, N_, A_, DEPTH, side),
         )
-    yield (
-        "h6",
-        Radial(1000.0, BRAKING, -1.0),
-        lambda z, sun: oracle.h_inside(z, 1000.0, A_, DEPTH),
-    )
+    yield ("h6", Radial(1000.0, BRAKING, -1.0), lambda z, sun: oracle.h_inside(z, 1000.0, A_, DEPTH))
     for axis in range(3):
-        yield (
-            f"h{9 + axis}",
-            Velocity(axis, 1.0),
-            lambda z, sun, axis=axis: oracle.h_velocity(z, axis, 1.0),
-        )
+        yield (f"h{9 + axis}", Velocity(axis, 1.0), lambda z, sun, axis=axis: oracle.h_velocity(z, axis, 1.0))
 
 
 FORMS = list(forms())

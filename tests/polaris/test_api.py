@@ -218,9 +218,7 @@ def wrong_calls():
         "names of controllers": lambda: polaris.synthesize(safety.problem, safety, ["hasty"]),
         "a function for U": lambda: polaris.synthesize(safety.problem, safety, [lambda t, x: x]),
         "arguments in another order": lambda: polaris.synthesize(
-            safety.problem,
-            safety,
-            [AnyThrust(safety.problem.system, "u", safety.reference, safety.tracking)],
+            safety.problem, safety, [AnyThrust(safety.problem.system, "u", safety.reference, safety.tracking)]
         ),
         "a schedule for a Safety": lambda: polaris.synthesize(scenario, schedule),
         "a scenario to simulate": lambda: polaris.simulate(scenario),

@@ -647,12 +647,7 @@ def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
     assert np.all(box(scribbles).command(0, xi, xi, x) == 1.0) and not x.any() and not xi.any()
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"feedback": {"kind": "continuous"}}, "feedback.kind"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "field"), [({"feedback": {"kind": "continuous"}}, "feedback.kind")])
 def test_what_no_band_covers_is_refused_on_loading(changes, field):
     with pytest.raises(ScenarioError) as told:
         ScheduleScenario.from_dict(document() | changes)

@@ -53,8 +53,7 @@ def flight_of(schedule, tail=False, substeps=1):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n != "static")) for n in BUNDLED],
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "static")) for n in BUNDLED]
 )
 def test_nothing_breaks_a_proven_schedule(name):
     found = falsify(synthesised(name)[1], 250, seed=1)
@@ -196,9 +195,7 @@ def test_a_tube_that_is_too_thin_is_caught():
         replace(
             step,
             tube=replace(
-                step.tube,
-                nodes=replace(step.tube.nodes, G=0.3 * step.tube.nodes.G),
-                bow=0 * step.tube.bow,
+                step.tube, nodes=replace(step.tube.nodes, G=0.3 * step.tube.nodes.G), bow=0 * step.tube.bow
             ),
         )
         for step in schedule.steps

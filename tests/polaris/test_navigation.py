@@ -71,10 +71,7 @@ def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
 
 @pytest.mark.parametrize(
     ("name", "more", "substeps"),
-    [
-        ("plain", (), 1),
-        *(pytest.param("late", LATE, q, marks=pytest.mark.slow) for q in (1, 4)),
-    ],
+    [("plain", (), 1), *(pytest.param("late", LATE, q, marks=pytest.mark.slow) for q in (1, 4))],
 )
 def test_observers_flown_for_real_stay_within_their_bounds_and_use_them(name, more, substeps):
     schedule = observed(name, *more)

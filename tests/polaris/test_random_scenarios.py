@@ -52,11 +52,7 @@ def verdicts(seeds, folder):
             assert error.exit_code in (2, 3, 4), seed
             yield seed, None, error
             continue
-        yield (
-            seed,
-            schedule,
-            verify(write_run(folder / f"run-{seed}", scenario, schedule).path),
-        )
+        yield (seed, schedule, verify(write_run(folder / f"run-{seed}", scenario, schedule).path))
 
 
 def judge(found):

@@ -315,12 +315,7 @@ def in_other_units(data, state, inputs, disturbance):
 
 @pytest.mark.parametrize(
     ("state", "inputs", "disturbance"),
-    [
-        ([1, 1, 1024, 1024], 1, 1),
-        ([1, 1, 1, 1], 1024, 1),
-        ([1, 1, 1, 1], 1, 1 / 64),
-        ([1, 1, 8, 8], 64, 512),
-    ],
+    [([1, 1, 1024, 1024], 1, 1), ([1, 1, 1, 1], 1024, 1), ([1, 1, 1, 1], 1, 1 / 64), ([1, 1, 8, 8], 64, 512)],
     ids=["velocity", "input", "disturbance", "all"],
 )
 def test_nothing_depends_on_the_units_of_velocities_inputs_and_disturbances(state, inputs, disturbance):

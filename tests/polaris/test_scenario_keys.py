@@ -12,16 +12,7 @@ from docs.generate.scenario_docs import schema
 from polaris.certificate.inputs import GOALS
 from polaris.certificate.perception import RIGID
 from polaris.certificate.scenario_keys import SCENARIO, check_keys
-from polaris.certificate.structure import (
-    Either,
-    Kinds,
-    Real,
-    Rows,
-    Text,
-    Whole,
-    conform,
-    strict_json,
-)
+from polaris.certificate.structure import Either, Kinds, Real, Rows, Text, Whole, conform, strict_json
 from polaris.certificate.verdict import Rejected
 from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import read_document, validate

@@ -118,11 +118,7 @@ CALLS = {
     "hybrid_tube": (reach.hybrid_tube, (AUTOMATON, BOX, 0.5, HybridOptions(0.1, jumps=2))),
     "largest_norm": (reach.largest_norm, (ZONOTOPE, 100, 1.0)),
     "support_tube, varying": (reach.support_tube, (VARYING, BOX, 0.5, np.eye(2)), {"step": 0.1}),
-    "zonotope_tube, varying": (
-        reach.zonotope_tube,
-        (VARYING, BOX, 0.5),
-        {"step": 0.1, "frame": np.eye(2)},
-    ),
+    "zonotope_tube, varying": (reach.zonotope_tube, (VARYING, BOX, 0.5), {"step": 0.1, "frame": np.eye(2)}),
     "meet_halfspace": (reach.meet_halfspace, (ZONOTOPE, [1.0, 0.0], 0.5)),
     "outline": (reach.outline, (ZONOTOPE,)),
     "powers": (reach.powers, (A, 3)),

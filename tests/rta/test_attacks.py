@@ -50,18 +50,7 @@ def line(order=2, feedback=None, any_thrust=True, jump=False, goal=3.6, weight=4
         Box([goal if order == 2 else 3.0, 0.0][:order], [0.3, 0.05][:order]),
     )
     Q, R = np.ones(order), [weight]
-    problem = Problem(
-        system,
-        start,
-        (wall,),
-        K,
-        delta,
-        Q,
-        R,
-        end,
-        period=feedback,
-        thrust_reserve=0.2,
-    )
+    problem = Problem(system, start, (wall,), K, delta, Q, R, end, period=feedback, thrust_reserve=0.2)
     safety = get_safety(problem)
     if any_thrust:
         laws = [AnyThrust("anything", system, safety.reference, safety.tracking)]

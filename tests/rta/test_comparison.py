@@ -237,10 +237,7 @@ def test_command(tmp_path):
         (["compare", str(TINY), "--methods", "nonsense"], "must be one of"),
         (["compare", "robot", "--estimate-error", "much"], "must be numbers"),
         (["compare", str(TINY), "--tune", "monitor.dwell"], "must be METHOD.OPTION=NUMBER"),
-        (
-            ["compare", str(TINY), "--tune", "monitor.gain=2"],
-            "must be one of 'monitor.reentry'",
-        ),
+        (["compare", str(TINY), "--tune", "monitor.gain=2"], "must be one of 'monitor.reentry'"),
         (["compare", "nowhere"], "nowhere"),
     ):
         failed = runner.invoke(app, [*arguments, "--out", str(tmp_path / "other")])

@@ -39,8 +39,7 @@ def flights(setting, keys, runs=12, seed=3):
 
 
 @pytest.mark.parametrize(
-    "setting",
-    [pytest.param(one, marks=[pytest.mark.slow] * (one not in DEFAULT)) for one in SETTINGS],
+    "setting", [pytest.param(one, marks=[pytest.mark.slow] * (one not in DEFAULT)) for one in SETTINGS]
 )
 def test_what_is_proved_keeps_clear_and_within_the_thrust_limits(setting):
     for key, method, _, metrics in flights(setting, PROVED):

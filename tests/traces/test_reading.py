@@ -193,10 +193,7 @@ MALFORMED = {
     "no mode_trace": (without("agents", "chaser", "mode_trace"), MODES),
     "row is a number": (chaser("state_trace", 3, 5.0), f"{ROWS}[3]"),
     "row has no state": (chaser("state_trace", 3, [3]), f"{ROWS}[3]"),
-    "nested row has no state": (
-        changed("agents", "chaser", value=agent([[0, []], [1, []]])),
-        f"{ROWS}[0]",
-    ),
+    "nested row has no state": (changed("agents", "chaser", value=agent([[0, []], [1, []]])), f"{ROWS}[0]"),
     "row is too short": (chaser("state_trace", 3, [3, 7, 0]), f"{ROWS}[3]"),
     "row is too long": (chaser("state_trace", 2, [2, 8, 0, 0, -1, 0, 0, 0]), f"{ROWS}[2]"),
     "row holds a text": (chaser("state_trace", 3, [3, "7", 0, 0, -1, 0, 0]), f"{ROWS}[3]"),

@@ -1,7 +1,5 @@
 """How results are printed: lines that no terminal breaks, and tables without rules."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

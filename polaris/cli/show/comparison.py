@@ -1,7 +1,5 @@
 """What the command line shows of a comparison of run-time methods, and of a trade-off."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """What the command line shows of the inspection problem: what a flight or a campaign came to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

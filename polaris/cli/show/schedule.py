@@ -1,7 +1,5 @@
 """What the command line shows of a run of a schedule, and of a campaign of such runs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Metrics of traces as tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

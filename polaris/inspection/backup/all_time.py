@@ -3,8 +3,6 @@
 The lemmas are those of ``docs/inspection-theory.md``, section 6.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

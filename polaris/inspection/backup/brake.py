@@ -4,8 +4,6 @@ Seen from such axes the sun stands still, and with it both cones; what is left o
 ``2 n^2 r``. Lemmas and proofs are in ``docs/inspection-theory.md``, section 6.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

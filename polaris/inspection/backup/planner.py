@@ -1,7 +1,5 @@
 """Plans of a backup that are proven before they are needed: the plainest, and what mends one that is not."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 Bounds on infinite sums: the first terms exactly, the rest by a norm that has shrunk to a thousandth.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov

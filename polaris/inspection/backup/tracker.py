@@ -3,8 +3,6 @@
 Its flights can be predicted: exact motion with the thrust held period by period.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

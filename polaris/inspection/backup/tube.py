@@ -1,7 +1,5 @@
 """How far the true state may be from a plan that is held by feedback: lemma B of the theory of inspection."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -4,8 +4,6 @@ As the paper defines them, in its units: what flights are judged by, independent
 phi7 and phi8 (passively safe manoeuvres) are h7 and h8; see `polaris.inspection.constraints.passive`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

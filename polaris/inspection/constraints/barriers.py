@@ -9,8 +9,6 @@ phi, of the control-invariant h, of their gradients and explicit changes with ti
 curvature of h between samples.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property

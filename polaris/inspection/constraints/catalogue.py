@@ -1,7 +1,5 @@
 """The eleven constraints of the paper and the families of barriers that keep them: names and ranks."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

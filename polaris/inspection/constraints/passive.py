@@ -1,7 +1,5 @@
 """Passively safe manoeuvres: h7 = phi7 (eq. 21) and h8 = phi8 (eq. 22), and their form for sampled data."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

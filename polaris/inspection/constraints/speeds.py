@@ -1,7 +1,5 @@
 """Barriers about the velocities: h3 (eq. 14) and h9 to h11 (eq. 23), and their forms for sampled data."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

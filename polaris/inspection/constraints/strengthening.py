@@ -1,7 +1,5 @@
 """Strengthening functions alpha of the barrier conditions (eq. 7): odd polynomials, given by numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All constraints of an inspection problem as rows in one fixed order: whom each concerns, its formula."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Explicit active set invariance filter for one flight, call by call, that never passes on bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...model.system import Array
@@ -40,10 +38,7 @@ class ActiveSetFilter(CallByCall):
     """
 
     def __init__(
-        self,
-        filtering: Centralized | Decentralized,
-        backup: Backup | None = None,
-        sun_start: float = 0.0,
+        self, filtering: Centralized | Decentralized, backup: Backup | None = None, sun_start: float = 0.0
     ) -> None:
         self.filtering, self.backup, self.sun_start = filtering, backup, sun_start
         self.families, self.inspection = filtering.families, filtering.families.inspection

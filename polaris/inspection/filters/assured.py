@@ -5,8 +5,6 @@ the way to the backup. It is applied if, after it, a plan is safe for all time; 
 proven before is flown on. Proofs are in ``docs/inspection-theory.md``, section 6.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 import numpy as np

@@ -3,8 +3,6 @@
 A batch holds R independent runs; a single call is a batch of one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ the state x, and x' the state after a period D of the desired input u, that inpu
 Why this keeps the limit is proven in ``docs/inspection-theory.md``, section 7.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -60,11 +58,7 @@ class FuelLimit(CallByCall):
     """
 
     def __init__(
-        self,
-        law: Tracker,
-        keep_clear: bool = True,
-        horizon: float = 3000.0,
-        spent: ArrayLike = 0.0,
+        self, law: Tracker, keep_clear: bool = True, horizon: float = 3000.0, spent: ArrayLike = 0.0
     ) -> None:
         q = law.inspection
         self.inspection, self.law, self.keep_clear = q, law, keep_clear

@@ -4,8 +4,6 @@ Each works out the same plans for all, from what all have told, and takes its ow
 on with the plan it has. New plans are proven for all that may come of it (``docs/inspection-theory.md``, 6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The paper's Monte Carlo: flights of a block of runs under one filter, and what comes of each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """One deputy flown into its fuel limit: what the paper's Fig. 9 shows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import perf_counter

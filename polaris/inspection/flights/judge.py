@@ -1,7 +1,5 @@
 """Judge flights: least values of all constraints, when and for whom, also between the samples."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Primary controllers of the paper's simulations: none at all, and aggressive LQRs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol

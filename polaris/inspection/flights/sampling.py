@@ -1,7 +1,5 @@
 """Initial conditions of the Monte Carlo: Latin hypercube samples that satisfy every constraint."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Filtered flights of many runs at once: exact motion, thrust held for a control period."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter

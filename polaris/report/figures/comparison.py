@@ -1,7 +1,5 @@
 """Figures of a comparison and of a trade-off: where every method flew, and what was gained and lost."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO

@@ -1,7 +1,5 @@
 """Figures of a flight of the inspection problem: figure 6 of the paper, and more, from its files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

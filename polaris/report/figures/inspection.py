@@ -1,7 +1,5 @@
 """Figures of a campaign (figure 8) and of the fuel limit (figure 9), and parts of those of flights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

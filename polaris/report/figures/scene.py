@@ -5,8 +5,6 @@ written at the set and at the chaser's place. Dashed: keep-in sets, and sets tha
 be passed. A thin line about another satellite is where it is known to be.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The scene in space; for motion in a plane, time is the third axis."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

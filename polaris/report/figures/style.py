@@ -1,7 +1,5 @@
 """How every printed figure looks: readable at column width, in plain text, the same bytes every time."""
 
-from __future__ import annotations
-
 import atexit
 import shutil
 import tempfile

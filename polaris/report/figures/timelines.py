@@ -1,7 +1,5 @@
 """Figures over time: distance and thrust, which controller flies, and how much room is left."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

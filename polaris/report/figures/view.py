@@ -1,7 +1,5 @@
 """The plane that is drawn, where in it there is room for names, and close-ups where it does not tell."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a comparison of methods on one scenario."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Iterable, Mapping, Sequence

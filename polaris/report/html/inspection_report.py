@@ -1,7 +1,5 @@
 """The page of the inspection problem: a flight, a fuel limit, or a campaign (tables alone)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

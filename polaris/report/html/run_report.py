@@ -1,7 +1,5 @@
 """The page of an ordinary run folder, and guarantees in words: what is proven, how far, on what grounds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import groupby
 from typing import Any

@@ -8,8 +8,6 @@ the next one. A ``slice`` is of the instants ``t`` alone, with frames by run; ``
 ``over`` (place in ``t``, name, colour) are of the hand-overs.
 """
 
-from __future__ import annotations
-
 from math import isfinite
 from typing import Any
 

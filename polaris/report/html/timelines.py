@@ -9,8 +9,6 @@ to none, and has ``y`` (one line) or ``runs`` (a line per run of its pilot), sam
 the pilot's, ``step`` if it is held until the next sample, and perhaps a ``band`` of two lines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 

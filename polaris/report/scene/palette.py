@@ -3,8 +3,6 @@
 No two kinds of thing share a colour.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Unsafe and keep-in sets in a scene: in the plane, in space, in the plane over time, and about a chief."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

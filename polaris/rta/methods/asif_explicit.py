@@ -7,8 +7,6 @@ filtered input is the nearest to the desired one with ``h' >= -alpha h`` for eve
 and errors of thrusters included. Where inputs move the position at once, ``h = d``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...model.checks import positive

@@ -1,7 +1,5 @@
 """Methods that look at no measurement: one controller throughout, or the schedule of Algorithm 2."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

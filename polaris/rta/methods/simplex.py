@@ -1,7 +1,5 @@
 """Simplex, latched: the region where U flies is written down beforehand, or S is flown in prediction."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

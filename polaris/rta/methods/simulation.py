@@ -3,8 +3,6 @@
 It does not ask whether S could still take over when that turns bad: this is what it is here to show.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import ClassVar
 

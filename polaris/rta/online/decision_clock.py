@@ -1,7 +1,5 @@
 """At which decision a call is made, by time: recoverable sets are indexed by it."""
 
-from __future__ import annotations
-
 from math import floor, isfinite
 
 from ...model.foreign import real

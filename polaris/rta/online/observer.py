@@ -1,7 +1,5 @@
 """From measurements as they arrive to a state that may be judged by, or a fault."""
 
-from __future__ import annotations
-
 from math import isfinite
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Flying a campaign: tasks to an executor, survival of lost workers; and flying one run again."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor

@@ -8,8 +8,6 @@ summary.json    statistics of the kind of run
 =============== ====================================================================================
 """
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Sequence

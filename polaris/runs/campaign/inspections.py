@@ -1,7 +1,5 @@
 """Campaigns of the inspection problem: drawn initial conditions, each flown under every study's filter."""
 
-from __future__ import annotations
-
 import tomllib
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Who flies: this process, a pool of processes, or a Dask cluster; all are `concurrent.futures` executors."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """What a schedule's proof promises at every instant, and how far runs stay from every limit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from math import floor

@@ -1,7 +1,5 @@
 """Attacks on passive safety: all thrust stops in simulated runs, and the disturbance drives the drift."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm

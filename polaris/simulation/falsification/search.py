@@ -1,7 +1,5 @@
 """The search: worst cases, worst cases about what was flown, mutations of the best, and chance."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -138,10 +136,7 @@ class Falsification:
 
 
 def falsify(
-    schedule: Schedule,
-    runs: int = 10_000,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    schedule: Schedule, runs: int = 10_000, seed: int = 0, progress: Callable[[int, int], None] | None = None
 ) -> Falsification:
     """Search for a run that breaks what a schedule claims.
 

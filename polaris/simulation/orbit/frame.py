@@ -6,8 +6,6 @@ along the orbit's normal). The frame turns at ``omega = (omega_x, 0, omega_z)``,
 its x-y plane.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...model.hill import cw_matrix

@@ -1,7 +1,5 @@
 """The model error of a scenario: how far Hill's linear equations may be off where its mission flies."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -3,8 +3,6 @@
 Every part is an inequality proven in docs/model-error.md; nothing here is sampled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A schedule flown in the nonlinear motion: two bodies, J2, drag, and a target that feels them too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
