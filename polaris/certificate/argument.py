@@ -66,11 +66,14 @@ class Argument:
         self.document, self.record, self.stated = document, record, stated or Stated()
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        known = self.plant, document.slopes, document.fits
-        self.pilots = [Pilot(law, *known, Whereabouts.of(document, law, self.plant)) for law in document.laws]
+        stored = self.plant, document.slopes, document.fits
+        self.pilots = [Pilot(law, *stored, Whereabouts.of(document, law, self.plant)) for law in document.laws]
         self.gain = self.pilots[0].gain
-        self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
-        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
+        known = replace(self.plant, estimate=tuple(document.calmest))
+        self.noise = known.command_error(self.gain)
+        # Where there is a profile, what commands cause is booked with it.
+        always = known.measured_error(self.gain) if document.profile else self.noise
+        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in always])
         self.upsets = moved(document, self.plant)
 
     def run(self) -> None:

@@ -21,6 +21,7 @@ from .balls import (
     dot,
     exponential,
     exponential_over,
+    identity,
     magnitude,
     norms,
     root,
@@ -28,6 +29,9 @@ from .balls import (
     sums,
 )
 from .zonotopes import Zonotope, ball_cover
+
+PARTS = 32
+"""Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,33 @@ class Plant:
     prompt: tuple[float, ...] = ()  # the same without jitter
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
+    unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
+    hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
+
+    @cached_property
+    def unseen(self) -> arb_mat:
+        """What a unit of an input's error adds to a prediction's at most until it is measured, (n, m)."""
+        n, m = self.B.nrows(), self.B.ncols()
+        if not self.unmeasured > 0:
+            return arb_mat(n, m)
+        part, rows = replace(self, h=self.unmeasured / PARTS).open, identity(n)
+        pushes = [Push.in_box(column(each), [arb(1)]) for each in self.B.transpose().tolist()]
+        found = [[arb(0)] * n for _ in pushes]
+        for _ in range(PARTS):
+            found = [sums(x, part.push_gain(rows, push)) for x, push in zip(found, pushes, strict=True)]
+            rows = rows * part.phi
+        return arb_mat(m, n, [x for each in found for x in each]).transpose()
+
+    def late(self, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
+        """What errors of commands up to `most` that are not measured yet add to a command (Lemma 44)."""
+        if not self.hidden:
+            return [arb(0)] * gain.nrows()
+        return (absolute(gain) * self.unseen * column(self.thruster_part(most))).entries()
+
+    def measured_error(self, gain: arb_mat) -> list[arb]:
+        """`command_error` without `late`, which it holds for all the thrust that there is."""
+        pairs = zip(self.command_error(gain), self.late(gain, self.u_max), strict=True)
+        return [(x - y).abs_upper() for x, y in pairs]
 
     @cached_property
     def carry(self) -> list[Push]:

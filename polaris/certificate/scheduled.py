@@ -1,6 +1,7 @@
 """Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
 from dataclasses import replace
+from math import ceil
 
 from flint import arb, arb_mat
 
@@ -27,7 +28,7 @@ class Scheduled:
     """
 
     def __init__(self, document: Document, loop: Motion, memory: Memory, path: Path, gain: arb_mat) -> None:
-        self.loop, self.memory, self.path = loop, memory, path
+        self.loop, self.memory, self.path, self.gain = loop, memory, path, gain
         least, at = replace(loop.plant, estimate=tuple(document.calmest)).command_error(gain), loop.plant
         known = [replace(at, estimate=tuple(document.known_to(k))) for k in range(len(path.arcs))]
         parts = [zip(plant.command_error(gain), least, strict=True) for plant in known]
@@ -57,9 +58,11 @@ class Scheduled:
 
     def _along(self, needs: Needs) -> Along:
         plant, q = self.loop.plant, self.loop.plant.q
-        caused = [
-            sums(plant.thruster_part(most), n) for most, n in zip(self.commanded, self.noise, strict=True)
-        ]
+        back, caused = ceil(plant.hidden / q), []
+        for k, (most, noise) in enumerate(zip(self.commanded, self.noise, strict=True)):
+            since = self.commanded[max(k - back, 0) : k + 1]
+            before = [largest(each) for each in zip(*since, strict=True)]
+            caused.append(sums(plant.thruster_part(most), plant.late(self.gain, before), noise))
         errors = [[x.upper() for x in each] for each in caused]
         worst = [largest(each) for each in zip(*errors, strict=True)]
         box = self.loop.box_of(Push.in_box(plant.B, worst))

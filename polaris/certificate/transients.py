@@ -9,14 +9,12 @@ from .balls import absolute, column, diagonal, exponential, identity, largest, m
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Plant
+from .plants import WHOLE
 from .timing import predicted
 from .verdict import Rejected, Undecided
 
 ROUNDED = 1e-12
 """Rounding of products of numbers of the scenario, relative to them."""
-
-WHOLE = 1e-9
-"""Share by which a delay may exceed a whole number of periods and count as one."""
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:

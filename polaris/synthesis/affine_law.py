@@ -82,8 +82,21 @@ class AffineLaw:
 
     @cached_property
     def disturbance(self) -> Zonotope:
-        """What the disturbance adds by every node of a cell."""
-        return self.flow.disturbance_nodes(self.feedback.nodes_per_cell)
+        """What the disturbance adds by every node of a cell.
+
+        Until the cell's own commands are all that is not measured yet, estimates may be off by more.
+        """
+        q, system, hidden = self.feedback.nodes_per_cell, self.system, self.system.timing.hidden
+        least = 0 * self.error if self.most is None else system.command_error(self.gain, self.most)
+        more = system.command_error(self.gain) - least
+        if self.most is None or hidden >= q or not np.any(more > 0):
+            return self.flow.disturbance_nodes(q)
+        flow = self.feedback.flow(system, self.gain, self.reference.delta, self.error - more)
+        first, n = flow.input_map(system.B) * more, system.n
+        early = np.zeros((q + 1, n, hidden * system.m))
+        for j in range(hidden):
+            early[j + 1 :, :, j * system.m : (j + 1) * system.m] = self.powers[: q - j] @ first
+        return flow.disturbance_nodes(q) + Zonotope(np.zeros((q + 1, n)), early)
 
     @cached_property
     def offset(self) -> Array:

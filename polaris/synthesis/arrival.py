@@ -152,7 +152,7 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
     late = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
     always = pushed[-1] + late * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
     if tracking.profile is not None:
-        always = always + tracking.late(rows, tracking.system.thrusters.part(tracking.profile[0]))[0]
+        always = always + tracking.late(rows, tracking.caused(tracking.profile)[0])[0]
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
         lag = since + np.arange(nodes)

@@ -49,7 +49,7 @@ class Scheduled:
         tracking, cells = self.tracking, len(commanded)
         q, errors = tracking.feedback.nodes_per_cell, self.noise
         if tracking.profile is not None:
-            errors = errors + tracking.system.thrusters.part(commanded)
+            errors = errors + tracking.system.thrusters.part(commanded) + self._unseen(commanded)
         gains = tracking.flow.input_gains(rows, tracking.system.B, tracking.memory + 2)
         sums, within = summed(gains, np.repeat(errors, q, axis=0)), errors @ gains[0].T
         now = sums[:-1].reshape(cells, q, -1) + within[:, None]
@@ -61,6 +61,14 @@ class Scheduled:
         found = np.concatenate([between[:, :1], between], axis=1)
         found[:, 1:-1] = np.maximum(between[:, :-1], between[:, 1:])
         return np.asarray((found + late + curved) * (1 + ROUNDING))
+
+    def _unseen(self, commanded: Array) -> Array:
+        """What errors of scheduled commands add to those after them until they are measured, (cells, m)."""
+        system, gain = self.tracking.system, self.tracking.gain
+        before = commanded.copy()
+        for i in range(1, -(-system.timing.hidden // self.tracking.feedback.nodes_per_cell) + 1):
+            before[i:] = np.maximum(before[i:], commanded[:-i])
+        return system.command_error(gain, before) - system.command_error(gain, 0 * before)
 
 
 def command_errors(system: LinearSystem, gain: Array, cells: int) -> Array:
