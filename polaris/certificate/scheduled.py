@@ -24,7 +24,8 @@ class Scheduled:
 
     So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
 
-    Over the tail, which is flown again and again, commands are bounded by one number for every input.
+    The tail is flown again and again: bounds on commands do not grow over it, and are constant over the end
+    of it that later turns remember.
     """
 
     def __init__(self, document: Document, loop: Motion, memory: Memory, path: Path, gain: arb_mat) -> None:
@@ -40,8 +41,10 @@ class Scheduled:
         self._rates = needs.rates
         for _ in range(ROUNDS):
             more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in self._along(needs)]
-            if tail := more[self.planned :]:
-                more[self.planned :] = [[largest(each) for each in zip(*tail, strict=True)]] * len(tail)
+            end = max(len(more) - ceil((memory.periods + 2) / loop.plant.q), self.planned)
+            for k in range(len(more) - 2, self.planned - 1, -1):
+                more[k] = [largest(pair) for pair in zip(more[k], more[k + 1], strict=True)]
+            more[end:] = [more[end]] * (len(more) - end) if end < len(more) else []
             if self._holds([sums(*pair) for pair in zip(nu, more, strict=True)]):
                 return
             grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
@@ -69,7 +72,7 @@ class Scheduled:
         rates = (magnitude(column(sums(rate.always(worst), rate.late(box)))) for rate in self._rates)
         booked = sums(needs.late(box), self.loop.lesser_bow(needs.rows, *rates))
         sums_at = needs.summed([error for error in errors for _ in range(q)])
-        for_ever, found = needs.always(errors[-1]), []  # as if the tail's commands had always been
+        for_ever, found = needs.always(errors[-1]), []  # as if the tail's last commands had always been
         for cell, error in enumerate(errors):
             first, parts = needs.within(error), []
             repeated = [sums(for_ever, first)] if cell >= self.planned else []

@@ -8,6 +8,9 @@ from ..planning.reference import Reference
 from .profile import ROUNDS, SETTLED, SPARE, summed
 from .tracking import Tracking
 
+LONGER = 3
+"""How many times the memory's length bounds at the end of the tail are constant: a checker remembers longer."""
+
 
 class Scheduled:
     """What errors add by the time of the flight: because of the reference's own input, and of its steps.
@@ -31,11 +34,17 @@ class Scheduled:
         self.commanded = self._commanded()
 
     def _commanded(self) -> Array:
-        """Bound on the scheduled part of every command, constant over the tail, shape (cells, m) [N]."""
-        found = self.nu
+        """Bound on the scheduled part of every command, shape (cells, m) [N].
+
+        It does not grow over the tail, and is constant over the end of it that later turns remember.
+        """
+        found, tracking = self.nu, self.tracking
+        remembered = LONGER * (tracking.memory + 2)
+        end = max(len(found) + -remembered // tracking.feedback.nodes_per_cell, self.planned)
         for _ in range(ROUNDS):
             more = self._along(self.tracking.gain, found).max(axis=1)
-            more[self.planned :] = more[self.planned :].max(axis=0, initial=0.0)
+            more[end:] = more[end:].max(axis=0, initial=0.0)
+            more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
             before, found = found, self.nu + more * (1 + SPARE)
             if np.all(found - before <= SETTLED * more) or np.any(more > self.tracking.system.u_max):
                 break
@@ -54,7 +63,7 @@ class Scheduled:
         sums, within = summed(gains, np.repeat(errors, q, axis=0)), errors @ gains[0].T
         now = sums[:-1].reshape(cells, q, -1) + within[:, None]
         between = np.maximum(now, sums[1:].reshape(cells, q, -1))
-        if cells > self.planned:  # the tail is flown again and again: as if its commands had always been
+        if cells > self.planned:  # the tail is flown again and again: as if its last commands had always been
             for_ever = gains.sum(axis=0) @ errors[-1] + within[-1]
             between[self.planned :] = np.maximum(between[self.planned :], for_ever)
         late, curved = tracking.late(rows, errors.max(axis=0))
