@@ -66,8 +66,8 @@ class Argument:
         self.document, self.record, self.stated = document, record, stated or Stated()
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        stored = self.plant, document.slopes, document.fits
-        self.pilots = [Pilot(law, *stored, Whereabouts.of(document, law, self.plant)) for law in document.laws]
+        given = self.plant, document.slopes, document.fits
+        self.pilots = [Pilot(law, *given, Whereabouts.of(document, law, self.plant)) for law in document.laws]
         self.gain = self.pilots[0].gain
         known = replace(self.plant, estimate=tuple(document.calmest))
         self.noise = known.command_error(self.gain)

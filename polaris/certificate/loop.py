@@ -66,7 +66,7 @@ class Memory:
 
 
 def _caused(motion: Motion, profile: Sequence[list[arb]], count: int) -> list[list[arb]]:
-    """What commands within a profile cause: errors of inputs, and of those after them until it is measured."""
+    """Errors of inputs by commands within a profile, and by those before them that are not measured yet."""
     plant, last = motion.plant, len(profile) - 1
     parts = [plant.thruster_part(most) for most in profile]
     late = [plant.late(motion.held, most) for most in (plant.u_max, *profile)] if plant.hidden else []
