@@ -184,16 +184,13 @@ class ClosestApproach:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Segments of flights on which the distance may fall below the least one found so far.
-
-    Of each: the flight's row in what was `found`, its `parts`, the bound on ``q''''``.
-    """
+    """Segments of flights on which the distance may fall below the least one found so far."""
 
     found: Approach
-    row: NDArray[np.intp]
+    row: NDArray[np.intp]  # of each segment's flight, in what was found
     parts: Array
     n: float
-    quartic: Array
+    quartic: Array  # bounds on ``|q''''|``
 
     def run(self, start: Array, end: Array, first: Array, last: Array) -> None:
         """Search the segments, one for each row; all of the same length."""

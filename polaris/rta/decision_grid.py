@@ -185,11 +185,9 @@ class DecisionGrid:
         """The experimental controllers' own references at every node up to T, by mode."""
         out = {}
         for mode, law in enumerate(self.controllers):
-            if (
-                isinstance(law, (AffineController, NeuralController))
-                and law.own is not self.clearance.reference
-            ):
-                out[mode] = _at_nodes(law.own.fine(self.clearance.q))
+            own = getattr(law, "own", self.clearance.reference)
+            if own is not self.clearance.reference:
+                out[mode] = _at_nodes(own.fine(self.clearance.q))
         return out
 
     @cached_property

@@ -207,9 +207,8 @@ class Engine(Integrator):
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
             self._rows = chosen = flying == mode
-            for whole_, part in zip(
-                out, self._under(mode, node, u[chosen], x[chosen], w[chosen]), strict=True
-            ):
+            parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
+            for whole_, part in zip(out, parts, strict=True):
                 whole_[chosen] = part
         self._rows = slice(None)
         return out[0], out[1], out[2], out[3]

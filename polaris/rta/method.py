@@ -160,9 +160,8 @@ class Method(ABC):
     def on(cls, grid: DecisionGrid, **options: Any) -> Method:
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
         if cls.predicts and any(isinstance(law, BlackBox) and law.memory for law in grid.controllers):
-            raise NotCertified(
-                "it would ask what a black box with memory answers in flights that are not flown"
-            )
+            told = "it would ask what a black box with memory answers in flights that are not flown"
+            raise NotCertified(told)
         try:
             return cls(grid, **options)
         except NotCertified:

@@ -166,7 +166,6 @@ class CallByCall(ABC):
         return nothing if u is None else np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
 
-def named(labels: Sequence[str], values: Array, shown: NDArray[np.bool_] | bool = True) -> dict[str, float]:
-    """Values by their names; nan where they are not to be shown."""
-    told = values if shown is True else np.where(shown, values, np.nan)
-    return dict(zip(labels, told.tolist(), strict=True))
+def named(labels: Sequence[str], values: Array) -> dict[str, float]:
+    """Values by their names."""
+    return dict(zip(labels, values.tolist(), strict=True))

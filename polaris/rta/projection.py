@@ -118,10 +118,7 @@ def _coupled(
 
 
 def _together(G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array) -> Index:
-    """A few independent programs as one: a call of the solver costs more than their sizes.
-
-    Writes the solutions into `u` and returns the programs left to do: all, if one of them has no solution.
-    """
+    """A few programs as one, which saves calls: solutions go into `u`; to do are none, or all."""
     which, row = np.nonzero(needed)
     alone = np.full(len(which), -1, dtype=np.intp)
     found, status = _coupled(G[which, row], bound[which, row], desired[:, 0], limit, which, alone, None)

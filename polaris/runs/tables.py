@@ -1,4 +1,4 @@
-"""The readable files of a run folder: tables (CSV) and strict JSON."""
+"""The readable files of a run folder, tables (CSV) and strict JSON; what a run claims besides, in words."""
 
 import csv
 import json
@@ -14,8 +14,9 @@ from ..model.timing import Timing
 from ..planning.reference import Reference
 from ..synthesis.controllers import AffineController
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NeuralController
+from ..synthesis.recoverable import directed
 from ..synthesis.schedule import Schedule
+from ..synthesis.synthesize import in_words
 
 
 def finite(value: float) -> float | None:
@@ -156,11 +157,9 @@ def gains(schedule: Schedule) -> dict[str, Any]:
     for entry, controller in zip(controllers, schedule.controllers, strict=True):
         if isinstance(controller, AffineController):
             entry |= {"gain": controller.gain, "clips": controller.clips}
-        if (
-            isinstance(controller, (AffineController, NeuralController))
-            and controller.own is not safety.reference
-        ):
-            entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
+        own = getattr(controller, "own", safety.reference)
+        if own is not safety.reference:
+            entry |= {"own_states": own.chi, "own_inputs": own.nu}
     return {
         "law": "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu",
         "system": {
@@ -191,3 +190,33 @@ def gains(schedule: Schedule) -> dict[str, Any]:
             "gain_input": bounds.gain_input,
         },
     }
+
+
+def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A heading and a sentence for everything that a guarantee claims besides."""
+    found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
+    return found + ([("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else [])
+
+
+def _upkeep(claim: Mapping[str, Any]) -> str:
+    """What holding on after T costs, and how long the tank lasts."""
+    orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
+    rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
+    cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
+    told = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    if tank is None:
+        return f"{told}."
+    if lasts is None:
+        return f"{told}: the tank of {tank:g} m/s lasts for ever."
+    return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+
+
+def drift_told(claim: Mapping[str, Any]) -> str:
+    """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
+    spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
+    most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
+    told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
+    found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
+    if claim["witness"] is None:
+        return f"{found}, all of the flight."
+    return f"{found}. Witness: {in_words(claim['witness'])}."

@@ -84,9 +84,7 @@ class _Agent:
         N = len(self.agent.times)
         if 1 < len(times) < N:
             raise _Stop("fewer rows than the agent's")
-        return [
-            np.broadcast_to(item, (N, *item.shape[1:])) if len(item) == 1 else item[:N] for item in values
-        ]
+        return [np.broadcast_to(one, (N, *one.shape[1:])) if len(one) == 1 else one[:N] for one in values]
 
     def usage(self) -> tuple[float, float, int]:
         """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).

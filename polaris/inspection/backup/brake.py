@@ -76,11 +76,7 @@ class Brake:
         self.drifting = self._free_flight()
 
     def _free_flight(self) -> tuple[float, float]:
-        """Lemma F: what is left, after up to T without thrust, of a distance held in the plane and across it.
-
-        Least share of the distance over the times of free flight from rest, lowered by what may happen
-        between the instants that are looked at.
-        """
+        """Lemma F: least shares left, up to T without thrust, of distances held in the plane, across it."""
         n, T = self.inspection.mean_motion, self.inspection.passive_time
         step = T / (LOOKS - 1)
         flights = free_flight(n, np.linspace(0.0, T, LOOKS)) @ self.resting

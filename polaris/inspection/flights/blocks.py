@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...rta.projection import SHORT
-from ..constraints.allowable_set import allowable
-from ..constraints.catalogue import CONSTRAINTS
+from ..constraints.allowable_set import CONSTRAINTS, allowable
 from ..constraints.families import Families
 from .judge import keepers
 from .simulation import BatchFilter, Flights, Observer, Step, fly

@@ -51,9 +51,8 @@ class LQR:
     ) -> None:
         weights = [positive("position_weight", position_weight, "1/m^2")] * 3
         weights += [non_negative("velocity_weight", velocity_weight, "s^2/m^2")] * 3
-        self.gain = lqr_gain(
-            inspection.system, weights, [positive("thrust_weight", thrust_weight, "1/N^2")] * 3
-        )
+        thrust = [positive("thrust_weight", thrust_weight, "1/N^2")] * 3
+        self.gain = lqr_gain(inspection.system, weights, thrust)
         self.distance = distance
 
     def __call__(self, t: float, x: Array) -> Array:

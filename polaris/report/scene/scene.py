@@ -175,9 +175,8 @@ class Stretch:
         shown = [start.c - reach, start.c + reach, picture.path()[0][:, 0], picture.safe_path()[1][:, 0]]
         points = np.concatenate(shown)
         size = float(np.ptp(points))
-        near = [
-            path[:, 0] for path in paths if np.ptp(np.append(path[:, 0], points)) < (1 + 2 * WIDEN) * size
-        ]
+        flown = (path[:, 0] for path in paths)
+        near = [one for one in flown if np.ptp(np.append(one, points)) < (1 + 2 * WIDEN) * size]
         points = np.concatenate([*shown, *near])
         low, high = float(points.min()) - WIDEN * size, float(points.max()) + WIDEN * size
         whole = cls(picture, -np.inf, np.inf)

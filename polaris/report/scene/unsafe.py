@@ -150,10 +150,7 @@ def _edges(corners: Array) -> Array:
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
-    """The timed cover within which another satellite is known to be, as the proof uses it.
-
-    Seen from its nominal place, the larger offsets of either end hold for all of a step.
-    """
+    """Another satellite's timed cover, as in the proof: larger offsets of either end all through a step."""
     picture = space.picture
     system, K = picture.system, picture.planned
     times = np.asarray(np.arange(K + 1) * picture.reference.delta)

@@ -73,9 +73,8 @@ class BoxMotion:
         self.most = system.u_max + system.thrusters.error(system.u_max)
         size = float(np.linalg.norm(system.A, 1)) * longest
         if not size <= FARTHEST_MOTION:
-            rule = (
-                f"must be at most {FARTHEST_MOTION * longest / size:.3g} s, the motion is too fast for more"
-            )
+            most = FARTHEST_MOTION * longest / size
+            rule = f"must be at most {most:.3g} s, the motion is too fast for more"
             raise ScenarioError("memory", longest, rule)
         terms = [np.eye(system.n)]
         while len(terms) < 100 and np.abs(terms[-1]).max() * longest ** len(terms) > 1e-30:

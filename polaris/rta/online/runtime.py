@@ -6,8 +6,6 @@ monitor itself are checked, and whatever is wrong with one of them, S flies. The
 documentation says why the proof survives, and what cannot be caught.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from math import inf, isfinite

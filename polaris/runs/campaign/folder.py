@@ -150,7 +150,10 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         return CampaignFolder(path, plan, table)
     check_file(path / "summary.json")
     if known.get("digest") != plan.digest:
-        rule = f"holds another campaign ({_difference(known, plan)}); --fresh replaces it"
+        data = plan.data()
+        names = [name for name in data if name != "runs" and known.get(name) != data[name]]
+        differs = "other " + ", ".join(names) if names else "its manifest was changed"
+        rule = f"holds another campaign ({differs}); --fresh replaces it"
         raise ScenarioError("--out", str(out), rule)
     if known["runs"] > plan.runs:
         rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
@@ -211,13 +214,6 @@ def _manifest(folder: Path) -> dict[str, Any]:
     if not isinstance(known.get("runs"), int):
         raise ScenarioError("campaign", str(folder), "its manifest is damaged (no number of runs)")
     return known
-
-
-def _difference(known: dict[str, Any], plan: CampaignPlan) -> str:
-    """What two campaigns differ in."""
-    data = plan.data()
-    names = [name for name in data if name != "runs" and known.get(name) != data[name]]
-    return "other " + ", ".join(names) if names else "its manifest was changed"
 
 
 KEY = "polaris"  # where a part says which campaign, case, batch and schedule it belongs to

@@ -87,9 +87,8 @@ class InspectionRuns(Kind):
         told["acceptance"] = drawn.acceptance
         found = outcomes(case, results.read(0, None))
         told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
-        return summary_of(
-            scenario, scenario.kind, told | {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
-        )
+        told |= {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
+        return summary_of(scenario, scenario.kind, told)
 
 
 def case_of(scenario: MonteCarloScenario) -> Case:
