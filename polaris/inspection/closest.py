@@ -11,21 +11,13 @@ from ..model.hill import free_flight
 from ..model.system import Array
 from .vectors import dot, length
 
-SEGMENT = 20.0
-"""Largest spacing [s] of the instants at which every free flight is looked at first."""
-
-TOLERANCE = 1e-6
-"""A closest approach is never above the true infimum by more than this [m]."""
-
-NEWTON = 40
-"""Most steps per minimum: Newton's converge in three or four, bisection alone in thirty."""
-
+SEGMENT = 20.0  # largest spacing [s] of the instants at which every free flight is looked at first
+TOLERANCE = 1e-6  # a closest approach is never above the true infimum by more than this [m]
+NEWTON = 40  # most steps per minimum: Newton's converge in three or four, bisection alone in thirty
 HALVINGS = 40
 """Most halvings of a segment that may hide a minimum; each makes its doubt sixteen times smaller."""
 
-BLOCK = 1024
-"""Flights looked at together: what fits into fast memory."""
-
+BLOCK = 1024  # flights looked at together: what fits into fast memory
 NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
 
 

@@ -24,11 +24,8 @@ from ..synthesis.polytope_sets import PolytopeSets
 from ..synthesis.schedule import Schedule
 from ..synthesis.tracking import Feedback, Tracking
 
-PERIOD = 1.0
-"""Longest decision period chosen by default [s]."""
-
-WHOLE = 1e-9
-"""Relative tolerance on "divides"."""
+PERIOD = 1.0  # longest decision period chosen by default [s]
+WHOLE = 1e-9  # relative tolerance on "divides"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +122,6 @@ class DecisionGrid:
         tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
         return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
 
-    # -- what it consists of ------------------------------------------------------------------------
-
     @property
     def system(self) -> LinearSystem:
         """What is controlled."""
@@ -167,8 +162,6 @@ class DecisionGrid:
             recoverable=PolytopeSets(self.clearance),
         )
         return replace(self.schedule, safety=safety)
-
-    # -- instants -------------------------------------------------------------------------------------
 
     @cached_property
     def xi(self) -> Array:

@@ -18,7 +18,6 @@ Flags = NDArray[np.bool_]
 
 MET = 1e-9  # shortage, in parts of the limit, up to which a row of length 1 counts as met
 SPARE = 1e-7  # by how much more than need be a row that cannot be met may be missed, in parts of the limit
-
 SURE = 0.01
 """Multiplier from which a row is settled with its program's shortage; the largest one always is.
 

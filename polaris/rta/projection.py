@@ -11,9 +11,7 @@ from ..model.system import Array
 from .priorities import least_violation
 
 PRIMAL = 1e-11  # violation [N] of a row of length 1 that the solver may leave
-
-FEW = 8
-"""Up to so many independent programs go to the solver as one."""
+FEW = 8  # up to so many independent programs go to the solver as one
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,

@@ -14,9 +14,7 @@ from .flight import Conditions, Engine
 from .method import FILTERED
 from .methods.monitor import REENTRY, Monitor
 
-POOL = 32
-"""Fewest flights whose conditions are drawn at a time."""
-
+POOL = 32  # fewest flights whose conditions are drawn at a time
 FLAGS = ("collided", "ended", "intervened")
 TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
 """What is told of every flight after a period, see `TrainingFlights.advance`."""

@@ -88,8 +88,6 @@ def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
     return InspectionRun(q, **read_held(arrays, ARRAYS))
 
 
-# -- in numbers -------------------------------------------------------------------------------------
-
 MEANING = {
     "phi1": ("separation from the chief", "m"),
     "phi2": ("separation of deputies", "m"),

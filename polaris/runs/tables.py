@@ -53,9 +53,17 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[st
         writer.writerows(map(strict, rows))
 
 
-def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
-    """One row per step of the schedule."""
+def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
+    """Mode, name and kind of every controller."""
     return [
+        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        for mode, controller in enumerate(schedule.controllers)
+    ]
+
+
+def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
+    """Write ``schedule.csv`` and ``schedule.json``."""
+    rows = [
         {
             "step": k,
             "t_start_s": schedule.times[k],
@@ -70,19 +78,6 @@ def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
         }
         for k, step in enumerate(schedule.steps)
     ]
-
-
-def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
-    """Mode, name and kind of every controller."""
-    return [
-        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
-        for mode, controller in enumerate(schedule.controllers)
-    ]
-
-
-def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
-    """Write ``schedule.csv`` and ``schedule.json``."""
-    rows = step_rows(schedule)
     write_csv(folder / "schedule.csv", rows)
     controllers = controller_rows(schedule)
     data = {

@@ -16,7 +16,6 @@ NEVER = 1e20  # what stands for no collision between agents there
 Each = tuple[dict[str, float], dict[str, float], dict[str, float]]
 """Least, largest and mean values by name of what is measured to."""
 
-
 Legacy = dict[str, dict[str, Any]]
 
 
@@ -100,8 +99,6 @@ class _Agent:
         untrusted = modes.count(UNTRUSTED)
         return untrusted / len(modes), (len(modes) - untrusted) / len(modes), switches
 
-    # -- distances --------------------------------------------------------------------------------
-
     def dists(self) -> tuple[float, float, dict[str, float]]:
         """(min, max, {set: mean}) over the sets."""
         if any(isinstance(item, PointTrace) for item in self.trace.unsafe.values()):
@@ -148,8 +145,6 @@ class _Agent:
                 (states,) = self._paired(other.times, other.states)
                 found.append((name, states[:, : self.d] - self.agent.states[:, : self.d], other))
         return found
-
-    # -- times to collision -----------------------------------------------------------------------
 
     def _velocity(self, name: str, agent: AgentTrace) -> Array:
         wanted = guess_heading(agent, self.d) if self.wanted is None else self.wanted

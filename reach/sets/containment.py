@@ -23,7 +23,6 @@ Method = Literal["auto", "exact", "sufficient"]
 Settle = Callable[[NDArray[np.intp]], list[bool | None]]
 
 MOST = 20_000  # facets of an outer zonotope, or branches over an inner one, looked at by default
-
 TOUCHING = "the sets touch to within rounding"
 
 

@@ -20,7 +20,6 @@ from .polytope import HPolytope
 from .zonotope import Zonotope
 
 COMMON = 1e-9  # points of the two sets this close, in sizes of the sets, count as a common point
-
 CLOSER = "the sets are closer than rounding can tell"
 
 

@@ -15,8 +15,6 @@ from .brake import Brake, turned
 from .tube import TOLERANCE
 
 SUPPORTS = 16  # most steps towards the nearest point of a patch of free flights; each gives a valid bound
-
-
 NEAR = 5.0  # bounds of free flights [m] up to which they are looked at closely
 
 
@@ -131,8 +129,6 @@ class AllTime:
         across = at - along[..., None] * axis
         value = np.cos(half) * length(across) - np.sin(half) * along
         return value, np.cos(half) * _units(across) - np.sin(half) * axis
-
-    # -- free flights -----------------------------------------------------------------------------
 
     def _passive(self, z: Array, wide: Array, bow: Array, jolt: Array, radius: Array) -> Array:
         """Lower bounds of phi7 and phi8, (N + P,), at every instant of the plans and ever after."""

@@ -16,7 +16,6 @@ from ..vectors import length
 from .tube import Held, Tube, Uncertainty
 
 MOST = 2000  # most samples of a plan: what would take longer is not proven
-
 RESPONSES = (10.0, 20.0, 40.0)
 """Time constants [s] of the feedback that holds a plan, of which the one with the thinnest tube is taken."""
 
@@ -90,8 +89,6 @@ class Brake:
         plane = np.linalg.svd(places[:, :2, :2], compute_uv=False)[:, -1].min()
         across = np.abs(places[:, 2, 2]).min()
         return max(float(plane - lost), 0.0), max(float(across - lost), 0.0)
-
-    # -- plans ------------------------------------------------------------------------------------
 
     def steps(self, change: Array) -> Array:
         """Periods that changes of V (..., 3) [m/s] take, about: at most a quarter of `MOST`."""

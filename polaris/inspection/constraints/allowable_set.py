@@ -41,9 +41,7 @@ KINDS = {
 """By family, in the order of h1 to h11."""
 
 FAMILIES = tuple(KINDS)
-
 CONSTRAINTS = tuple(name for kind in KINDS.values() for name in kind.phi)  # phi1 to phi11
-
 PASSIVE = {"phi7": "passive", "phi8": "deputy_passive"}
 """The constraints on free flights: they are their own barriers, and no part of what a backup must keep."""
 

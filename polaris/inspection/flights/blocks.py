@@ -15,7 +15,6 @@ from .judge import keepers
 from .simulation import BatchFilter, Flights, Observer, Step, fly
 
 BETWEEN = 1  # instants inside each period at which the constraints are looked at too
-
 NEAR = 60.0
 """Closest approaches in free flight [m] up to which they are told exactly; beyond, a lower bound is told."""
 

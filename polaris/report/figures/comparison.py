@@ -121,7 +121,6 @@ def _paths(found: ComparisonPicture) -> Any:
 GAP = 0.14  # height of a label [in]
 SPREAD = 4.0  # ratio of the largest velocity change to the least from which on the axis is logarithmic
 
-
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 """Points by velocity change [m/s], share [%] and switches."""
 
@@ -190,7 +189,6 @@ def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
 
 FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
 """Figures of a comparison."""
-
 
 LINES = {
     "share": (ORANGE, 100, "share"),

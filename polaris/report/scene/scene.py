@@ -152,8 +152,6 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
 
 
 INSTANTS = 121
-
-
 WIDEN = 2.5  # sets are shown that are no further from the path than so many times its extent
 
 

@@ -21,7 +21,6 @@ from .space import Space, moves
 AXES = ("Radial", "Along-track", "Cross-track")
 ORDER = [1, 0, 2]  # Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track
 PATH = 121  # instants between which a moving set is carried evenly
-
 APART = 2.2
 """A moving set is marked before and after the closest approach where it has moved so many times its width."""
 

@@ -21,8 +21,6 @@ from ..prospect import Leg, Prospect
 from ..recovery import Recovery, extended
 
 SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
-
-
 UNLIMITED = 1e200  # room of a row that nothing limits
 
 

@@ -25,8 +25,7 @@ from ...model.tolerances import ROUNDING, TIME
 FARTHEST_MOTION = 20.0
 """Largest ``norm(A, 1)`` times duration over which boxes are moved: beyond it they bound nothing."""
 
-KEPT = 32
-"""Motions over so many different durations are kept."""
+KEPT = 32  # motions over so many different durations are kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,8 +58,6 @@ class CampaignFolder:
         results = Results(plan.cases, plan.runs, plan.seed, plan.batch, self.failures(), self.read)
         write_whole(self.path / "summary.json", json_text(plan.kind.summarise(results, worst)))
 
-    # -- parts: one table per batch, written beside and renamed into place ---------------------------
-
     def part(self, task: Task) -> Path:
         """Where a batch goes: ``runs/case-0000-batch-00000.parquet`` and so on."""
         return self.path / "runs" / f"case-{task.case:04d}-batch-{task.batch:05d}.{self.table}"
@@ -102,8 +100,6 @@ class CampaignFolder:
 
     def _who(self, task: Task) -> dict[str, Any]:
         return {"campaign": self.plan.digest, "case": task.case, "batch": task.batch}
-
-    # -- cases that cannot be flown -------------------------------------------------------------------
 
     def failures(self) -> dict[int, dict[str, Any]]:
         """Cases that cannot be flown, by number, with ``message`` and ``exit_code``."""

@@ -21,7 +21,6 @@ from ..inspection import ARRAYS
 from .batch import Batch, Case, Kind, Replayed, Results, Task, of_mode
 
 BLOCK = 100  # runs flown together: what fits into fast memory
-
 STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
 
 DEFINITIONS = {
