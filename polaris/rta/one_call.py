@@ -69,7 +69,6 @@ class RunTimeFilter(Protocol):
         u_des : array_like, shape (N, m), or None
             Desired thrust [N]; None if it came too late. What is no such numbers did not come at all.
         """
-        ...
 
 
 class Backup(Protocol):
@@ -77,7 +76,6 @@ class Backup(Protocol):
 
     def __call__(self, t: float, x: Array) -> Array:
         """Thrust [N], shape (N, m), within the limits, for finite states of shape (N, n)."""
-        ...
 
 
 @dataclass(frozen=True)

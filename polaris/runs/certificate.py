@@ -21,6 +21,7 @@ from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..model.transient import Transient
 from ..scenario.fields import python_name
+from ..simulation.metrics import finite
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
@@ -29,7 +30,7 @@ from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
 from ..synthesis.schedule import Schedule
-from .tables import errors_of, finite, strict, write_text
+from .tables import errors_of, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:

@@ -27,7 +27,7 @@ from ..model.checks import of_kind
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
-from ..simulation.metrics import DEFINITIONS
+from ..simulation.metrics import DEFINITIONS, finite
 from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis import get_safety, synthesize
 from ..synthesis.black_box import Ask
@@ -216,7 +216,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
             "runs": worst.runs,
             "violated": worst.failure is not None,
             "failure": None if worst.failure is None else str(worst.failure),
-            "least_m": files.finite(float(min(sets, default=np.inf))),
+            "least_m": finite(float(min(sets, default=np.inf))),
             "leave_sets": sampled.adverse,
             "repeats": sampled.repeats,
         }

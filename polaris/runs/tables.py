@@ -12,16 +12,12 @@ import numpy as np
 from ..model.system import LinearSystem
 from ..model.timing import Timing
 from ..planning.reference import Reference
+from ..simulation.metrics import finite
 from ..synthesis.controllers import AffineController
 from ..synthesis.get_safety import Safety
 from ..synthesis.recoverable import directed
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import in_words
-
-
-def finite(value: float) -> float | None:
-    """The number, or None for infinities and NaN."""
-    return float(value) if np.isfinite(value) else None
 
 
 def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:

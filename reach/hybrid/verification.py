@@ -24,7 +24,6 @@ from .tube import HybridOptions, hybrid_tube
 Specs = Mapping[str, Sequence[Always | Never]]
 
 DEEP = 1e-6  # a violation must go beyond its limit by this share of the terms of the row, after the replay
-SHARP = 1e-10  # relative tolerance with which a trajectory is integrated again
 CORNERS = 8  # directions in which corners of the initial set are tried
 PART = 20_000  # sets that are cut at once
 
@@ -229,7 +228,7 @@ def first_violation(path: HybridTrajectory, specs: Specs) -> HybridTrajectory | 
 
 
 @checked
-def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory) -> float:
+def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory, rtol: float = 1e-10) -> float:
     """Integrate a trajectory again, independently, and check that it is admissible.
 
     Every visit is integrated from the state in which the last one ended, with the same input and
@@ -244,6 +243,9 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory) -> f
     """
     from scipy.integrate import solve_ivp  # slow to import
 
+    if not 0 < rtol < 1:
+        raise ReachError(f"rtol must lie between 0 and 1, got {rtol!r}")
+    rtol = max(rtol, 1e-13)
     worst, x = 0.0, trajectory.visits[0].states[0]
     if trajectory.visits[0].mode != automaton.start:
         return float("inf")
@@ -260,8 +262,8 @@ def replay_hybrid(automaton: HybridAutomaton, trajectory: HybridTrajectory) -> f
                 x,
                 method="LSODA" if np.abs(mode.system.A).max() * length > 100 else "DOP853",
                 t_eval=np.clip(visit.times - begun, 0, length),
-                rtol=SHARP,
-                atol=SHARP * float(scale.min()),
+                rtol=rtol,
+                atol=rtol * float(scale.min()),
             ).y.T
         worst = max(worst, float(np.max(np.abs(states - visit.states) / scale)))
         slack, t, x = 1e-9 * (1 + abs(visit.times[-1])), visit.transition, states[-1]

@@ -49,7 +49,7 @@ def _series(X: Any) -> Any:
     return total
 
 
-def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
+def thin_expm(A: Any, h: float, action: Action, half: Any = None) -> Any:
     """``e^{A h}`` of a sparse matrix, sparse (from the half of h if given); None where its action is cheaper.
 
     How far waves and diffusion reach in so short a time is seen from some rows moved by the action.

@@ -6,16 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from ..numerics.checks import Array
-from ..numerics.exponentials import (
-    CANCELLED,
-    Action,
-    dense,
-    exponential,
-    flushed,
-    scaled,
-    thin_exponential,
-    times,
-)
+from ..numerics.exponentials import CANCELLED, Action, dense, exponential, flushed, scaled, thin_expm, times
 from .systems import LinearSystem
 
 SPARSE = 0.1  # share of entries below which products with A use its sparse form
@@ -84,7 +75,7 @@ class Rows:
             half = self._maps.get(h / 2) if long else None
             with np.errstate(over="ignore", invalid="ignore"):
                 if self.action is not None:
-                    self._maps[h] = thin_exponential(self.A, h, self.action, half)
+                    self._maps[h] = thin_expm(self.A, h, self.action, half)
                 elif half is not None:
                     self._maps[h] = flushed(half @ half)
                 elif self.discrete:

@@ -127,7 +127,7 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
     return found
 
 
-COLUMNS = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "least distance")
+COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "least distance")
 COLUMNS += ("its mean, 95 %", "share of U", "velocity change, 95 %")
 
 

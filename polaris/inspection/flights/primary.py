@@ -18,7 +18,6 @@ class Primary(Protocol):
 
     def __call__(self, t: float, x: Array) -> Array:
         """Desired thrust [N], shape (R, N, 3), not necessarily within the limits, at states (R, N, 6)."""
-        ...
 
 
 class NoInput:

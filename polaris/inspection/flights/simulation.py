@@ -32,7 +32,6 @@ class BatchFilter(Protocol):
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        ...
 
 
 class OneFlight:

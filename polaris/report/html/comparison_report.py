@@ -15,20 +15,7 @@ from ...runs.comparison import ComparisonPicture
 from ...runs.folder import RunFolder
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
-from .page import (
-    Cell,
-    Measure,
-    Page,
-    badge,
-    details,
-    items,
-    macros,
-    number_cell,
-    reading,
-    shown,
-    table,
-    text_cell,
-)
+from .page import Cell, Measure, Page, badge, details, macros, number_cell, reading, shown, table, text_cell
 from .run_report import NOTE, guarantee, loud
 from .timelines import Flown, flight_data
 
@@ -206,4 +193,5 @@ def _log(own: Sequence[Decisions]) -> Markup:
     total, changes = sum(map(len, own)), len(own)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
     body = table(f"{total} decisions in {changes} stretches of the same reason", heads, rows)
-    return body + (items([f"and {changes - MOST_STRETCHES} more"]) if changes > MOST_STRETCHES else "")
+    more = [f"and {changes - MOST_STRETCHES} more"] if changes > MOST_STRETCHES else []
+    return body + (Markup(macros().items(more)) if more else "")

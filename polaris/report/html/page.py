@@ -202,11 +202,6 @@ def badge(kind: Any) -> Markup:
     return Markup(macros().badge(*BADGES.get(str(kind), ("limited", str(kind)))))
 
 
-def items(texts: Iterable[Any]) -> Markup:
-    """A list of texts."""
-    return Markup(macros().items(texts))
-
-
 def details(summary: str, inner: str) -> Markup:
     """A part that can be unfolded."""
     return Markup(macros().details(summary, inner))
