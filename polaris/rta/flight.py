@@ -231,5 +231,5 @@ class Engine(Integrator):
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
         applied = self.applied(u, 0)
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1) * self.substeps
-        after = x @ Ad.T + applied @ Bd.T + w @ Dd.T + (self.bow() if len(self.fired) else 0.0)
+        after = x @ Ad.T + applied @ Bd.T + w @ Dd.T + self.bow()
         return after, np.clip(u, -limit, limit), demand, spent

@@ -11,16 +11,13 @@ from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters
 from .failing import Failing
 
-TERMS = 12
-"""Most terms of the series of a pulse."""
-
 
 class Firing:
     """Thrusters over steps of an integration, R runs at once.
 
-    Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Pulses have the
-    thrust `fired` (m,); without any, what is commanded is held. Where the rest of an impulse is carried,
-    impulses are multiples of a bit from `begin` on, and `left` (R, m) [N s]. What fails is `failing`.
+    Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Pulses have
+    the thrust `fired` (m,); without any, what is commanded is held. From `begin` on, the rest of an impulse
+    is `left` (R, m) [N s] if it is carried. What fails is `failing`.
     """
 
     system: LinearSystem
@@ -57,20 +54,20 @@ class Firing:
         mean = np.sign(self.asked) * self.fired * within / np.maximum(end - start, 1e-300)
         return np.asarray(mean - self.asked)
 
-    def bow(self) -> Array:
-        """What pulses that begin and end in one step add to the state at its end beyond their mean, (R, n)."""
+    def bow(self) -> Array | float:
+        """What pulses within one step add to the state at its end beyond their mean, (R, n); 0 without."""
+        if not len(self.fired) or self.substeps > 1:
+            return 0.0
         on, sign = np.abs(self.asked) / self.fired, np.sign(self.asked) * self.fired
-        added = np.zeros((len(on), self.system.n))
-        for i, term in enumerate(self._series):
-            added += sign * (on ** (2 * i + 3) - on) @ term
-        return added
+        parts = [sign * (on ** (2 * i + 3) - on) @ term for i, term in enumerate(self._series)]
+        return np.asarray(sum(parts, np.zeros(self.system.n)))
 
     @cached_property
     def _series(self) -> list[Array]:
-        """A pulse about the middle of a step: per share of the step to the third, fifth, ... power, (m, n)."""
+        """A pulse about a step's middle: per share of the step to the third, fifth, ... power, (m, n)."""
         A, h, parts = self.system.A, self.dt, []
         term = first = expm(A * h / 2) @ self.system.B * h
-        while len(parts) < TERMS and np.abs(term).max() > 1e-15 * np.abs(first).max():
+        while np.abs(term).max() > 1e-15 * np.abs(first).max():
             power = 2 * len(parts) + 2
             term = (h / 2) ** 2 / (power * (power + 1)) * A @ A @ term
             parts.append(term.T)

@@ -152,8 +152,7 @@ class Integrator(Firing):
             sub = step % self.substeps
             if len(self.fired) and self.substeps > 1:
                 u = u + self.pulsed(sub / self.substeps, (sub + 1) / self.substeps)
-            x = x @ Ad.T + u @ Bd.T + w @ Dd.T
-            return x + self.bow() if len(self.fired) and self.substeps == 1 else x
+            return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.bow())
         force = w @ self.system.D.T
         rate = partial(self.rate, number, k, 2 * step, force=force)
         return runge_kutta(rate, x, self.dt, x @ self.system.A.T + u @ self.system.B.T + force)
