@@ -87,11 +87,16 @@ def test_feedback_without_a_period_is_refused(run, tmp_path):
 @pytest.mark.slow
 def test_a_flight_in_basilisk_keeps_within_what_was_proven(tmp_path):
     pytest.importorskip("Basilisk")
-    from benchmarks.basilisk.__main__ import REAL, scene
+    from benchmarks.basilisk.__main__ import REAL, Found, scene
 
-    row = scene("static", 2, tmp_path / "static", [*REAL])
-    assert row.violations == 0
-    assert row.tube <= 1 + 1e-6
-    assert row.thrust <= 1
-    assert 0.05 < row.residual < 1
-    assert 0.3 < row.seen <= 1
+    scene("static", 1, tmp_path / "static", [*REAL])
+    found = scene("static", 2, tmp_path / "static", [*REAL])
+    assert len(found) == len((tmp_path / "static.jsonl").read_text().splitlines()) == 2
+    worst = Found.worst(found)
+    assert worst.distance > 0
+    assert worst.tube <= 1 + 1e-6
+    assert worst.thrust <= 1
+    assert 0.05 < worst.residual < 1
+    assert 0.3 < worst.seen <= 1
+    with pytest.raises(ValueError, match="settings"):
+        scene("static", 1, tmp_path / "static", [*REAL, "timing.delay_s=0"])

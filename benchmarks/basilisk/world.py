@@ -85,9 +85,11 @@ def frame(r: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return axes, np.stack([R * across / size, np.zeros_like(R), size / R**2], axis=-1)
 
 
-def relative(target: np.ndarray, chaser: np.ndarray) -> np.ndarray:
-    """State of the chaser in the target's frame, from inertial states (..., 6)."""
-    axes, rate = frame(target[..., :3], target[..., 3:])
+def relative(
+    target: np.ndarray, chaser: np.ndarray, hill: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """State of the chaser in the target's frame, which may be known, from inertial states (..., 6)."""
+    axes, rate = frame(target[..., :3], target[..., 3:]) if hill is None else hill
     p = np.einsum("...ij,...j->...i", axes, chaser[..., :3] - target[..., :3])
     v = np.einsum("...ij,...j->...i", axes, chaser[..., 3:] - target[..., 3:])
     return np.concatenate([p, v - np.cross(rate, p)], axis=-1)
@@ -130,10 +132,11 @@ class Computer:
         target, chaser = (
             np.concatenate([said.r_BN_N, said.v_BN_N]) for said in (self.target(), self.chaser())
         )
-        x = relative(target, chaser)
+        hill = frame(target[:3], target[3:])
+        x = relative(target, chaser, hill)
         force = self.software.command(tick, x)
         attitude = RigidBodyKinematics.MRP2C(np.array(self.attitude().sigma_BN))
-        turned = attitude @ frame(target[:3], target[3:])[0].T
+        turned = attitude @ hill[0].T
         along = self.software.impulse(turned @ force) / self.software.limit
         on = np.stack([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1).ravel()
         self.seen.append(x)
