@@ -229,6 +229,7 @@ class Document:
             estimate=self.measured,
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
+            initial=(self.observer or {}).get("initial") or (),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
             if self.timing
             else (),

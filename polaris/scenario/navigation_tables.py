@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.prediction import design, filtered
+from ..model.prediction import design, fading, observing
 from ..model.system import Array, LinearSystem
 from . import fields as f
 from .error_tables import Timing
@@ -47,15 +47,17 @@ class Phase(Estimate):
 class Measurement(ScenarioPart):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
-    It has long been at work when the flight starts, with a steady Kalman gain. In Hill's frame it measures
-    the position, and the velocity if that has a bound. Refused with pulses, with impulses whose rest is
-    carried, and with faults that are isolated late.
+    Its gain is the steady Kalman gain. In Hill's frame it measures the position, and the velocity if that has
+    a bound. Refused with faults that are isolated late.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
     velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured without.", default=None)
     matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
     error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
+    initial: Estimate | None = unit("-", default=None)
+    """Bounds on the errors of its first estimate, on which the first command rests. Without them it has long
+    been at work when the flight starts."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """What is measured, shape (r, n), and bounds on its errors, shape (r,)."""
@@ -76,8 +78,10 @@ class Measurement(ScenarioPart):
         noise = np.concatenate([f.per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
         return np.eye(6)[: len(noise)], noise
 
-    def known(self, system: LinearSystem, period: float | None, timing: Timing) -> LinearSystem:
-        """The system whose estimates are an observer's."""
+    def known(
+        self, system: LinearSystem, horizon: tuple[int, float], period: float | None, timing: Timing
+    ) -> LinearSystem:
+        """The system whose estimates are an observer's; see `Navigation.known`."""
         if period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("navigation.measurement", None, rule)
@@ -85,7 +89,14 @@ class Measurement(ScenarioPart):
             rule = "must be 0 with an observer, which measures in every period"
             raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
         observer = design(system, *self.build(system), period)
-        return replace(system, observer=observer, estimate_error=filtered(system, observer, period))
+        first = np.zeros(system.n)
+        if self.initial is not None:
+            first = self.initial.build(system, "navigation.measurement.initial")
+        if np.any(first):
+            observer, (steps, step) = replace(observer, initial=first), horizon
+            left = fading(system, observer, period, steps, max(round(step / period), 1))
+            observer = replace(observer, fading=left)
+        return observing(system, observer, period)
 
 
 class Navigation(Estimate):
@@ -112,7 +123,7 @@ class Navigation(Estimate):
             if np.any(declared) or self.phases:
                 rule = "must be left out where an observer's estimates are declared"
                 raise ScenarioError("navigation.measurement", None, rule)
-            return self.measurement.known(system, period, timing)
+            return self.measurement.known(system, horizon, period, timing)
         if not self.phases:
             return replace(system, estimate_error=declared)
         begin = [0.0, *(phase.from_s for phase in self.phases)]

@@ -65,6 +65,11 @@ class Predicting(Integrator):
         assert observer is not None
         if self.measured < 0:
             self.filtered, self.measured = self.seen[start], start
+            if observer.initial is not None and self.eta is not None:
+                off = np.sign(self.eta[start]) * observer.initial
+                period = np.linalg.matrix_power(Ad, self.substeps)
+                past = -(-self.lag // self.substeps)  # updates before the first that is flown
+                self.filtered = self.filtered + off @ np.linalg.matrix_power(observer.rest @ period, past).T
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
