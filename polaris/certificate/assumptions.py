@@ -121,7 +121,9 @@ class Premises:
             yield f"sampling: {each}, in time and with {seen}"
         if measured := list(self.observer):
             told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
-            first = f"its first estimate is within [{_listed(first)}]" if (first := list(self.initial)) else ""
+            first = (
+                f"its first estimate is within [{_listed(first)}]" if (first := list(self.initial)) else ""
+            )
             first = first or "has long been at work"
             yield f"observer: {told}, the filter has the gain that is stated, and {first}"
         elif any(errors):

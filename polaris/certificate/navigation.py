@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 from typing import Any
 
 from flint import arb, arb_mat
@@ -74,24 +75,30 @@ def _phased(
     """The largest bounds of the phases that measurements of each step may come from."""
     if not phases:
         return [declared]
-    delta, begin = arb(document.delta), [0.0, *(phase["from_s"] for phase in phases)]
+    begin = [0.0, *(phase["from_s"] for phase in phases)]
     if any(a >= b for a, b in pairwise(begin)):
         raise Rejected("system", "phases of the navigation must begin one after the other")
     bounds = [declared, *(_declared(document, phase) for phase in phases)]
-    oldest = timing.get("delay_s", 0.0) + timing.get("missed_periods", 0) * delta / document.q
-    slack, last, rows = INSTANT * delta, document.steps, []
-    for k in range(last + 1):
-        begun = [k == last or not a >= (k + 1) * delta - slack for a in begin]
-        over = [*(b <= k * delta - oldest + slack for b in begin[1:]), False]
-        met = [bound for bound, one, other in zip(bounds, begun, over, strict=True) if one and not other]
+    oldest = timing.get("delay_s", 0.0) + timing.get("missed_periods", 0) * arb(document.delta) / document.q
+    ends, rows = [*begin[1:], inf], []
+    for k in range(document.steps + 1):
+        known = zip(bounds, begin, ends, strict=True)
+        met = [bound for bound, a, b in known if holding(document, a, b, k, oldest)]
         rows.append([max(each) for each in zip(*met, strict=True)])
     return rows
+
+
+def holding(document: Document, begins: float, ends: float, k: int, oldest: arb | float = 0.0) -> bool:
+    """Whether a phase may be met in step k, or so long before; after the last step all have begun."""
+    delta = arb(document.delta)
+    begun = k == document.steps or not begins >= (k + 1) * delta - INSTANT * delta
+    return begun and not ends <= k * delta - oldest + INSTANT * delta
 
 
 def _observed(
     document: Document, spec: dict[str, Any], initial: list[float], delay: float
 ) -> list[list[float]]:
-    """Errors of an observer with the gain that is stated, by step if it starts with more than it settles at."""
+    """Errors of an observer with the gain that is stated, by step if its first errors are known."""
     n, stated = len(document.A), document.observer
     if stated is None:
         raise Rejected("system", "the certificate does not state the observer's gain")

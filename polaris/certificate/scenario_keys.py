@@ -71,7 +71,7 @@ SCENARIO = {
     },
     "navigation?": {
         **_ESTIMATE,
-        "phases?": Rows({"from_s": POSITIVE, **_ESTIMATE}, 0, 64),
+        "phases?": Rows({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
         "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
                          "error?": LIMITS, "initial?": _ESTIMATE},
     },

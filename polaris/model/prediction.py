@@ -96,9 +96,7 @@ def fading(system: LinearSystem, observer: Observer, h: float, steps: int, perio
     return np.vstack([left[:first].reshape(steps, periods, -1).max(axis=1), ever])
 
 
-def observing(
-    system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0
-) -> LinearSystem:
+def observing(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> LinearSystem:
     """The system whose estimates are those of an observer; `moved` and errors are those of `filtered`."""
     found = filtered(system, observer, h, moved)
     if observer.fading is None:

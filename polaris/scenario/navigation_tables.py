@@ -1,18 +1,17 @@
 """The scenario file's models of navigation: bounds on errors, by phase of the flight, or an observer's."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from ..model.errors import ScenarioError
+from ..model.keep_in import INSTANT, KeepInPolytope, during
 from ..model.prediction import design, fading, observing
 from ..model.system import Array, LinearSystem
 from . import fields as f
 from .error_tables import Timing
 from .fields import ScenarioPart, unit
-
-INSTANT = 1e-9
-"""Share of a step by which instants may differ and count as one."""
 
 
 class Estimate(ScenarioPart):
@@ -42,6 +41,9 @@ class Phase(Estimate):
     """Bounds that hold from an instant on, by the schedule's clock, until the next phase begins."""
 
     from_s: f.Positive = unit("s", "When it begins, later than the phase before.")
+    within_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
+    """Half-widths of a box about the target in which these bounds hold, where accuracy depends on the range:
+    the chaser, its size included, is kept in it in all steps of this phase, as in a keep-in set."""
 
 
 class Measurement(ScenarioPart):
@@ -130,10 +132,26 @@ class Navigation(Estimate):
         if np.any(np.diff(begin) <= 0):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
-        bounds, end, (steps, step) = np.array([declared, *later]), np.array([*begin[1:], np.inf]), horizon
-        oldest, rows = timing.delay_s + timing.missed_periods * (period or 0.0), []
-        for k in range(steps + 1):
-            begun = np.array(begin) < (k + 1) * step - INSTANT * step
-            over = end <= k * step - oldest + INSTANT * step
-            rows.append(bounds[(begun | (k == steps)) & ~over].max(axis=0))
-        return replace(system, error_by_step=np.array(rows))
+        bounds, (steps, step) = np.array([declared, *later]), horizon
+        oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
+        start, last = np.arange(steps + 1) * step, np.arange(steps + 1) == steps  # all has begun in the end
+        met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
+        rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
+        return replace(system, error_by_step=rows)
+
+    def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
+        """Where bounds of phases hold, as sets to stay inside; `horizon` as for `known`."""
+        found, T = [], horizon[0] * horizon[1]
+        until = [*(phase.from_s for phase in self.phases[1:]), np.inf]
+        for i, (phase, end) in enumerate(zip(self.phases, until, strict=False)):
+            if phase.within_m is None:
+                continue
+            path, slack = f"navigation.phases[{i}]", INSTANT * horizon[1]
+            if phase.from_s >= T - slack:
+                rule = f"must be before the end of the schedule ({T:g} s) where within_m is given"
+                raise ScenarioError(f"{path}.from_s", phase.from_s, rule)
+            half = f.per_axis(f"{path}.within_m", phase.within_m, system.d)
+            sides = np.vstack([np.eye(system.d), -np.eye(system.d)]), np.tile(half, 2)
+            times = phase.from_s, np.inf if end > T + slack else end
+            found.append(KeepInPolytope(f"within-{i}", *sides, *times))
+        return found

@@ -59,6 +59,10 @@ class Predicting(Integrator):
             noise = np.minimum(noise, left[used])
         return np.asarray(noise)
 
+    def noted(self, w: Array, eta: Array | None) -> Array | None:
+        """As they are given: what comes of noise is worked out on the way."""
+        return eta
+
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
@@ -76,7 +80,8 @@ class Predicting(Integrator):
             self.measured += self.substeps
             off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
             if self.eta is not None:
-                off = off + observer.noise * np.sign(self.eta[self.measured] @ observer.measures.T)
+                used = min(self.measured + self.lag, self.steps - 1)
+                off = off + observer.noise * np.sign(self.eta[used] @ observer.measures.T)
             self.filtered = self.filtered + off @ observer.gain.T
         return self.filtered
 

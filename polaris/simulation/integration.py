@@ -14,6 +14,7 @@ from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .failing import Failing
+from .observing import followed
 from .run_metrics import Runs
 
 
@@ -136,6 +137,10 @@ class Integrator:
         middle, half = (part[k, law.node(passed)] for part in law.told)
         return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
+    def noted(self, w: Array, eta: Array | None) -> Array | None:
+        """Errors of estimates under disturbances w: as they are given, or an observer's by its noise."""
+        return eta if eta is None or self.system.observer is None else followed(self, w, eta)
+
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
         known = x if self.eta is None else x + self.eta[step]
@@ -222,6 +227,7 @@ class Integrator:
         q, nodes = self.q, len(self.modes) * self.q
         w, *errors = (w[..., part] for part in self.columns)
         self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
+        self.eta = self.noted(w, self.eta)
         self.left = np.zeros((len(x0), self.system.m)) if self.system.timing.carried else None
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
