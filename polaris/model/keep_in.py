@@ -169,7 +169,7 @@ class KeepInPolytope(KeepIn):
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """As of all keep-in sets, in the steps in which it holds."""
         found = super().timed_polytopes(system, delta, cells)
-        holds = during(self.begins, self.ends, np.arange(cells) * delta, delta)
+        holds = during(self.begins, self.ends, np.arange(cells, dtype=float) * delta, delta)
         factor = np.where(holds, 1.0, FAR)[:, None, None]
         return found if holds.all() else tuple(replace(one, offsets=one.offsets * factor) for one in found)
 

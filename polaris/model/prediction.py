@@ -99,10 +99,9 @@ def fading(system: LinearSystem, observer: Observer, h: float, steps: int, perio
 def observing(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> LinearSystem:
     """The system whose estimates are those of an observer; `moved` and errors are those of `filtered`."""
     found = filtered(system, observer, h, moved)
-    if observer.fading is None:
+    if (left := observer.fading) is None:
         return replace(system, observer=observer, estimate_error=found)
-    observer = replace(observer, settled=found)
-    return replace(system, observer=observer, error_by_step=found + observer.fading)
+    return replace(system, observer=replace(observer, settled=found), error_by_step=found + left)
 
 
 def design(system: LinearSystem, measures: Array, noise: Array, h: float) -> Observer:
