@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..model.system import LinearSystem
-from ..model.timing import Timing
+from ..model.timing import Observer, Timing
 from ..planning.reference import Reference
 from ..simulation.metrics import finite
 from ..synthesis.controllers import AffineController
@@ -126,6 +126,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     return Reference(system, delta, chi, nu)
 
 
+def _observer(observer: Observer) -> dict[str, Any]:
+    """What a run folder says of an observer."""
+    told = asdict(observer)
+    return {key: x for key, x in told.items() if x is not None and key != "fading"}
+
+
 def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
@@ -136,7 +142,7 @@ def errors_of(safety: Safety) -> dict[str, Any]:
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": timing}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({} if system.observer is None else {"observer": asdict(system.observer)}),
+        **({} if system.observer is None else {"observer": _observer(system.observer)}),
     }
 
 
