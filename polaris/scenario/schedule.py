@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import MAX_STEPS, counted
+from ..model.checks import counted
 from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
@@ -66,9 +66,8 @@ class ScheduleScenario(Scenario):
             raise ScenarioError("faults", late[0].name, rule)
         if late and system.observer is not None:
             raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
-        if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
-            given = model.abort.drift_orbits, model.abort.drift_s
-            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
+        if model.abort is not None:
+            model.abort.check(system, self.step, bool(late))
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -241,6 +240,7 @@ class ScheduleScenario(Scenario):
             allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),
+            powered=None if self.model.abort is None else self.model.abort.powered(system),
         )
 
     def switching_rules(self) -> SwitchingRules:

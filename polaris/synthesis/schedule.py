@@ -23,6 +23,7 @@ from .controllers import AffineController, Controller, TubeSegment
 from .get_safety import Safety
 from .neural import NeuralController
 from .passive import Drift, PassiveSafety
+from .powered import PoweredSafety, powered
 from .recoverable import Margin, RecoverableSet
 
 
@@ -205,6 +206,11 @@ class Schedule:
         if flight is None:
             return None
         return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
+
+    @cached_property
+    def powered(self) -> PoweredSafety | None:
+        """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
+        return powered(self.safety, [(step.mode, step.tube) for step in self.steps])
 
     @property
     def spent(self) -> float:
