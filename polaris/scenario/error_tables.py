@@ -163,10 +163,9 @@ class Abort(ScenarioPart):
     """The same as a time, in any system. Give one of the two."""
     required: f.Flag = unit("-", default=False)
     """Whether only schedules are kept whose drift stays clear from all of their steps; exit code 3 where
-    there is none. Otherwise the run says from which steps it does. So of the orbit, if one is named, but of the
-    schedule that is found; exit code 4 where only the budget is exceeded."""
+    there is none. Otherwise the run says from which steps it does. The schedule that is found must also allow
+    the orbit, if one is named, from all of its steps; exit code 4 where only the budget is exceeded."""
     keep_in: f.Flag = unit("-", "Whether the drift must also stay inside the keep-in sets.", default=True)
-
     orbit: Orbit | None = unit("-", default=None)
     """Where S must be able to fly, with thrust, from every instant: the goal, or an orbit of its own."""
     within_s: f.Positive | None = unit("s", default=None)
