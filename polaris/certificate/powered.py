@@ -7,7 +7,7 @@ shown along each branch, too, from the sets that the schedule reaches in the ste
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -49,26 +49,25 @@ class WithAborts(Argument):
         if every:
             profile = [[arb(x) for x in most] for most in self.document.profile]
             memory = Memory.of(self.loop, widest([*sets, *every]), self.document.q, profile)
-            chosen = [row for branch in asked.branches for row in branch.facets]
-            spec = self.stated.orbit
+            known: dict[Any, Needs] = {}
             steps = [way and way.branch for way in asked.steps]
             for place, branch in enumerate(asked.branches):
                 served = [taken for k, taken in takeovers.items() if steps[k] == place]
-                along = Along.of(self, branch, memory, chosen)
+                along = Along.of(self, branch, memory, known)
                 along.recovers(served)
-                for taken in served if spec is not None else ():
-                    self._arrives(along, taken, spec)
+                for taken in served if self.stated.orbit is not None else ():
+                    self._arrives(along, taken)
         told = f"{len(takeovers)} of {self.K} steps, along {len(asked.branches)} branches"
         self.record.holds(CLAIM, told)
 
-    def _arrives(self, along: Along, taken: Takeover, spec: dict[str, Any]) -> None:
+    def _arrives(self, along: Along, taken: Takeover) -> None:
         """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
         asked = self.document.powered
         assert asked is not None
         way = asked.steps[taken.k]
         assert way is not None
         told = f"abort in step {taken.k}"
-        off = along.distance(taken, way.cell, spec)
+        off = along.distance(taken, way.cell)
         require(CLAIM, along.branch.tolerance * (1 + SLACK) - off, f"{told}: {plain(off)} m off the orbit")
         spent = along.spent(taken, way.cell)
         short = f"{told}: {way.delta_v:.6g} m/s claimed, {plain(spent)} derived"
@@ -102,11 +101,11 @@ class Along:
     branch: Branch
     path: Path
     memory: Memory
-    rows: list[list[int]]  # facets of all branches, so that they have the same rows of limits
-    known: dict[str, Any] = field(default_factory=dict, repr=False)
+    facets: list[list[int]]  # of all branches, so that they have the same rows of limits
+    known: dict[Any, Needs]  # by what their rows are of, for all branches
 
     @classmethod
-    def of(cls, argument: Argument, branch: Branch, memory: Memory, rows: list[list[int]]) -> Along:
+    def of(cls, argument: Argument, branch: Branch, memory: Memory, known: dict[Any, Needs]) -> Along:
         """The branch is the exact motion under its inputs, which are within the limits, and it may coast."""
         along, doc = copy.copy(argument), branched(argument.document, branch)
         along.document, along.K, along.record = doc, doc.steps, Record()
@@ -119,7 +118,9 @@ class Along:
         require(CLAIM, JUMP_SLACK * max(1.0, *size) - off, "the tail of a branch starts elsewhere")
         within_limits(doc, doc.inputs, CLAIM, "a branch")
         along.end(path)
-        return cls(along, branch, path, memory, rows)
+        assert argument.document.powered is not None
+        facets = [row for each in argument.document.powered.branches for row in each.facets]
+        return cls(along, branch, path, memory, facets, known)
 
     @property
     def document(self) -> Document:
@@ -130,8 +131,9 @@ class Along:
         """S keeps to every limit to the end, whenever it takes over."""
         argument, doc = self.argument, self.document
         prolonged, chosen = argument.prolonged(self.path, self.memory)
-        limits = Limits.of(doc, prolonged, argument.gain, [*chosen, *self.rows])
-        needs = self._needs(limits.rows)
+        chosen = [*chosen, *self.facets]
+        limits = Limits.of(doc, prolonged, argument.gain, chosen)
+        needs = self._needs(frozenset(pair for row in chosen for pair in enumerate(row)), limits.rows)
         limits = limits.less_jump(needs, prolonged)
         if self.scheduled is not None:
             limits = limits.less(self.scheduled.along(limits.rows))
@@ -149,44 +151,58 @@ class Along:
         path = self.argument.prolonged(self.path, self.memory)[0]
         return Scheduled(self.document, self.argument.loop, self.memory, path, self.argument.gain)
 
-    def _needs(self, rows: arb_mat) -> Needs:
-        return Needs(self.argument.loop, self.memory, rows)
+    def _needs(self, of: Any, rows: arb_mat) -> Needs:
+        """What errors need along rows, once for all branches."""
+        return self.known.setdefault(of, Needs(self.argument.loop, self.memory, rows))
 
     @cached_property
-    def _commands(self) -> Needs:
-        return self._needs(above(self.argument.gain, -self.argument.gain))
+    def _commands(self) -> tuple[Needs, list[arb]]:
+        """What errors need of commands, and what the jump into the tail does."""
+        gain = self.argument.gain
+        needs = self._needs("commands", above(gain, -gain))
+        return needs, self._jump(needs)
 
-    def distance(self, taken: Takeover, cell: int, spec: dict[str, Any]) -> arb:
-        """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
-        doc = self.document
+    @cached_property
+    def _caused(self) -> list[list[arb]]:
+        """What errors by the time of the flight need of commands in every cell; empty without any."""
+        if self.scheduled is None:
+            return []
+        every = self.scheduled.along(self._commands[0].rows)
+        return [[largest(each) for each in zip(*nodes, strict=True)] for nodes in every]
+
+    @cached_property
+    def _orbit(self) -> tuple[Weighted, Needs, list[arb]]:
+        """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
+        doc, spec = self.document, self.argument.stated.orbit
+        assert spec is not None
         arrival = Arrival(doc, self.path, self.argument.loop, self.memory, (), arb(0), self.scheduled)
-        if "rows" not in self.known:
-            rows = Weighted.of(GOALS[spec["kind"]](doc, spec), arrival.soon, doc)
-            needs = self._needs(rows.rows)
-            claim = {"tolerance_m": self.branch.tolerance, "reached": False}
-            arrival.tolerated(claim, spec, rows.scale, largest(needs.settled))
-            self.known["rows"] = rows, needs
-        rows, needs = self.known["rows"]
-        if not doc.steps <= cell <= doc.cells:
+        rows = Weighted.of(GOALS[spec["kind"]](doc, spec), arrival.soon, doc)
+        needs = self._needs(("orbit", doc.steps), rows.rows)
+        claim = {"tolerance_m": self.branch.tolerance, "reached": False}
+        arrival.tolerated(claim, spec, rows.scale, largest(needs.settled))
+        more = sums(self._jump(needs), (absolute(rows.rows) * column(doc.at_nodes)).entries())
+        if self.scheduled is None:
+            return rows, needs, more
+        tail = self.scheduled.along(rows.rows)[min(doc.steps, doc.cells - 1) :]
+        caused = [largest(x) for x in zip(*(node for nodes in tail for node in nodes), strict=True)]
+        return rows, needs, sums(more, caused)
+
+    def distance(self, taken: Takeover, cell: int) -> arb:
+        """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
+        if not self.document.steps <= cell <= self.document.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        need = self._most(needs, taken, cell, cell)
-        need = sums(need, self._in_tail(needs), (absolute(rows.rows) * column(doc.at_nodes)).entries())
-        arcs = self.path.arcs
+        (rows, needs, more), arcs = self._orbit, self.path.arcs
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
-        return rows.distance(sums(rows.over(state), need))
+        return rows.distance(sums(rows.over(state), self._most(needs, taken, cell, cell), more))
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
-        doc, plant, needs, m = self.document, self.argument.plant, self._commands, len(self.document.u_max)
-        total = m * arb(doc.carried)
-        caused = None if self.scheduled is None else self.scheduled.along(needs.rows)
+        doc, plant, m = self.document, self.argument.plant, len(self.document.u_max)
+        (needs, jump), total = self._commands, m * arb(doc.carried)
         for c in range(taken.k, cell):
             known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.argument.gain)
-            need = self._most(needs, taken, c, c + 1)
-            if c >= doc.steps:
-                need = sums(need, self._jump(needs))
-            if caused is not None:
-                need = sums(need, [largest(each) for each in zip(*caused[c], strict=True)])
+            parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
+            need = sums(*parts)
             both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)
             tops = [smallest((top, largest((a, b)) + abs(u) + e)) for a, b, u, e, top in both]
             total += plant.spent(tops) * doc.q
@@ -203,14 +219,6 @@ class Along:
             share = largest(a / b for a, b in zip(taken.size.entries(), self.memory.z.entries(), strict=True))
             found.append(sums([x * share for x in needs.forgotten], needs.disturbed[-1]))
         return [largest(each).upper() for each in zip(*found, strict=True)]
-
-    def _in_tail(self, needs: Needs) -> list[arb]:
-        """What the jump into the tail, and errors by the time of the flight, need along rows in the tail."""
-        jump = self._jump(needs)
-        if self.scheduled is None:
-            return jump
-        tail = self.scheduled.along(needs.rows)[min(self.document.steps, self.document.cells - 1) :]
-        return sums(jump, [largest(x) for x in zip(*(node for nodes in tail for node in nodes), strict=True)])
 
     def _jump(self, needs: Needs) -> list[arb]:
         size = magnitude(self.path.jump)

@@ -48,7 +48,7 @@ _AFFINE = {
 }
 _ESTIMATE = {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS}
 _GOAL = {"tolerance_m?": POSITIVE}
-_ORBITS = {
+_ORBITS: dict[str, dict[str, Any]] = {
     "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
                        "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
     "linear_nmt": {**_GOAL, "amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},

@@ -16,7 +16,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.errors import NotCertified, OutOfTime, SynthesisInfeasible
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from ..planning.problem import Plan, PlannerOptions, PlanProblem
+from ..planning.problem import PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
 from .arrival import distance, goal_rows, tolerated
@@ -251,16 +251,15 @@ def _branches(
 
 def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: int) -> Branch | str:
     """A branch of n steps towards the orbit, after the last of some steps; or why there is none."""
-    b, tracking, assert_goal = taken[-1].k + 1, safety.tracking, asked.goal
-    assert assert_goal is not None
-    problem = replace(
-        safety.problem, K=b + n, goal=assert_goal, goal_tolerance=asked.tolerance, abort=None, powered=None
-    )
+    goal = asked.goal or safety.problem.goal
+    b, tracking, tolerance = taken[-1].k + 1, safety.tracking, asked.tolerance
+    problem = replace(safety.problem, K=b + n, goal=goal, goal_tolerance=tolerance, abort=None, powered=None)
     tail = tail_length(tracking)
     unsafe = perceive_unsafe(problem, problem.K + tail)
+    most = min(problem.planner.max_linear_programs, PROGRAMS)
     try:
         wanted = _wanted(plan_problem(problem, tracking, unsafe), safety, taken, tail)
-        found = plan(wanted, _options(problem.planner))
+        found = plan(wanted, replace(problem.planner, max_linear_programs=most, progress=None))
     except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
         return f"no branch is found: {error}"
     nu = np.vstack([safety.reference.nu[:b], found.nu])
@@ -270,13 +269,9 @@ def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: in
     clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
-    flown: Plan = replace(found, chi=path.chi, nu=nu)
-    made = {"clearance": clearance, "recoverable": recoverable, "end": end, "plan": flown}
-    return Branch(b, replace(safety, problem=problem, reference=reference, **made))
-
-
-def _options(given: PlannerOptions) -> PlannerOptions:
-    return replace(given, max_linear_programs=min(given.max_linear_programs, PROGRAMS), progress=None)
+    made = {"clearance": clearance, "recoverable": recoverable, "end": end}
+    whole = replace(found, chi=path.chi, nu=nu)
+    return Branch(b, replace(safety, problem=problem, plan=whole, reference=reference, **made))
 
 
 def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:
