@@ -141,7 +141,8 @@ CLAIMED = {
     "powered_abort?": {
         **every(BOUND, "within_s delta_v_max_m_s"),
         "steps": Rows({
-            "step": Whole(), **every(BOUND, "leaves_s by_s delta_v_m_s"), "why": Either((TEXT, None)),
+            **every(BOUND, "leaves_s by_s delta_v_m_s safe_until_s"),
+            "step": Whole(), "why": Either((TEXT, None)),
         }),
     },
     "statement?": {

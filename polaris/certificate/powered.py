@@ -261,11 +261,12 @@ def told_aborts(document: Document, stored: dict[str, Any] | None) -> dict[str, 
         return None if powered is None else {}
     steps: list[dict[str, Any]] = []
     for k, (way, told) in enumerate(zip(powered.steps, stored["steps"], strict=True)):
-        none = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s"))
+        found = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s", "safe_until_s"))
         if (way is None) == (told["why"] is None):
             raise Rejected(CLAIM, f"a reason belongs to a step without an abort, unlike {k}")
         if way is not None:
-            leaves = powered.branches[way.branch].step * document.delta
-            none = {"leaves_s": leaves, "by_s": way.cell * document.delta, "delta_v_m_s": way.delta_v}
-        steps.append({"step": k, **none, "why": told["why"]})
+            branch, by = powered.branches[way.branch], way.cell * document.delta
+            found = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": way.delta_v}
+            found["safe_until_s"] = branch.until
+        steps.append({"step": k, **found, "why": told["why"]})
     return {"within_s": powered.within, "delta_v_max_m_s": powered.budget, "steps": steps}

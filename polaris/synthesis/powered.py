@@ -188,6 +188,11 @@ class PoweredSafety:
             raise NotCertified(f"{told}; raise abort.delta_v_max_m_s by {way.beyond:.4g}")
         raise SynthesisInfeasible(f"{told}.", 0.0, "raise abort.within_s, or widen the orbit.")
 
+    def _until(self, way: Way) -> float | None:
+        """Until when S is safe on the orbit [s]; None for ever, and where nothing is proven."""
+        until = np.inf if way.branch is None else self.branches[way.branch].safety.end.until
+        return float(until) if np.isfinite(until) else None
+
     def told(self) -> dict[str, Any]:
         """What a run claims of it."""
         delta = self.problem.delta
@@ -197,6 +202,7 @@ class PoweredSafety:
                 "leaves_s": None if way.branch is None else self.branches[way.branch].step * delta,
                 "by_s": None if way.branch is None else way.cell * delta,
                 "delta_v_m_s": None if way.branch is None else way.delta_v,
+                "safe_until_s": self._until(way),
                 "why": way.why or None,
             }
             for k, way in enumerate(self.ways)

@@ -35,7 +35,7 @@ def proven(schedule):
 
 
 def attacked(schedule, runs, seed, steps):
-    """Attack aborted flights by two integrators; returns the largest share of what is claimed that was spent."""
+    """Attack aborted flights by two integrators; the largest share of the claimed velocity change spent."""
     tight = 0.0
     for k in steps:
         way, flown = schedule.powered.ways[k], schedule.aborted(k)
