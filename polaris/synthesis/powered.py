@@ -275,9 +275,8 @@ def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: in
     clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
-    made = {"clearance": clearance, "recoverable": recoverable, "end": end}
-    whole = replace(found, chi=path.chi, nu=nu)
-    return Branch(b, replace(safety, problem=problem, plan=whole, reference=reference, **made))
+    made = replace(safety, problem=problem, plan=replace(found, chi=path.chi, nu=nu), reference=reference)
+    return Branch(b, replace(made, clearance=clearance, recoverable=recoverable, end=end))
 
 
 def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:
