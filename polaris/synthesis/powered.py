@@ -26,7 +26,7 @@ from .controllers import TubeSegment
 from .demand import command_errors
 from .end_condition import coast, judge_end, tail_length
 from .get_safety import Safety, get_recover
-from .problem import PoweredAbort, Problem
+from .problem import PoweredAbort
 from .recoverable import Margin, RecoverableSet, directed
 from .tracking import Tracking
 
@@ -36,6 +36,9 @@ PROGRAMS = 1000
 """Most linear programs that the plan of one branch takes."""
 SPARE = 0.02
 """Share by which claims are loosened, and plans kept further away: a checker merges sets in its own way."""
+
+TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"
+"""What is told of an abort in a step, in the order of `PoweredSafety.told`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +103,9 @@ class Way:
     branch: int | None  # along which branch; None if nothing is proven
     cell: int = 0  # at whose start the orbit is reached
     delta_v: float = 0.0  # velocity change of S from the abort until then, at most [m/s]
-    why: str = ""  # it is not proven, and by how much
-    beyond: float = 0.0  # the budget [m/s], if nothing else is in the way
+    why: str = ""  # it is not proven
+    short: float = 0.0  # by how much, in the unit of what lacks; 0 if no branch is found
+    budget: bool = False  # whether only the budget is in the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,15 +125,15 @@ class Branch:
         """What is proven of aborts in a step along this branch, the one at a place in their list."""
         margin = taken.margin(self.safety.clearance.q, self.safety.recoverable)
         if margin is not None:
-            return Way(None, why=f"S is not proven to recover: {margin}")
+            return Way(None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room)
         found, off = self._reached(taken, asked.within)
         if found is None:
             told = f"{off:.4g} m off at best, {self.goal[2]:.4g} m allowed"
-            return Way(None, why=f"the orbit is not reached in time: {told}")
+            return Way(None, why=f"the orbit is not reached in time: {told}", short=off - self.goal[2])
         spent = self._spent(taken, found)
         if asked.budget is not None and spent > asked.budget:
             told = f"S may need {directed(spent, '.4g', up=True)} m/s, {asked.budget:g} m/s are allowed"
-            return Way(None, why=told, beyond=spent - asked.budget)
+            return Way(None, why=told, short=spent - asked.budget, budget=True)
         return Way(place, found, spent)
 
     def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
@@ -166,47 +170,34 @@ class Branch:
 class PoweredSafety:
     """From which steps S reaches the orbit, aborting at any instant of them, and how."""
 
-    problem: Problem
+    asked: PoweredAbort
+    delta: float  # step of the schedule [s]
     branches: tuple[Branch, ...]
     ways: tuple[Way, ...]
-
-    @property
-    def asked(self) -> PoweredAbort:
-        """What was asked."""
-        assert self.problem.powered is not None
-        return self.problem.powered
 
     def require(self) -> None:
         """`SynthesisInfeasible`, or `NotCertified` where only the budget is exceeded, if it is required."""
         lost = [(k, way) for k, way in enumerate(self.ways) if way.branch is None]
         if not (self.asked.required and lost):
             return
-        k, way = max(lost, key=lambda each: (not each[1].beyond, each[1].beyond))
+        k, way = max(lost, key=lambda each: (not each[1].budget, each[1].short))
         told = f"powered abort is required, but in {len(lost)} of {len(self.ways)} steps it is not proven"
-        told += f"; in step {k} (from {k * self.problem.delta:g} s) {way.why}"
-        if way.beyond:
-            raise NotCertified(f"{told}; raise abort.delta_v_max_m_s by {way.beyond:.4g}")
-        raise SynthesisInfeasible(f"{told}.", 0.0, "raise abort.within_s, or widen the orbit.")
-
-    def _until(self, way: Way) -> float | None:
-        """Until when S is safe on the orbit [s]; None for ever, and where nothing is proven."""
-        until = np.inf if way.branch is None else self.branches[way.branch].safety.end.until
-        return float(until) if np.isfinite(until) else None
+        told += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
+        if way.budget:
+            raise NotCertified(f"{told}; raise abort.delta_v_max_m_s by {way.short:.4g}")
+        raise SynthesisInfeasible(f"{told}.", way.short, "raise abort.within_s, or widen the orbit.")
 
     def told(self) -> dict[str, Any]:
         """What a run claims of it."""
-        delta = self.problem.delta
-        steps = [
-            {
-                "step": k,
-                "leaves_s": None if way.branch is None else self.branches[way.branch].step * delta,
-                "by_s": None if way.branch is None else way.cell * delta,
-                "delta_v_m_s": None if way.branch is None else way.delta_v,
-                "safe_until_s": self._until(way),
-                "why": way.why or None,
-            }
-            for k, way in enumerate(self.ways)
-        ]
+        steps, delta = list[dict[str, Any]](), self.delta
+        for k, way in enumerate(self.ways):
+            found: tuple[float | None, ...] = (None,) * len(TOLD)
+            if way.branch is not None:
+                branch = self.branches[way.branch]
+                until = branch.safety.end.until
+                times = branch.step * delta, way.cell * delta
+                found = *times, way.delta_v, until if np.isfinite(until) else None
+            steps.append({"step": k, **dict(zip(TOLD, found, strict=True)), "why": way.why or None})
         return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
 
 
@@ -215,31 +206,31 @@ def powered(safety: Safety, flown: Sequence[tuple[int, TubeSegment]]) -> Powered
 
     `flown` holds who flies each step (0 is S), and in which tube.
     """
-    asked = safety.problem.powered
+    asked, delta = safety.problem.powered, safety.problem.delta
     if asked is None:
         return None
     taken = Takeover.each(safety, flown)
     if asked.goal is None:
         own = Branch(safety.problem.K, safety)
-        return PoweredSafety(safety.problem, (own,), tuple(own.serve(each, asked, 0) for each in taken))
+        return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))
     branches, ways = list[Branch](), list[Way]()
     while len(ways) < len(taken):
-        found = [Way(None, why="there is no time for a branch")]
+        served, lost = list[Way](), Way(None, why="there is no time for a branch")
         for branch in _branches(safety, asked, taken, len(ways)):
             if isinstance(branch, str):
-                found = [Way(None, why=branch)]
+                lost = Way(None, why=branch)
                 continue
-            found = []
             for each in taken[len(ways) : branch.step]:
-                found.append(branch.serve(each, asked, len(branches)))
-                if found[-1].branch is None:
+                way = branch.serve(each, asked, len(branches))
+                if way.branch is None:
                     break
-            if found[0].branch is not None:
+                served.append(way)
+            if served:
                 branches.append(branch)
-                found = [way for way in found if way.branch is not None]
                 break
-        ways += found[: max(1, len(found))]
-    return PoweredSafety(safety.problem, tuple(branches), tuple(ways))
+            lost = way
+        ways += served or [lost]
+    return PoweredSafety(asked, delta, tuple(branches), tuple(ways))
 
 
 def _branches(
@@ -305,14 +296,5 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
     left = system.u_max * (1 - SPARE) - thrust - system.command_error(tracking.gain)
     unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in asked.unsafe)
     limit = np.maximum(np.minimum(asked.u_limit[b:], left), 0.0)
-    return replace(
-        asked,
-        x0=chi,
-        K=asked.K - b,
-        unsafe=unsafe,
-        margins=tuple(margins),
-        u_limit=limit,
-        objective="fuel",
-        extra_margin=0.0,
-        tail_cells=tail,
-    )
+    asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
+    return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)

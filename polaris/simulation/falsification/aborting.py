@@ -32,6 +32,6 @@ class Aborted:
         pushed = np.abs(runs.inputs[:, self.step * q : way.cell * q]).sum(axis=(1, 2)) * h / mass
         parts = {"orbit": tolerance - off, "velocity change": way.delta_v - pushed}
         limit = min(parts, key=lambda name: float(parts[name].min()))
-        run = np.argmin(parts[limit])
-        found = self.attack.pick(run[None])
+        run = int(np.argmin(parts[limit]))
+        found = self.attack.pick(np.array([run]))
         return limit, way.cell * safety.problem.delta, float(parts[limit][run]), found
