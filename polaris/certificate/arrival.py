@@ -58,11 +58,9 @@ class Arrival:
             raise Rejected(
                 "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
             )
-        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
+        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self.soon, self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
-        hold = sums(needs.settled, (magnitude(rows.rows) * column(self.document.at_nodes)).entries())
-        hold = sums(hold, self._from_thrust(rows.rows, self._last)) if self.scheduled else hold
-        self._tolerance(claim, spec, rows.scale, largest(hold))
+        self.tolerated(claim, spec, rows.scale, self.holding(needs))
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -80,10 +78,17 @@ class Arrival:
                 )
         raise refusals[0]
 
-    def _soon(self) -> arb:
+    @property
+    def soon(self) -> arb:
+        """Time in which a velocity is a length [s]."""
         return arb(SOON) * self.document.steps * self.document.delta
 
-    def _tolerance(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
+    def holding(self, needs: Needs) -> arb:
+        """What S needs along rows for ever, the jump into the tail apart."""
+        most = sums(needs.settled, (magnitude(needs.rows) * column(self.document.at_nodes)).entries())
+        return largest(sums(most, self._from_thrust(needs.rows, self._last)) if self.scheduled else most)
+
+    def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
         given = spec.get("tolerance_m")
         allowed = largest((arb(SHARE) * scale, settled * (1 + arb(HOLDING)))) if given is None else arb(given)

@@ -184,7 +184,7 @@ class Clearance:
         return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
 
     def tail_need(self, rows: Array) -> Array:
-        """What S needs along rows (r, n) from a node of the tail on, its error at T apart, shape (nodes, r)."""
+        """What S needs along rows (r, n) from a node of the tail on, errors at T apart, shape (nodes, r)."""
         found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
         nodes = np.concatenate([found[:, :-1].reshape(-1, len(rows)), found[-1, -1:]])
         nodes[self.q :: self.q] = np.maximum(nodes[self.q :: self.q], found[:, -1])

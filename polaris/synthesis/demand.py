@@ -9,7 +9,7 @@ from .profile import ROUNDS, SETTLED, SPARE, summed
 from .tracking import Tracking
 
 LONGER = 3
-"""How many times the memory's length bounds at the end of the tail are constant: a checker remembers longer."""
+"""For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
 
 
 class Scheduled:

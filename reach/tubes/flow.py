@@ -142,15 +142,11 @@ class LinearFlow:
 
     @cached_property
     def _contraction(self) -> tuple[Array, float, float]:
-        """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)`` for any M.
-
-        With R the root on scaled states, products round by ``eps cond(R)^2`` of the norm.
-        """
+        """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)``, by the scaled root's condition."""
         radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
         if not radius < 1:
-            raise ReachError(
-                f"the closed loop is not stable: spectral radius {radius:.6g} per period of {self.h:g}"
-            )
+            found = f"spectral radius {radius:.6g} per period of {self.h:g}"
+            raise ReachError(f"the closed loop is not stable: {found}")
         rate = -np.log(radius) / self.h
         scale = state_scale(self.A_c)
         # Asking for half the slowest rate keeps the norm well conditioned.
@@ -236,7 +232,7 @@ class LinearFlow:
 
 
 def merged(blocks: Array, most: int = 5) -> Array:
-    """Generators (n, g) of a set that holds the sum of those of periods, shape (L, n, g), up to `most` as one.
+    """Generators (n, g) of a set that holds the sum of those of periods (L, n, g), up to `most` as one.
 
     What a period adds hardly turns from one to the next: with a mean direction c of several generators,
     ``sum_l g_l b_l`` is ``c sum_l b_l`` up to ``sum_l |g_l - c|``, which a box takes, rounding booked.
