@@ -56,7 +56,7 @@ def _unseen(system: LinearSystem, tau: float) -> Array:
     if not tau > 0:
         return np.zeros((system.n, system.m))
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)
-    return flow.input_gains(np.eye(system.n), system.B, PARTS).sum(axis=0) * (1 + 2 * ROUNDED)
+    return flow.input_gains(np.eye(system.n), system.B, PARTS).sum(axis=0) * (1 + 10 * ROUNDED)
 
 
 def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
