@@ -20,6 +20,7 @@ from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement
 from .scheduled import Scheduled
+from .timing import measured_error
 from .transients import lost, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
@@ -75,7 +76,7 @@ class Argument:
         known = replace(self.plant, estimate=tuple(document.calmest))
         self.noise = known.command_error(self.gain)
         # Where there is a profile, what commands cause is booked with it.
-        always = known.measured_error(self.gain) if document.profile else self.noise
+        always = measured_error(known, self.gain) if document.profile else self.noise
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in always])
         self.upsets = moved(document, self.plant)
 

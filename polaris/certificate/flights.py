@@ -29,6 +29,7 @@ from .networks import Policy
 from .parts import Law, Matrix
 from .periods import Period, around, clip, command_ranges, secant
 from .recovery import Barrier
+from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
@@ -90,7 +91,7 @@ class Pilot:
         """Bounds on what errors of the estimate add to its command."""
         if self.before is None:
             return self.plant.command_error(self.gain)
-        return sums(self.plant.measured_error(self.gain), self.plant.late(self.gain, self.before))
+        return sums(measured_error(self.plant, self.gain), late(self.plant, self.gain, self.before))
 
     def after(self, told: Sequence[Sequence[arb]]) -> Pilot:
         """The same after periods of a step with bounds on their commands, those of the last one last."""

@@ -11,6 +11,7 @@ from flint import arb, arb_mat, arb_poly
 
 from .balls import above, column, identity, largest, magnitude, norms, sums
 from .motion import Motion, Push
+from .timing import late
 from .verdict import Imprecise, Undecided
 from .zonotopes import Zonotope
 
@@ -71,11 +72,11 @@ def _caused(motion: Motion, profile: Sequence[list[arb]], count: int) -> list[li
     """Errors of inputs by commands within a profile, and by those before them that are not measured yet."""
     plant, last = motion.plant, len(profile) - 1
     parts = [plant.thruster_part(most) for most in profile]
-    late = [plant.late(motion.held, most) for most in (plant.u_max, *profile)] if plant.hidden else []
+    known = [late(plant, motion.held, most) for most in (plant.u_max, *profile)] if plant.hidden else []
     errors = []
     for lag in range(count):
         at = lag - plant.hidden + 1  # what is commanded before a hand-over is limited by the thrusters alone
-        more = late[min(max(at, 0), last + 1)] if late else [arb(0)] * len(parts[0])
+        more = known[min(max(at, 0), last + 1)] if known else [arb(0)] * len(parts[0])
         errors.append(sums(parts[min(lag, last)], more))
     return errors
 

@@ -95,17 +95,6 @@ class Plant:
             rows = rows * part.phi
         return arb_mat(m, n, [x for each in found for x in each]).transpose()
 
-    def late(self, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
-        """What errors of commands up to `most` that are not measured yet add to a command (Lemma 44)."""
-        if not self.hidden:
-            return [arb(0)] * gain.nrows()
-        return (absolute(gain) * self.unseen * column(self.thruster_part(most))).entries()
-
-    def measured_error(self, gain: arb_mat) -> list[arb]:
-        """`command_error` without `late`, which it holds for all the thrust that there is."""
-        pairs = zip(self.command_error(gain), self.late(gain, self.u_max), strict=True)
-        return [(x - y).abs_upper() for x, y in pairs]
-
     @cached_property
     def carry(self) -> list[Push]:
         """What impulses that are carried to the next period push meanwhile, if there are any."""

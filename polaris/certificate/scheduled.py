@@ -10,6 +10,7 @@ from .balls import column, largest, magnitude, sums
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Push
+from .timing import late
 from .verdict import Undecided
 
 ROUNDS, SPARE = 60, 1e-3
@@ -65,7 +66,7 @@ class Scheduled:
         for k, (most, noise) in enumerate(zip(self.commanded, self.noise, strict=True)):
             since = self.commanded[max(k - back, 0) : k + 1]
             before = [largest(each) for each in zip(*since, strict=True)]
-            caused.append(sums(plant.thruster_part(most), plant.late(self.gain, before), noise))
+            caused.append(sums(plant.thruster_part(most), late(plant, self.gain, before), noise))
         errors = [[x.upper() for x in each] for each in caused]
         worst = [largest(each) for each in zip(*errors, strict=True)]
         box = self.loop.box_of(Push.in_box(plant.B, worst))

@@ -1,5 +1,6 @@
 """What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -80,6 +81,19 @@ def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     """Bounds on the errors of states predicted over a time from known ones."""
     over, more = _carried(plant, age, plant.u_max)
     return sums((over * column(known)).entries(), more)
+
+
+def late(plant: Plant, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
+    """What errors of commands up to `most` that are not measured yet add to a command (Lemma 44)."""
+    if not plant.hidden:
+        return [arb(0)] * gain.nrows()
+    return (absolute(gain) * plant.unseen * column(plant.thruster_part(most))).entries()
+
+
+def measured_error(plant: Plant, gain: arb_mat) -> list[arb]:
+    """Error of a command without `late`, of which it holds what all the thrust that there is would add."""
+    pairs = zip(plant.command_error(gain), late(plant, gain, plant.u_max), strict=True)
+    return [(x - y).abs_upper() for x, y in pairs]
 
 
 def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb]]:
