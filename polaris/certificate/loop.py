@@ -72,7 +72,8 @@ def _caused(motion: Motion, profile: Sequence[list[arb]], count: int) -> list[li
     """Errors of inputs by commands within a profile, and by those before them that are not measured yet."""
     plant, last = motion.plant, len(profile) - 1
     parts = [plant.thruster_part(most) for most in profile]
-    known = [late(plant, motion.held, most) for most in (plant.u_max, *profile)] if plant.hidden else []
+    gain, since = motion.held, (plant.u_max, *profile)
+    known = [late(plant, gain, most) for most in since] if plant.hidden and gain is not None else []
     errors = []
     for lag in range(count):
         at = lag - plant.hidden + 1  # what is commanded before a hand-over is limited by the thrusters alone

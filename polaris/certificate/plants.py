@@ -1,6 +1,7 @@
 """The plant that a certificate speaks about, with exact entries."""
 
 import math
+from dataclasses import replace
 from math import ceil
 
 from flint import arb, arb_mat
@@ -36,8 +37,10 @@ def plant_of(document: Document) -> Plant:
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     told_apart = document.sampled and not document.transients
-    late = jitter, document.carried, delay + missed * h, hidden if told_apart else 0
-    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, *late)
+    plant = Plant(
+        A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, jitter, document.carried
+    )
+    return replace(plant, unmeasured=delay + missed * h, hidden=hidden if told_apart else 0)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

@@ -26,8 +26,8 @@ from .tracking import Tracking, at_nodes
 
 LEVELS = tuple(1.09**-i for i in range(40, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER = 40.0
-"""Generators per dimension kept at the end of a step; what is merged has decayed by then."""
+ORDER, WIDE = 25.0, 40.0
+"""Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,8 @@ class AffineController(AffineLaw):
         bow = bow + self.reference.rounding[k] + self.own.rounding[k]
         error = nodes + zeta
         end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
-        segment = TubeSegment(error, bow, end.reduce(ORDER), refused, slopes)
+        order = ORDER if self.system.ideal else WIDE
+        segment = TubeSegment(error, bow, end.reduce(order), refused, slopes)
         return segment, np.minimum(commanded + noise, self.system.u_max)
 
     def along(self, reference: Reference, tracking: Tracking) -> AffineController:
