@@ -92,13 +92,10 @@ def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
 
 def upset(needs: Needs, boxes: list[arb_mat]) -> list[list[arb]]:
     """What errors in any of some boxes need along rows by the end of the period after node l + 1."""
-    found: list[list[arb]] = [[arb(0)] * needs.rows.nrows()]
-    for box in boxes:
-        share = largest(a / b for a, b in zip(box.entries(), needs.memory.z.entries(), strict=True))
-        found.append([x * share for x in needs.forgotten])
-    most, steps = _largest(found), []
-    for row, bend in zip(needs.carried, needs.bend, strict=True):
-        most = _largest([most, *(((magnitude(row) + bend) * box).entries() for box in boxes)])
+    most = _largest([[arb(0)] * needs.rows.nrows(), *map(needs.still, boxes)])
+    steps = []
+    for lag in range(len(needs.carried)):
+        most = _largest([most, *(needs.boxed(box, lag) for box in boxes)])
         steps.append(most)
     last = len(steps) - 1
     return [steps[min(lag + 2, last)] for lag in range(last + 1)]
