@@ -12,6 +12,7 @@ from polaris.certificate.document import Document
 from polaris.certificate.navigation import measured_errors
 from polaris.certificate.verdict import Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.model.keep_in import KeepInPolytope
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -178,6 +179,15 @@ def test_bounds_hold_within_a_range_that_is_kept():
     ranges = {item.name: item for item in schedule.safety.clearance.unsafe if item.name.startswith("within")}
     assert len(ranges) == 8 and ranges["within-1[0]"].offsets[7, 1, 0] == pytest.approx(-8200)
     assert ranges["within-1[0]"].offsets[8, 0, 0] == pytest.approx(-8.2) and ranges["within-1[3]"].static
+    box, system = np.vstack([np.eye(2), -np.eye(2)]), scene().system()
+    for begins, ends, static in (
+        (3.0, np.inf, True),
+        (3.0, 5.0, True),
+        (12.0, np.inf, False),
+        (0.0, 20.0, False),
+    ):
+        late = KeepInPolytope("late", box, np.ones(4), begins, ends)
+        assert late.timed_polytopes(system, 1.0, 12)[0].static == static  # or nothing is claimed for ever
     with pytest.raises(SynthesisInfeasible, match="within-1"):
         synthesize(scene(RANGED[0], RANGED[1].replace("[8.2, 6.2]", "7.0")))
 
