@@ -10,7 +10,7 @@ import pytest
 from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.report.html.run_report import aborts
 from polaris.runs.certificate import certificate
-from polaris.runs.claims import abort_told
+from polaris.runs.tables import abort_told
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.aborting import Aborted
 from polaris.simulation.falsification.search import falsify
