@@ -2,11 +2,18 @@
 
 import copy
 import json
+import tomllib
 from dataclasses import replace
 
+import flint
 import numpy as np
 import pytest
 
+from polaris.certificate.document import Document
+from polaris.certificate.lemma import Stated
+from polaris.certificate.plants import precision_for
+from polaris.certificate.powered import WithAborts
+from polaris.certificate.verdict import Record
 from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.report.html.run_report import aborts
 from polaris.runs.certificate import certificate
@@ -219,6 +226,19 @@ def random_orbit(scenario, seed):
     return f"abort={{orbit={{{orbit}}},within_s={time}}}"
 
 
+def verified(scenario, schedule):
+    """The checker derives every abort that is claimed of a scene, its arrival and its velocity change."""
+    table = tomllib.loads(scenario.text_elsewhere())
+    orbit, document = table["abort"]["orbit"], Document(certificate(schedule, "random"))
+    known = Stated(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
+    before, flint.ctx.prec, record = flint.ctx.prec, precision_for(document), Record()
+    try:
+        WithAborts(document, record, known).run()
+    finally:
+        flint.ctx.prec = before
+    return "powered_abort" in dict(record.checked)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("errors", [False, True])
 def test_many_aborted_flights_reach_their_orbit(errors):
@@ -228,7 +248,8 @@ def test_many_aborted_flights_reach_their_orbit(errors):
         table = random_orbit(scenario, seed) if seed % 3 else 'abort.orbit={kind="goal"}'
         try:
             more = tables(scenario, seed, 0.05) if errors else []
-            schedule = synthesize(scenario.with_assignments([table, *more]))
+            scenario = scenario.with_assignments([table, *more])
+            schedule = synthesize(scenario)
         except PolarisError:
             continue
         steps = proven(schedule)
@@ -237,4 +258,5 @@ def test_many_aborted_flights_reach_their_orbit(errors):
             tight.append(attacked(schedule, 30, seed, chosen.tolist()))
             scenes, flights = scenes + 1, flights + len(chosen)
             assert falsify(schedule, 300, seed).failure is None
+            assert verified(scenario, schedule), seed
     assert scenes >= 20 and np.median(tight) > 0.3
