@@ -32,11 +32,10 @@ from .tracking import Tracking, at_nodes
 
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
-PROGRAMS = 1000
+PROGRAMS = 300
 """Most linear programs that the plan of one branch takes."""
 SPARE = 0.02
 """Share by which claims are loosened, and plans kept further away: a checker merges sets in its own way."""
-
 TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"
 """What is told of an abort in a step, in the order of `PoweredSafety.told`."""
 
@@ -286,7 +285,8 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
                 lags = np.arange(b * q, asked.K * q + 1) - each.first - i
                 at = tube.need[np.minimum(lags, last)]
                 parts.append(np.maximum(at[:-1].reshape(asked.K - b, q, -1).max(axis=1), at[q::q]))
-        return np.max(parts, axis=0) * (1 + SPARE) + safety.clearance.scheduled(rows).max(axis=(0, 1))
+        most: Array = np.max(parts, axis=0) * (1 + SPARE)
+        return most + safety.clearance.scheduled(rows).max(axis=(0, 1))
 
     margins = [
         np.maximum(known[b:], needed(-body.normals @ system.position))
