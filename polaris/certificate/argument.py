@@ -25,7 +25,7 @@ from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
-ORDERS = (12, 80, 400)
+ORDERS = (24, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NETWORK_ORDER = 30

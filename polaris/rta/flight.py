@@ -79,39 +79,18 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """All runs of one method.
+    """All runs of one method."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (N+1,)
-        The nodes [s].
-    states : ndarray, shape (R, N+1, n)
-    inputs : ndarray, shape (R, N, m)
-        Applied right after every node [N].
-    demanded : ndarray, shape (R, N)
-        Largest ratio of commanded to available thrust.
-    delta_v : ndarray, shape (R,)
-        [m/s]
-    modes : ndarray of int, shape (R, N)
-        What flew after every node.
-    margins, why : ndarray, shapes (R, D)
-        Of every decision, see `Choice`.
-    deviation : ndarray, shape (R,)
-        Mean over time of the 2-norm of applied minus desired input [N].
-    seconds : ndarray, shape (D,)
-        Wall time of each decision, for all runs together.
-    """
-
-    times: Array
-    states: Array
-    inputs: Array
-    demanded: Array
-    delta_v: Array
-    modes: NDArray[np.int_]
-    margins: Array
-    why: NDArray[np.int_]
-    deviation: Array
-    seconds: Array
+    times: Array  # the nodes [s], (N+1,)
+    states: Array  # (R, N+1, n)
+    inputs: Array  # applied right after every node [N], (R, N, m)
+    demanded: Array  # largest ratio of commanded to available thrust, (R, N)
+    delta_v: Array  # [m/s], (R,)
+    modes: NDArray[np.int_]  # what flew after every node, (R, N)
+    margins: Array  # of every decision, see `Choice`, (R, D)
+    why: NDArray[np.int_]  # likewise
+    deviation: Array  # mean over time of the 2-norm of applied minus desired input [N], (R,)
+    seconds: Array  # wall time of each decision, for all runs together, (D,)
 
 
 def fly(
@@ -211,9 +190,8 @@ class Engine(Integrator):
         for mode in present.tolist():
             self._rows = chosen = flying == mode
             left, self.left = self.left, None if self.left is None else self.left[chosen]
-            for whole_, part in zip(
-                out, self._under(mode, node, u[chosen], x[chosen], w[chosen]), strict=True
-            ):
+            parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
+            for whole_, part in zip(out, parts, strict=True):
                 whole_[chosen] = part
             if left is not None:
                 left[chosen], self.left = self.left, left

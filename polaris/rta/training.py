@@ -14,9 +14,7 @@ from .flight import Conditions, Engine
 from .method import FILTERED
 from .methods.monitor import REENTRY, Monitor
 
-POOL = 32
-"""Fewest flights whose conditions are drawn at a time."""
-
+POOL = 32  # fewest flights whose conditions are drawn at a time
 FLAGS = ("collided", "ended", "intervened")
 TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
 """What is told of every flight after a period, see `TrainingFlights.advance`."""
@@ -124,19 +122,15 @@ class TrainingFlights:
 
     def observe(self) -> Array:
         """What policies read of the states as measured, shape (R, r)."""
-        return (
-            self._read(self.k, self.x + self._errors[self.k, np.arange(self.runs)], self._told) * self.scale
-        )
+        seen = self.x + self._errors[self.k, np.arange(self.runs)]
+        return self._read(self.k, seen, self._told) * self.scale
 
     def _read(self, k: NDArray[np.int_], x: Array, told: Array | float) -> Array:
         grid = self.grid
         step = np.minimum(k * grid.nodes // grid.clearance.q, len(self._nu) - 1)
-        known = (
-            (step * grid.tracking.delta)[:, None],
-            self._nu[step],
-            self._bodies[0][k] + told * self._bodies[1][k],
-        )
-        return stacked(tuple(self.inputs), self.senses.parts(self.target[k * grid.nodes], x, *known))
+        t, bodies = (step * grid.tracking.delta)[:, None], self._bodies[0][k] + told * self._bodies[1][k]
+        parts = self.senses.parts(self.target[k * grid.nodes], x, t, self._nu[step], bodies)
+        return stacked(tuple(self.inputs), parts)
 
     def advance(self, u: Array, moving: NDArray[np.bool_] | None = None) -> dict[str, NDArray[Any]]:
         """Fly a decision period with inputs (R, m), clipped to the limits; some flights may stand still.

@@ -93,9 +93,8 @@ def tradeoff(
     """
     stages = stages or Stages()
     if black_boxes and executor is not None:
-        raise ScenarioError(
-            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
-        )
+        rule = "must be left out: black boxes are asked here"
+        raise ScenarioError("executor", type(executor).__name__, rule)
     if isinstance(scenario, ScheduleScenario):
         scenario = scenario.with_assignments(overrides)
     else:
