@@ -65,7 +65,8 @@ class Firing:
     @cached_property
     def _series(self) -> list[Array]:
         """A pulse about a step's middle: per share of the step to the third, fifth, ... power, (m, n)."""
-        A, h, parts = self.system.A, self.dt, []
+        A, h = self.system.A, self.dt
+        parts: list[Array] = []
         term = first = expm(A * h / 2) @ self.system.B * h
         while np.abs(term).max() > 1e-15 * np.abs(first).max():
             power = 2 * len(parts) + 2
