@@ -1,8 +1,10 @@
-"""What a run claims beside safety and the goal, in words: what S spends after T, and passive safety."""
+"""What a run claims beside safety and the goal, in words: upkeep, passive safety, and what faults cost."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
+from ..model.checks import counted
 from ..synthesis.recoverable import directed
 from ..synthesis.synthesize import in_words
 
@@ -10,7 +12,29 @@ from ..synthesis.synthesize import in_words
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A heading and a sentence for everything that a guarantee claims besides."""
     found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
-    return found + ([("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else [])
+    found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    return found + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
+
+
+def _withheld(claim: Mapping[str, Any]) -> str:
+    """Which steps S flies because of a fault, and which bound is short by how much."""
+    fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
+    if not steps:
+        return f"{fault} can be survived from every step; S flies none because of it."
+    worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
+    short, numbers = directed(worst["short"], ".4g", up=True), [step["step"] for step in steps]
+    return (
+        f"because of {fault} S flies {counted(len(steps), 'step')} ({spans(numbers)}); of most in step"
+        f" {worst['step']}: with {worst['controller']} {worst['limit']} would be {short} short in step"
+        f" {worst['limit_step']} (t = {worst['limit_time_s']:.6g} s)."
+    )
+
+
+def spans(numbers: Sequence[int]) -> str:
+    """Whole numbers in order, neighbours together: 3-5, 9."""
+    cuts = [i for i, (a, b) in enumerate(pairwise(numbers), 1) if b > a + 1]
+    runs = [numbers[i:j] for i, j in pairwise([0, *cuts, len(numbers)])]
+    return ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:

@@ -227,7 +227,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """What is claimed, until when, why, and on what assumptions."""
-    end, goal = schedule.safety.end, schedule.arrival
+    end, goal, faults = schedule.safety.end, schedule.arrival, schedule.withheld
     return {
         "kind": schedule.guarantee,
         "horizon": end.horizon,
@@ -245,6 +245,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         },
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
         **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
+        **({"withheld": [each.told(schedule.safety.problem.delta) for each in faults]} if faults else {}),
     }
 
 

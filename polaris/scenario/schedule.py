@@ -61,9 +61,6 @@ class ScheduleScenario(Scenario):
         if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
             rule = "isolated late need sampled feedback, and last no less than its period"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
-        if late and (system.timing.fired or system.timing.carried > 0):
-            rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
-            raise ScenarioError("faults", late[0].name, rule)
         if late and system.observer is not None:
             raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
         if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:

@@ -24,6 +24,7 @@ from .get_safety import Safety
 from .neural import NeuralController
 from .passive import Drift, PassiveSafety
 from .recoverable import Margin, RecoverableSet
+from .withheld import Withheld, withheld
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +206,12 @@ class Schedule:
         if flight is None:
             return None
         return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
+
+    @cached_property
+    def withheld(self) -> tuple[Withheld, ...]:
+        """Which steps S flies because of each fault that is isolated late."""
+        starts = self.safety.start, *(step.tube.end for step in self.steps)
+        return withheld(self.safety, self.controllers, [(s.k, s.mode, starts[s.k]) for s in self.steps])
 
     @property
     def spent(self) -> float:

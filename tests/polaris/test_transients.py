@@ -16,6 +16,8 @@ from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasibl
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
+from polaris.runs.claims import besides
+from polaris.runs.schedule import guarantee
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
@@ -82,6 +84,38 @@ def test_many_proofs_hold_with_a_fault_in_every_flight():
             assert falsify(schedule, 600, seed).failure is None, seed
             proved[seed % 4] += 1
     assert sum(proved) >= 20 and min(proved) >= 3
+
+
+def pulsing(scenario, kind):
+    """Assignments of pulses, of impulses whose rest is carried, and of a fault that is isolated late."""
+    period, least = scenario.problem().period or scenario.step / 4, scenario.system().u_max.min()
+    given = ["thrusters.pulse=centred", "thrusters.remainder=carried"]
+    given += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}", "feedback.kind=sampled"]
+    told = "share=0.1,isolation_s" if kind == "loss" else "lasts_s"
+    return [*given, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{told}={1.3 * period!r}}}]']
+
+
+@pytest.mark.parametrize("kind", ["loss", pytest.param("navigation_lost", marks=pytest.mark.slow)])
+def test_late_faults_go_with_pulses_and_impulses_that_are_carried(kind):
+    scenario = load_scenario(TINY).with_assignments(SOFT)
+    schedule = synthesize(scenario.with_assignments(pulsing(scenario, kind)))
+    assert checked(schedule) and falsify(schedule, 300, 0).failure is None
+
+
+@pytest.mark.slow
+def test_so_they_do_in_random_scenes():
+    proved = 0
+    for seed in range(5003, 5040, 3):
+        scenario = exact(seed)
+        try:
+            kind = "loss" if seed % 2 else "navigation_lost"
+            schedule = synthesize(scenario.with_assignments(pulsing(scenario, kind)))
+        except PolarisError:
+            continue
+        assert checked(schedule), seed
+        assert falsify(schedule, 300, seed).failure is None, seed
+        proved += 1
+    assert proved >= 5
 
 
 @pytest.mark.parametrize("given", [LATE, LOST])
@@ -158,15 +192,49 @@ def test_bad_tables_are_refused_by_name(fault):
 
 def test_what_cannot_be_survived_or_is_not_covered_is_named():
     scenario = load_scenario(TINY).with_assignments(SOFT)
-    with pytest.raises(
-        SynthesisInfeasible, match=r"While loss lasts, 0.8 s, it may take .* m of every clearance"
-    ):
-        synthesize(scenario.with_assignments(['faults=[{kind="loss",share=0.3,isolation_s=0.8}]']))
+    faults = 'faults=[{kind="loss",share=0.3,isolation_s=0.8},{kind="navigation_lost",lasts_s=1.0}]'
+    short = r"loss \(0.8 s\) leaves input . [0-9.]+ short in step \d+ \(t = .* none is found with this fault"
+    with pytest.raises(SynthesisInfeasible, match=short) as error:
+        synthesize(scenario.with_assignments([faults]))
+    assert "navigation_lost (1 s) leaves enough; one is found" in str(error.value)
+    with pytest.raises(SynthesisInfeasible, match="without faults isolated late, either"):
+        synthesize(scenario.with_assignments([LOST, "system.input_max=0.1"]))
     schedule = synthesize(scenario.with_assignments([LOST]))
     with pytest.raises(ScenarioError, match="run-time methods know no faults"):
         DecisionGrid.of(schedule)
     with pytest.raises(ScenarioError, match="polytope"):
         synthesize(scenario.with_assignments([LOST, "recoverable.kind=ball"]))
+
+
+def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
+    """They are those that U could fly without the fault, and could not with it: by other proofs of each."""
+    scenario = load_scenario(TINY).with_assignments([*SOFT, "recoverable.recourse=none"])
+    faults = 'faults=[{kind="loss",share=0.1,isolation_s=0.3},{kind="navigation_lost",lasts_s=1.0}]'
+    schedule = synthesize(scenario.with_assignments([faults]))
+    told, named = guarantee(schedule)["withheld"], set()
+    safety, law, starts = schedule.safety, schedule.controllers[1], [schedule.safety.start]
+    starts += [step.tube.end for step in schedule.steps]
+    for fault, transient in zip(told, safety.problem.system.transients, strict=True):
+        assert (
+            f"because of {fault['fault']} "
+            in dict(besides({"upkeep": None, "withheld": [fault]}))["Isolated late"]
+        )
+        for step in fault["steps"]:
+            k, tube = step["step"], law.fly(starts[step["step"]], step["step"])
+            named.add(k)
+            assert (
+                schedule.modes[k] == 0
+                and step["short"] > 0
+                and not safety.recoverable.holds(k, tube.nodes, tube.bow)
+            )
+            assert safety.under(()).holds(k, tube.nodes, tube.bow)
+            least = safety.under((transient,)).margin(k, tube.nodes, tube.bow)
+            assert (step["limit"], step["need"]) == (least.limit, least.need) and not least.inside
+    for k in set(np.flatnonzero(schedule.modes == 0).tolist()) - named:
+        tube = law.fly(starts[k], k)
+        held = [sets.holds(k, tube.nodes, tube.bow) for sets in (safety.recoverable, safety.under(()))]
+        assert held != [False, True]
+    assert named and "withheld" not in guarantee(synthesize(scenario))
 
 
 def test_forged_transients_are_refused(tmp_path):
