@@ -71,7 +71,8 @@ class Argument:
         self.gain = self.pilots[0].gain
         self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
-        self.upsets = moved(document, self.plant)
+        networks = [pilot.policy.steepest for pilot in self.pilots if pilot.law.kind == "neural"]
+        self.upsets = moved(document, self.plant, networks if document.transients else [])
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.

@@ -130,6 +130,12 @@ CLAIMED = {
             "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
         })),
     },
+    "withheld?": Rows({
+        "fault": NAME, "lasts_s": NOT_NEGATIVE, "steps": Rows({
+            **every(Whole(), "step limit_step"), **every(TEXT, "controller limit"),
+            **every(REAL, "t_s limit_time_s need room short"),
+        }),
+    }),
     "statement?": {
         **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
     },

@@ -13,6 +13,7 @@ from .document import Document
 from .file_keys import GAINS, SCHEDULE
 from .files import contents
 from .structure import conform, shown, strict_json
+from .transients import check_withheld
 from .verdict import Rejected
 
 STEP_COLUMNS = (
@@ -112,6 +113,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
+            "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
         },
     }
     same("schedule", "schedule.json", expected, stored)

@@ -171,7 +171,7 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
     for fault in faults:
         margin = free.under((fault,)).margin_at(0, free.start)
         short, step = directed(margin.need - margin.room, ".4g", up=True), margin.time / problem.delta
-        place = f"{margin.limit} {short} short in step {int(step * (1 + 1e-12))} (t = {margin.time:.6g} s)"
+        place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
         told += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
         alone = under(fault) if len(faults) > 1 else None
         told += f" {'none is' if alone is None else 'one is'} found with this fault alone."

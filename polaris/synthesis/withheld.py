@@ -32,7 +32,7 @@ class Withheld:
                 "controller": name,
                 "limit": margin.limit,
                 "limit_time_s": margin.time,
-                "limit_step": int(margin.time / delta * (1 + 1e-12)),
+                "limit_step": int(margin.time / delta + 1e-9),
                 "need": margin.need,
                 "room": margin.room,
                 "short": margin.need - margin.room,

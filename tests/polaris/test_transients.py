@@ -1,6 +1,7 @@
 """Faults that are isolated late: in sets, certificates, and flown where they are worst."""
 
 import copy
+import dataclasses
 import json
 from functools import cache
 
@@ -11,18 +12,21 @@ import pytest
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import PRECISION
 from polaris.certificate.document import Document
-from polaris.certificate.verdict import Record
+from polaris.certificate.repeated import limit_names
+from polaris.certificate.transients import check_withheld
+from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.claims import besides
 from polaris.runs.schedule import guarantee
-from polaris.scenario.scenario import load_scenario
+from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.transients import moved
 
 from .forging import CERTIFICATE, Forger, make
 from .test_error_sources import exact, tables
@@ -118,6 +122,48 @@ def test_so_they_do_in_random_scenes():
     assert proved >= 5
 
 
+NETWORK = (
+    f'experimental=[{{kind="neural",name="hasty",path="{scenario_folder()}/policies/hasty.onnx",'
+    'inputs=["error"],output_scale_N=1.0,reference={kind="shared"}}]'
+)
+
+
+@pytest.mark.parametrize("fault", [LATE, pytest.param(LOST, marks=pytest.mark.slow)])
+def test_networks_fly_where_a_fault_may_be_isolated_late(fault):
+    given = [*SOFT, NETWORK, fault, "recoverable.recourse=none"]
+    schedule = synthesize(load_scenario(TINY).with_assignments(given))
+    system, law = schedule.safety.problem.system, schedule.controllers[1]
+    (transient,) = system.transients
+    assert schedule.share() > 0.1 and checked(schedule)
+    assert fault == LATE or falsify(schedule, 300, 0).failure is None
+    pair = np.random.default_rng(0).normal(size=(2, 400, 4))
+    one, other = (law.command(0, law.reference.chi[0], law.own.chi[0], law.own.chi[0] + x) for x in pair)
+    assert np.all(np.abs(one - other) <= np.abs(pair[0] - pair[1]) @ transient.networks.T)
+    steeper = dataclasses.replace(transient, networks=100 * transient.networks)
+    calm = dataclasses.replace(transient, networks=None)
+    gain = schedule.safety.tracking.gain
+    least, found, most = (moved(system, each, gain, 0.25) for each in (calm, transient, steeper))
+    free = dataclasses.replace(calm, share=1.0, thrust=transient.pushes + 2 * system.u_max)
+    limit = moved(system, free, gain, 0.25)
+    assert np.all(least <= found) and np.all(found <= most) and np.allclose(most, limit)
+
+
+@pytest.mark.slow
+def test_balls_keep_what_faults_need_in_random_scenes():
+    proved = flown = 0
+    for seed in range(5000, 5020):
+        kind, scenario = ("loss", "navigation_lost")[seed % 2], exact(seed)
+        late = [x for x in pulsing(scenario, kind) if not x.startswith("thrusters")]
+        try:
+            schedule = synthesize(scenario.with_assignments([*late, "recoverable.kind=time_varying_ball"]))
+        except PolarisError:
+            continue
+        assert checked(schedule), seed
+        assert falsify(schedule, 300, seed).failure is None, seed
+        proved, flown = proved + 1, flown + (schedule.share() > 0)
+    assert proved >= 4 and flown >= 1
+
+
 @pytest.mark.parametrize("given", [LATE, LOST])
 def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     """S alone, from a box that is left, or a thruster that pushes as hard as it may until S knows."""
@@ -202,8 +248,6 @@ def test_what_cannot_be_survived_or_is_not_covered_is_named():
     schedule = synthesize(scenario.with_assignments([LOST]))
     with pytest.raises(ScenarioError, match="run-time methods know no faults"):
         DecisionGrid.of(schedule)
-    with pytest.raises(ScenarioError, match="polytope"):
-        synthesize(scenario.with_assignments([LOST, "recoverable.kind=ball"]))
 
 
 def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
@@ -237,6 +281,10 @@ def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
     assert named and "withheld" not in guarantee(synthesize(scenario))
 
 
+WRONG = {"step": 12, "short": 0.0, "limit": "nothing", "controller": "S", "limit_step": 12, "t_s": -1.0}
+"""Of a step that S flies because of a fault."""
+
+
 def test_forged_transients_are_refused(tmp_path):
     forger = Forger(make([*SOFT, LATE, "simulation.runs=2"], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
@@ -261,6 +309,18 @@ def test_forged_transients_are_refused(tmp_path):
     for change in (shorter, weaker, fewer, other):
         verdict = forged(change)
         assert verdict.outcome == "REJECTED", change.__name__
+    document, told = Document(forger.honest), forger.tree("schedule.json")["guarantee"]["withheld"]
+    limits = limit_names(document)
+    assert check_withheld(document, told, limits) == told and told[0]["steps"]
+    for part, lie in (
+        (None, {"lasts_s": 0.2}),
+        (None, {"fault": "stuck_off"}),
+        *((0, {key: value}) for key, value in WRONG.items()),
+    ):
+        other = copy.deepcopy(told)
+        (other[0] if part is None else other[0]["steps"][part]).update(lie)
+        with pytest.raises(Rejected):
+            check_withheld(document, other, limits)
     without = copy.deepcopy(forger.honest)
     del without["system"]["transients"]
     assert forger.judge({CERTIFICATE: json.dumps(without)}).outcome == "REJECTED"
