@@ -25,7 +25,7 @@ from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
-ORDERS = (12, 80, 400)
+ORDERS = (24, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NETWORK_ORDER = 30
@@ -315,7 +315,7 @@ class Argument:
     def _closes(self, path: Path, tail: int) -> None:
         """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
         doc = self.document
-        moving = [item.name for item in doc.unsafe if not item.resting]
+        moving = [item.name for item in doc.unsafe if doc.moves(item)]
         if moving:
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         if any(any(u) for u in doc.inputs[self.K :]):

@@ -13,7 +13,7 @@ from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
 from .layers import network_of
-from .parts import Law, Matrix, Vector, abort_of, check_bodies, unsafe_set
+from .parts import Law, Matrix, UnsafeSet, Vector, abort_of, check_bodies, unsafe_set
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
 
@@ -165,6 +165,10 @@ class Document:
         """Errors of estimates in step k, or after the last one."""
         return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
 
+    def moves(self, item: UnsafeSet) -> bool:
+        """Whether an unsafe set moves; what is to be stayed inside from a step on does not, after T."""
+        return not (item.rests_from(self.steps) if item.keep_in else item.resting)
+
     @property
     def calmest(self) -> Vector:
         """The least error of every state in any step."""
@@ -229,6 +233,7 @@ class Document:
             estimate=self.measured,
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
+            initial=(self.observer or {}).get("initial") or (),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
             if self.timing
             else (),

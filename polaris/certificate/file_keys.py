@@ -63,7 +63,8 @@ CERTIFICATE = {
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n"),
-        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured")},
+        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
+                      **every(grid("n"), "initial? settled?")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -176,7 +177,7 @@ GAINS = {
             **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
         "error_by_step?": MATRIX,
-        "observer?": {**every(MATRIX, "measures gain"), "noise": VECTOR},
+        "observer?": {**every(MATRIX, "measures gain"), **every(VECTOR, "noise initial? settled?")},
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

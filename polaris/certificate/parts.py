@@ -27,7 +27,11 @@ class UnsafeSet:
     @property
     def resting(self) -> bool:
         """Whether the offsets are the same at all times."""
-        return all(b == self.start[0] for b in (*self.start, *self.end))
+        return self.rests_from(0)
+
+    def rests_from(self, cell: int) -> bool:
+        """The same from the start of a cell on."""
+        return all(b == self.start[cell] for b in (*self.start[cell:], *self.end[cell:]))
 
 
 @dataclass(frozen=True)

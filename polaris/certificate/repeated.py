@@ -185,7 +185,7 @@ def _check_reason(document: Document) -> None:
     true = {
         "until": f"{document.until:g}" if document.until is not None else "",
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",
-        "moving": ", ".join(item.name for item in document.unsafe if not item.resting),
+        "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
     }
     for what, found in words.groupdict().items():
         if what == "limit" and found is not None and found not in limit_names(document):

@@ -71,9 +71,9 @@ SCENARIO = {
     },
     "navigation?": {
         **_ESTIMATE,
-        "phases?": Rows({"from_s": POSITIVE, **_ESTIMATE}, 0, 64),
+        "phases?": Rows({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
         "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
-                         "error?": LIMITS},
+                         "error?": LIMITS, "initial?": _ESTIMATE},
     },
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,

@@ -27,7 +27,7 @@ from ..model.checks import of_kind
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
-from ..simulation.metrics import DEFINITIONS
+from ..simulation.metrics import DEFINITIONS, finite
 from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis import get_safety, synthesize
 from ..synthesis.black_box import Ask
@@ -91,9 +91,8 @@ def fly_schedule(
     """Synthesise a schedule, prove it (or sample it, where black boxes fly), and fly it in simulation."""
     with stages.stage("safety controller"):
         problem = scenario.problem()
-        safety = get_safety.get_safety(
-            replace(problem, planner=replace(problem.planner, progress=stages.planner))
-        )
+        planner = replace(problem.planner, progress=stages.planner)
+        safety = get_safety.get_safety(replace(problem, planner=planner))
     with stages.stage("experimental controllers"):
         experimental = () if boxes else scenario.controllers(safety)
     with stages.stage("schedule"):
@@ -164,9 +163,8 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
     np.savez(folder / "tubes.npz", **arrays.tube_arrays(schedule))
     np.savez(folder / "trajectories.npz", **arrays.flight_arrays(flights))
-    write_certificate(
-        folder, schedule, scenario.name, [*DATA_FILES, *(file.name for file in scenario.files())]
-    )
+    names = [*DATA_FILES, *(file.name for file in scenario.files())]
+    write_certificate(folder, schedule, scenario.name, names)
 
 
 def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -218,7 +216,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
             "runs": worst.runs,
             "violated": worst.failure is not None,
             "failure": None if worst.failure is None else str(worst.failure),
-            "least_m": files.finite(float(min(sets, default=np.inf))),
+            "least_m": finite(float(min(sets, default=np.inf))),
             "leave_sets": sampled.adverse,
             "repeats": sampled.repeats,
         }

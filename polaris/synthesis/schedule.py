@@ -148,6 +148,7 @@ class Schedule:
             estimate=prompt.navigation.tolist(),
             by_step=problem.system.error_by_step is not None,
             observer=() if observer is None else observer.noise.tolist(),
+            initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
             pulses=problem.system.timing.fired,

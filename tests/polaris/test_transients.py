@@ -19,8 +19,8 @@ from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasibl
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
-from polaris.runs.claims import besides
 from polaris.runs.schedule import guarantee
+from polaris.runs.tables import besides
 from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment

@@ -7,9 +7,9 @@ from typing import Any
 from markupsafe import Markup
 
 from ...model.checks import counted
-from ...runs.claims import besides
 from ...runs.folder import RunFolder
 from ...runs.picture import Picture
+from ...runs.tables import besides
 from ...synthesis.recoverable import directed
 from ..scene.geometry import stretches
 from ..scene.palette import PILOTS, mode_colour
