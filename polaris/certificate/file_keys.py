@@ -105,6 +105,14 @@ CERTIFICATE = {
             "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
         }, 1)))),
     },
+    "powered?": {
+        **every(Either((HEX, None)), "within budget"),
+        "branches": Rows({
+            "step": Whole(1), "inputs": grid("* m"), "facets": grid("* sets", Whole()), "tail": grid("n"),
+            "tolerance": HEX, "horizon": HORIZON, "until": Either((HEX, None)),
+        }),
+        "steps": grid("K", Either((None, {**every(Whole(), "branch cell"), "delta_v": HEX}))),
+    },
     "samples?": {
         **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
         "fits": grid("K", Either((None, grid("q m n+2")))),
@@ -137,6 +145,13 @@ CLAIMED = {
             **every(REAL, "t_s limit_time_s need room short"),
         }),
     }),
+    "powered_abort?": {
+        **every(BOUND, "within_s delta_v_max_m_s"),
+        "steps": Rows({
+            **every(BOUND, "leaves_s by_s delta_v_m_s safe_until_s"),
+            "step": Whole(), "why": Either((TEXT, None)),
+        }),
+    },
     "statement?": {
         **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
     },

@@ -193,6 +193,8 @@ def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A heading and a sentence for everything that a guarantee claims besides."""
     found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
     found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    powered = claim.get("powered_abort")
+    found += [("Powered abort", abort_told(powered))] if powered else []
     return found + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
 
 
@@ -208,6 +210,16 @@ def _withheld(claim: Mapping[str, Any]) -> str:
         f" in step {worst['step']} {worst['controller']} would leave {worst['limit']} {short} short, in step"
         f" {worst['limit_step']} ({when})."
     )
+
+
+def abort_told(claim: Mapping[str, Any]) -> str:
+    """From which steps S reaches the orbit of an abort, and why not from the first of the others."""
+    steps = claim["steps"]
+    found, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
+    told = f"from {len(found)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
+    if found:
+        told += f", for at most {directed(max(each['delta_v_m_s'] for each in found), '.4g', up=True)} m/s"
+    return f"{told}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{told}."
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:
