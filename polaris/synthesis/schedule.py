@@ -26,7 +26,6 @@ from .neural import NeuralController
 from .passive import Drift, PassiveSafety
 from .powered import PoweredSafety, powered
 from .recoverable import Margin, RecoverableSet
-from .withheld import Withheld, withheld
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,12 +208,6 @@ class Schedule:
         if flight is None:
             return None
         return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
-
-    @cached_property
-    def withheld(self) -> tuple[Withheld, ...]:
-        """Which steps S flies because of each fault that is isolated late."""
-        starts = self.safety.start, *(step.tube.end for step in self.steps)
-        return withheld(self.safety, self.controllers, [(s.k, s.mode, starts[s.k]) for s in self.steps])
 
     @cached_property
     def powered(self) -> PoweredSafety | None:

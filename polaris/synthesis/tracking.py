@@ -229,13 +229,10 @@ class Tracking:
         beyond = np.linalg.norm(rows @ self.W_inverse, axis=-1)[:, None] * self.decay[-1] * size
         return np.asarray(np.maximum(reach, beyond) + self.curvature(rows)[:, None] * size)
 
-    def _upset(self, rows: Array) -> Array:
-        """The largest of all faults, which happen once in a flight (Proposition 42), (memory + 2, r)."""
-        return np.asarray(self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING))
-
     def upset(self, rows: Array) -> Array:
         """What faults that are isolated late need along rows at any time, shape (r,)."""
-        return self._upset(rows)[-1] if self.system.transients else np.zeros(len(rows))
+        most = self.left(rows, self.upsets)[-1].max(axis=1) if self.system.transients else np.zeros(len(rows))
+        return np.asarray(most * (1 + ROUNDING))
 
     @cached_property
     def period_gain(self) -> float:
@@ -306,7 +303,7 @@ class Tracking:
         )
         found = np.vstack([until, until[-1] + tail])
         if failing and self.system.transients:
-            most = self._upset(rows)
+            most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)  # once in a flight
             found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
         if profile is None:
             return found
