@@ -6,19 +6,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .arcs import Arc
-from .balls import (
-    above,
-    absolute,
-    beside,
-    column,
-    diagonal,
-    identity,
-    largest,
-    matrix,
-    row_sums,
-    smallest,
-    sums,
-)
+from .balls import above, beside, column, diagonal, identity, largest, matrix, row_sums, smallest, sums
 from .bodies import Whereabouts
 from .layers import Layer
 from .motion import Plant
@@ -68,17 +56,6 @@ class Policy:
         none, tops = arb_mat(len(self.plant.u_max), 1), self.plant.u_max
         into = diagonal([x / top for x, top in zip(self.law.output_scale, tops, strict=True)])
         return [*own, (into, none), Layer("clip", low=-1.0, high=1.0), (diagonal(tops), none)]
-
-    @cached_property
-    def steepest(self) -> arb_mat:
-        """Largest size of every entry of its derivative by the state: no activation exceeds 1."""
-        M, bent = self.reads, False
-        for layer in self.layers:
-            if isinstance(layer, tuple):
-                M = (absolute(layer[0]) if bent else layer[0]) * M
-            else:
-                M, bent = absolute(M), True
-        return absolute(M)
 
     def known(self, base: Arc, k: int, i: int) -> tuple[arb_mat, arb_mat]:
         """What it reads on its reference itself, at node i of step k, and generators of that."""

@@ -9,6 +9,7 @@ from .balls import absolute, column, diagonal, exponential, identity, largest, m
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Plant
+from .networks import Policy
 from .timing import predicted
 from .verdict import Rejected, Undecided
 
@@ -63,7 +64,7 @@ def check_withheld(
     return stored
 
 
-def moved(document: Document, plant: Plant, networks: list[arb_mat]) -> list[arb_mat]:
+def moved(document: Document, plant: Plant, networks: list[Policy]) -> list[arb_mat]:
     """Boxes, one of which holds what thrust that is not as commanded has added to the states, (n, 1) each.
 
     Every law answers with no more than its gain times the deviation, whatever clips it; networks also with
@@ -72,12 +73,12 @@ def moved(document: Document, plant: Plant, networks: list[arb_mat]) -> list[arb
     if document.transients and any(law.kind == "black_box" for law in document.laws):
         raise Undecided("controllers", "black boxes under faults isolated late are not followed")
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
-    found = []
+    found, both = [], gains + [_steepest(policy) for policy in networks if document.transients]
     for each in document.transients:
         for push in each.get("pushes") or []:
             size = [arb(x) for x in push]
             wrong = [x + 2 * top for x, top in zip(size, plant.u_max, strict=True)]
-            found.append(_spread(document, plant, each, [*gains, *networks], size))
+            found.append(_spread(document, plant, each, both, size))
             if networks:
                 free = _spread(document, plant, each, gains, wrong)
                 pairs = zip(found.pop().entries(), free.entries(), strict=True)
@@ -97,6 +98,17 @@ def _spread(
     late = exponential(growth, arb(fault["lasts"]) + _hidden(document, plant))[1] * absolute(plant.B)
     wrong = [a + b for a, b in zip(size, plant.thruster_part(size), strict=True)]
     return magnitude(late * column(wrong))
+
+
+def _steepest(policy: Policy) -> arb_mat:
+    """Largest size of every entry of its derivative by the state: no activation is steeper than 1."""
+    M, bent = policy.reads, False
+    for layer in policy.layers:
+        if isinstance(layer, tuple):
+            M = (absolute(layer[0]) if bent else layer[0]) * M
+        else:
+            M, bent = absolute(M), True
+    return absolute(M)
 
 
 def _hidden(document: Document, plant: Plant) -> arb:

@@ -15,7 +15,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem
+from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
@@ -192,17 +192,6 @@ class ScheduleScenario(Scenario):
         beside = all(file.name == spec.path for spec, file in self._networks())
         return super()._copied() if beside else self._moved(lambda file: file.name)
 
-    def _steepest(self, system: LinearSystem) -> list[Array]:
-        """How steep its networks are in the state, (m, n) each."""
-        from ..synthesis.policy import Senses
-
-        found, policies, sets = [], self.policies(), self.obstacles()
-        for spec, _ in self._networks():
-            policy = policies[spec.name][1]
-            senses = Senses.of(system, policy.inputs, sets, "experimental.inputs")
-            found.append(policy.steepest(senses))
-        return found
-
     def _networks(self) -> list[tuple[Neural, Path]]:
         found = [spec for spec in self.model.experimental if isinstance(spec, Neural)]
         return [(spec, self.policies()[spec.name][0]) for spec in found]
@@ -229,8 +218,9 @@ class ScheduleScenario(Scenario):
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
         weight, gains = tracking.weight, gains_of(self.model, system)
         unsteered = np.zeros((system.m, system.n))
-        networks = self._steepest(system) if self.model.faults else []
-        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), networks)
+        networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
+        steepest = [each.steepest(system, self.obstacles()) for each in networks]
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest)
         system = replace(system, transients=late)
         return Problem(
             system=system,

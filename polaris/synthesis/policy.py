@@ -120,10 +120,11 @@ class Policy:
             if np.shape(given) != (size,):
                 raise ScenarioError(f"{field}.{name}", np.size(given), f"must have {size} numbers")
 
-    def steepest(self, senses: Senses) -> Array:
-        """Largest size of every entry of its derivative by the state, shape (m, n)."""
-        n, m, told = senses.system.n, senses.system.m, 2 * senses.system.d * len(senses.bodies)
-        read = senses.parts(np.zeros(n), np.eye(n), *(np.zeros((n, size)) for size in (1, m, told)))
+    def steepest(self, system: LinearSystem, unsafe: Iterable[object]) -> Array:
+        """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""
+        senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
+        others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
+        read = senses.parts(np.zeros(n), np.eye(n), *others)
         M, bent = self.stack(read).T, False
         for layer in self.network.layers:
             if isinstance(layer, Affine):

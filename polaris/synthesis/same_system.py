@@ -70,7 +70,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     for fault in problem.system.transients:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
-            within = np.all(controller.policy.steepest(controller.senses) <= fault.networks)
+            within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
         if not within and not isinstance(controller, AnyThrust):
             rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)

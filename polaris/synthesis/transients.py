@@ -26,7 +26,7 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Arra
     if fault.networks is None:
         return _spread(system, fault, h, most, pushes)
     both = (most, pushes + 2 * system.u_max), (np.maximum(most, fault.networks), pushes)
-    return np.min([_spread(system, fault, h, *each) for each in both], axis=0)
+    return np.asarray(np.min([_spread(system, fault, h, *each) for each in both], axis=0))
 
 
 def _spread(system: LinearSystem, fault: Transient, h: float, gains: Array, wrong: Array) -> Array:

@@ -1,11 +1,13 @@
 """Which steps S flies because of faults that are isolated late, and which bound is short by how much."""
 
+from functools import lru_cache
 from typing import Any
 
 from .recoverable import Margin
 from .schedule import Schedule
 
 
+@lru_cache(maxsize=1)
 def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     """What each fault that is isolated late keeps from experimental controllers (Proposition 42), as data.
 
@@ -14,9 +16,7 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     the way; but where errors of thrusters grow with commands, that may be the one that leaves least.
     """
     safety, faults = schedule.safety, schedule.safety.problem.system.transients
-    told: list[dict[str, Any]] = [
-        {"fault": fault.name, "lasts_s": fault.lasts, "steps": []} for fault in faults
-    ]
+    told = [{"fault": each.name, "lasts_s": each.lasts, "steps": list[Any]()} for each in faults]
     starts = [safety.start, *(step.tube.end for step in schedule.steps)]
     ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
