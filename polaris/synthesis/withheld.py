@@ -16,7 +16,7 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     the way; but where errors of thrusters grow with commands, that may be the one that leaves least.
     """
     safety, faults = schedule.safety, schedule.safety.problem.system.transients
-    told = [{"fault": each.name, "lasts_s": each.lasts, "steps": list[Any]()} for each in faults]
+    told = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
     starts = [safety.start, *(step.tube.end for step in schedule.steps)]
     ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
