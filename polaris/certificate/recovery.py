@@ -11,7 +11,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .arcs import Path
-from .balls import above, beside, largest, magnitude, matrix, over, plain, require, row_of, spans, sums
+from .balls import TINY, above, beside, largest, magnitude, matrix, plain, require, row_of, spans, sums
 from .document import Document
 from .loop import Needs
 from .scheduled import Along
@@ -34,9 +34,9 @@ class Target:
 
     @cached_property
     def least(self) -> tuple[int, float, float]:
-        """Row, room and whole in doubles; the room less what rounding adds to differences of both."""
-        room, whole = -over(-self.room), over(self.whole)
-        return self.row, room - SPARE * (abs(room) + abs(whole)), whole
+        """Row, room and whole in doubles; the room less what rounding may do to them and to needs."""
+        room, whole = float(self.room.lower()), float(self.whole.upper())
+        return self.row, room - SPARE * (abs(room) + abs(whole)) - TINY, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,17 +206,17 @@ class Recovery:
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
         worst = 1.0
         coarse = [
-            self._over((spans(row, sizes) + bend * sizes).tolist(), lag)
-            for lag, (row, bend) in enumerate(zip(self.needs.carried, self.needs.bend, strict=True))
+            [[float(x.abs_upper()) for x in row] for row in (spans(rows, sizes) + bend * sizes).tolist()]
+            for rows, bend in zip(self.needs.carried, self.needs.bend, strict=True)
         ]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
-                of, most = self._of(share, k, lag), coarse[lag]
+                of, most, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
                     row, room, whole = target.least
-                    if not most[row][place] <= room - of * whole:
+                    if not most[row][place] + more[row] <= room - of * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
@@ -224,11 +224,9 @@ class Recovery:
                 self._check_late(k, reached[k], share)
         return worst
 
-    def _over(self, table: list[list[arb]], lag: int) -> list[list[float]]:
-        """Needs along the rows at a lag, what disturbs included, as doubles that are no less."""
-        return [
-            [over(x + more) for x in row] for row, more in zip(table, self.needs.disturbed[lag], strict=True)
-        ]
+    @cached_property
+    def _disturbed(self) -> list[list[float]]:
+        return [[float(x.abs_upper()) for x in each] for each in self.needs.disturbed]
 
     def _all(self, node: int, lag: int) -> list[Target]:
         """Limits that a set at a node must keep to some periods later."""
@@ -292,13 +290,14 @@ class Recovery:
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
         """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
         per = self.needs.per_norm(inverse)
+        coarse = [[float(x.abs_upper()) for x in each] for each in per]
         for step, radius in enumerate(radii):
             k = step * self.document.q
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
-                most = self._over([[x * radius] for x in per[lag]], lag)
+                most, more = coarse[lag], self._disturbed[lag]
                 for t in self._all(k, lag):
                     row, room, _ = t.least
-                    if most[row][0] <= room:
+                    if most[row] * radius + more[row] <= room:
                         continue
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
