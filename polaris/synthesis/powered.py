@@ -286,7 +286,7 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
                 at = tube.need[np.minimum(lags, last)]
                 parts.append(np.maximum(at[:-1].reshape(asked.K - b, q, -1).max(axis=1), at[q::q]))
         most: Array = np.max(parts, axis=0) * (1 + SPARE)
-        return most + safety.clearance.scheduled(rows).max(axis=(0, 1))
+        return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 
     margins = [
         np.maximum(known[b:], needed(-body.normals @ system.position))
