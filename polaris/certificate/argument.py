@@ -78,7 +78,8 @@ class Argument:
         # Where there is a profile, what commands cause is booked with it.
         always = measured_error(known, self.gain) if document.profile else self.noise
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in always])
-        self.upsets = moved(document, self.plant)
+        networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
+        self.upsets = moved(document, self.plant, networks)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
