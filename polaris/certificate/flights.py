@@ -226,11 +226,11 @@ def fly(
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent, nodes, told = arb(0), list[Zonotope](), list[list[arb]]()
+    spent, nodes, since = arb(0), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
-        knowing = pilot.after(told)
+        knowing = pilot.after(since)
         period = knowing.period(d, base, k, i)
-        told.append(period.commands or pilot.plant.u_max)
+        since.append(period.commands or pilot.plant.u_max)
         spent += knowing.spent(period, d, base.u)
         end, extra = period.ends(d), period.extra(rows, d)
         if departures is not None:

@@ -7,7 +7,19 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .allocation import per_axis
-from .balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
+from .balls import (
+    above,
+    absolute,
+    beside,
+    column,
+    identity,
+    largest,
+    matrix,
+    require,
+    row_sums,
+    smallest,
+    sums,
+)
 from .document import Document
 from .motion import PARTS, Plant
 from .plants import plant_of
@@ -87,7 +99,8 @@ def late(plant: Plant, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
     """What errors of commands up to `most` that are not measured yet add to a command (Lemma 44)."""
     if not plant.hidden:
         return [arb(0)] * gain.nrows()
-    return (absolute(gain) * plant.unseen * column(plant.thruster_part(most))).entries()
+    clipped = [smallest(pair) for pair in zip(most, plant.u_max, strict=True)]
+    return (absolute(gain) * plant.unseen * column(plant.thruster_part(clipped))).entries()
 
 
 def measured_error(plant: Plant, gain: arb_mat) -> list[arb]:

@@ -56,7 +56,8 @@ def _unseen(system: LinearSystem, tau: float) -> Array:
     if not tau > 0:
         return np.zeros((system.n, system.m))
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)
-    return flow.input_gains(np.eye(system.n), system.B, PARTS).sum(axis=0) * (1 + 10 * ROUNDED)
+    gains = flow.input_gains(np.eye(system.n), system.B, PARTS).sum(axis=0)
+    return np.asarray(gains * (1 + 10 * ROUNDED))
 
 
 def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
@@ -216,10 +217,10 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
         system = observing(system, system.observer, h, away)
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
     timing = replace(timing, measured=tuple(np.max(steps, axis=0).tolist()))
-    bit, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
+    least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:
-        errors = [[prediction_error(system, each, bit, age) for each in known] for age in ages.tolist()]
+        errors = [[prediction_error(system, each, least, age) for each in known] for age in ages.tolist()]
         unseen = _unseen(system, ages[-1])
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"

@@ -188,7 +188,7 @@ def _spare(tracking: Tracking) -> float:
 
 def _settled(tracking: Tracking, rows: Array) -> Array:
     """What S needs along rows against all that disturbs, once it has forgotten where it came from, (r,)."""
-    return tracking.responses(rows, tracking.memory + 1, settled=True)[-1]
+    return np.asarray(tracking.responses(rows, tracking.memory + 1, settled=True)[-1])
 
 
 def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
