@@ -57,9 +57,9 @@ class Arrival:
             raise Rejected(
                 "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
             )
-        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
+        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self.soon, self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
-        self._tolerance(claim, spec, rows.scale, largest(needs.settled))
+        self.tolerated(claim, spec, rows.scale, largest(needs.settled))
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -77,10 +77,12 @@ class Arrival:
                 )
         raise refusals[0]
 
-    def _soon(self) -> arb:
+    @property
+    def soon(self) -> arb:
+        """Time in which a velocity is a length [s]."""
         return arb(SOON) * self.document.steps * self.document.delta
 
-    def _tolerance(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
+    def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
         given = spec.get("tolerance_m")
         allowed = largest((arb(SHARE) * scale, settled * (1 + arb(HOLDING)))) if given is None else arb(given)

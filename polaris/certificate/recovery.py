@@ -11,7 +11,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .arcs import Path
-from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
+from .balls import above, beside, largest, magnitude, matrix, over, plain, require, row_of, spans, sums
 from .document import Document
 from .loop import Needs
 from .scheduled import Along
@@ -27,6 +27,16 @@ class Target:
     room: arb  # what there is for errors
     name: str  # unsafe set or input
     whole: arb  # the room before a jump of the reference took its part: what shares refer to
+
+    def less(self, taken: arb) -> Target:
+        """The same with less room."""
+        return Target(self.row, (self.room - taken).lower(), self.name, self.whole)
+
+    @cached_property
+    def least(self) -> tuple[int, float, float]:
+        """Row, room and whole in doubles; the room less what rounding adds to differences of both."""
+        room, whole = -over(-self.room), over(self.whole)
+        return self.row, room - SPARE * (abs(room) + abs(whole)), whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,17 +113,14 @@ class Limits:
             for i, met in enumerate(nodes):
                 lag = tail * path.plant.q + i
                 spent = cost[lag] if lag <= needs.memory.periods else late
-                reduced.append([replace(t, room=(t.room - spent[t.row]).lower()) for t in met])
+                reduced.append([t.less(spent[t.row]) for t in met])
             targets.append(reduced)
         return Limits(self.rows, targets)
 
     def less(self, taken: Along) -> Limits:
         """The same limits, each reduced by what is taken of it at its node, along its row."""
         targets = [
-            [
-                [replace(t, room=(t.room - at[t.row]).lower()) for t in met]
-                for met, at in zip(*cell, strict=True)
-            ]
+            [[t.less(at[t.row]) for t in met] for met, at in zip(*cell, strict=True)]
             for cell in zip(self.targets, taken, strict=True)
         ]
         return Limits(self.rows, targets)
@@ -199,22 +206,29 @@ class Recovery:
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
         worst = 1.0
         coarse = [
-            (absolute(row) + bend) * sizes
-            for row, bend in zip(self.needs.carried, self.needs.bend, strict=True)
+            self._over((spans(row, sizes) + bend * sizes).tolist(), lag)
+            for lag, (row, bend) in enumerate(zip(self.needs.carried, self.needs.bend, strict=True))
         ]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
+                of, most = self._of(share, k, lag), coarse[lag]
                 for target in self._all(k, lag):
-                    room = target.room - self.needs.disturbed[lag][target.row]
-                    if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
-                        close.setdefault((lag, target.row), []).append(target)
+                    row, room, whole = target.least
+                    if not most[row][place] <= room - of * whole:
+                        close.setdefault((lag, row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
             if share > 0:
                 self._check_late(k, reached[k], share)
         return worst
+
+    def _over(self, table: list[list[arb]], lag: int) -> list[list[float]]:
+        """Needs along the rows at a lag, what disturbs included, as doubles that are no less."""
+        return [
+            [over(x + more) for x in row] for row, more in zip(table, self.needs.disturbed[lag], strict=True)
+        ]
 
     def _all(self, node: int, lag: int) -> list[Target]:
         """Limits that a set at a node must keep to some periods later."""
@@ -281,12 +295,19 @@ class Recovery:
         for step, radius in enumerate(radii):
             k = step * self.document.q
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
+                most = self._over([[x * radius] for x in per[lag]], lag)
                 for t in self._all(k, lag):
+                    row, room, _ = t.least
+                    if most[row][0] <= room:
+                        continue
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
                         where = f"radius {radius:.6g} at {self.time(k)}, {t.name} at {self.time(k + lag)}"
                         require("recoverable_sets", spare, where)
 
+
+SPARE = 1e-12
+"""Of rooms in doubles, which tell where a need is certainly within: far above their rounding."""
 
 MARGIN_SLACK = 1e-6
 """Slack of stored margins and radii, as a share of the room: they are results in double precision."""

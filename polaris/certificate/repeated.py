@@ -12,6 +12,7 @@ from typing import Any
 from .document import Document
 from .file_keys import GAINS, SCHEDULE
 from .files import contents
+from .powered import told_aborts
 from .structure import conform, shown, strict_json
 from .verdict import Rejected
 
@@ -112,6 +113,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
+            "powered_abort": told_aborts(document, stored["guarantee"].get("powered_abort")),
         },
     }
     same("schedule", "schedule.json", expected, stored)
@@ -183,7 +185,7 @@ def _check_reason(document: Document) -> None:
     true = {
         "until": f"{document.until:g}" if document.until is not None else "",
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",
-        "moving": ", ".join(item.name for item in document.unsafe if not item.resting),
+        "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
     }
     for what, found in words.groupdict().items():
         if what == "limit" and found is not None and found not in limit_names(document):

@@ -60,7 +60,8 @@ class Conditions:
                     x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
-        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * grid.half_widths
+        wrong = grid.half_widths - grid.system.displaced_at_nodes * bool(grid.system.timing.carried)
+        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
         return cls(x0, np.concatenate(parts, axis=1), errors, seed)
 
     @classmethod
@@ -113,6 +114,7 @@ def fly(
     flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
     preferred = min(1, len(grid.controllers) - 1)
     method.start(R)
+    engine.begin(R)
     states[0] = x = conditions.x0
     for k in range(D):
         if progress and k % 50 == 0:
@@ -164,7 +166,8 @@ class Engine(Integrator):
         To be called once for every node, before `step`: black boxes are asked here, for all runs.
         """
         eta = w[:, self.columns[1]]
-        seen = x + eta if eta.size else x
+        self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
+        seen = self.estimate(node * self.substeps, x)
         boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
         self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
         told = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
@@ -186,9 +189,12 @@ class Engine(Integrator):
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
             self._rows = chosen = flying == mode
+            left, self.left = self.left, None if self.left is None else self.left[chosen]
             parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
             for whole_, part in zip(out, parts, strict=True):
                 whole_[chosen] = part
+            if left is not None:
+                left[chosen], self.left = self.left, left
         self._rows = slice(None)
         return out[0], out[1], out[2], out[3]
 
@@ -203,4 +209,5 @@ class Engine(Integrator):
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
         applied = self.applied(u, 0)
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1) * self.substeps
-        return x @ Ad.T + applied @ Bd.T + w @ Dd.T, np.clip(u, -limit, limit), demand, spent
+        after = x @ Ad.T + applied @ Bd.T + w @ Dd.T + self.bow()
+        return after, np.clip(u, -limit, limit), demand, spent

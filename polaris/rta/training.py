@@ -88,6 +88,7 @@ class TrainingFlights:
         self._flown, self._left = np.zeros(self.runs, dtype=int), 0
         self._w = np.zeros((0, self.runs, 0))
         self._errors = np.zeros((grid.decisions + 1, self.runs, n))
+        self._owed = np.zeros((self.runs, grid.system.m))  # what is left of impulses [N s]
 
     def shield(self, reentry: float = REENTRY) -> None:
         """Let the online monitor decide, which assumes nothing of the policy but the thrust limits.
@@ -113,6 +114,7 @@ class TrainingFlights:
                 if not self._w.size:
                     self._w = np.zeros((len(self._drawn.w), self.runs, self._drawn.w.shape[2]))
             self._left -= 1
+            self._owed[run] = 0.0
             self.x[run], self._w[:, run] = self._drawn.x0[self._left], self._drawn.w[:, self._left]
             self._errors[:-1, run] = self._drawn.errors[:, self._left]
             self._told[run] = rng.uniform(-1, 1, self._told.shape[1])
@@ -163,12 +165,15 @@ class TrainingFlights:
         u = np.where(finite[:, None], u, 0.0)
         distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         normals, offsets, _ = grid.facets
+        self.engine.left = self._owed[chosen] if grid.system.timing.carried else None
         for node in range(k * grid.nodes, (k + 1) * grid.nodes):
             x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
             spent += thrust * self.engine.dt
             room = x @ (normals @ grid.system.position).T - offsets[node + 1]
             distance = np.minimum(distance, grid.nearest(room))
         self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
+        if self.engine.left is not None:
+            self._owed[chosen] = self.engine.left
         off = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
         near = 1 / (1 + np.linalg.norm(off, axis=1) / self._length)
         worth = near - self.effort * spent / (grid.period * grid.system.u_max.sum())

@@ -54,7 +54,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "system": _system(safety),
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},
-        "unsafe_sets": [_unsafe(item, covered) for item in safety.clearance.unsafe],
+        "unsafe_sets": _sets(schedule, covered),
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
@@ -68,6 +68,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         },
         "enclosures": _enclosures(schedule),
         **_drift(schedule),
+        **_powered(schedule),
         "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
         **_samples(schedule),
         "guarantee": schedule.guarantee,
@@ -116,6 +117,15 @@ def _allocation(made: Allocation | None) -> dict[str, Any]:
     return {"allocation": {"directions": made.directions, "limits": made.limits, "corners": made.corners}}
 
 
+def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
+    """Unsafe sets for as long as anything is said of them."""
+    known = schedule.safety.clearance.unsafe
+    for branch in schedule.powered.branches if schedule.powered else ():
+        if branch.safety.reference.cells > cells:
+            known, cells = branch.safety.clearance.unsafe, branch.safety.reference.cells
+    return [_unsafe(item, cells) for item in known]
+
+
 def _drift(schedule: Schedule) -> dict[str, Any]:
     """Where thrust may stop, and the facets that separate the drift; of a step that is not clear, None."""
     passive = schedule.passive
@@ -125,6 +135,31 @@ def _drift(schedule: Schedule) -> dict[str, Any]:
     abort = passive.flight.abort
     known = {"horizon": float(abort.horizon), "keep_in": abort.keep_in, "parts": passive.flight.parts}
     return {"drift": {**known, "steps": steps}}
+
+
+def _powered(schedule: Schedule) -> dict[str, Any]:
+    """References that leave the schedule's towards the orbit of an abort, and which serves each step."""
+    powered = schedule.powered
+    if powered is None:
+        return {}
+    branches = [
+        {
+            "step": each.step,
+            "inputs": each.safety.reference.nu[each.step : each.safety.problem.K],
+            "facets": each.safety.clearance.facets,
+            "tail": each.safety.reference.chi[each.safety.problem.K],
+            "tolerance": float(each.goal[2]),
+            "horizon": each.safety.end.horizon,
+            "until": finite(each.safety.end.until),
+        }
+        for each in powered.branches
+    ]
+    steps = [
+        None if way.branch is None else {"branch": way.branch, "cell": way.cell, "delta_v": way.delta_v}
+        for way in powered.ways
+    ]
+    known = {"within": powered.asked.within, "budget": powered.asked.budget}
+    return {"powered": {**known, "branches": branches, "steps": steps}}
 
 
 def _departure(part: Drift) -> dict[str, Any]:

@@ -243,6 +243,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         },
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
         **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
+        **({} if schedule.powered is None else {"powered_abort": schedule.powered.told()}),
     }
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..model.system import LinearSystem
-from ..model.timing import Timing
+from ..model.timing import Observer, Timing
 from ..planning.reference import Reference
 from ..simulation.metrics import finite
 from ..synthesis.controllers import AffineController
@@ -126,6 +126,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     return Reference(system, delta, chi, nu)
 
 
+def _observer(observer: Observer) -> dict[str, Any]:
+    """What a run folder says of an observer."""
+    told = asdict(observer)
+    return {key: x for key, x in told.items() if x is not None and key != "fading"}
+
+
 def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
@@ -136,7 +142,7 @@ def errors_of(safety: Safety) -> dict[str, Any]:
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": timing}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({} if system.observer is None else {"observer": asdict(system.observer)}),
+        **({} if system.observer is None else {"observer": _observer(system.observer)}),
     }
 
 
@@ -186,7 +192,19 @@ def gains(schedule: Schedule) -> dict[str, Any]:
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A heading and a sentence for everything that a guarantee claims besides."""
     found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
-    return found + ([("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else [])
+    found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    powered = claim.get("powered_abort")
+    return found + ([("Powered abort", abort_told(powered))] if powered else [])
+
+
+def abort_told(claim: Mapping[str, Any]) -> str:
+    """From which steps S reaches the orbit of an abort, and why not from the first of the others."""
+    steps = claim["steps"]
+    found, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
+    told = f"from {len(found)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
+    if found:
+        told += f", for at most {directed(max(each['delta_v_m_s'] for each in found), '.4g', up=True)} m/s"
+    return f"{told}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{told}."
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:

@@ -13,6 +13,7 @@ from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
+from .observing import worst_errors
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
 
@@ -89,8 +90,8 @@ def adjoint_worst_case(
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
-    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``; so does what
-    networks are told of bodies. A network
+    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``, or those of an
+    observer's noise (`worst_errors`); so does what networks are told of bodies. A network
     answers with its gradient at the states that it was flown through, `about` (R or 1, nodes + 1, n), by
     default those of the undisturbed flight from the middle of the initial set.
 
@@ -105,7 +106,7 @@ def adjoint_worst_case(
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
     w = np.zeros((steps, len(rows), told.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
-    bits = 2 ** np.arange(system.m)
+    bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
         adjoint[starting] = rows[starting]
@@ -123,11 +124,11 @@ def adjoint_worst_case(
             w[step, :, told.start : told.start + heard.shape[1]] = np.sign(heard)
             carried = carried + answer
             direction[:, own.stop :] += answer
+        if eta.start < eta.stop:
+            w[step, :, eta], filtering = worst_errors(flight, step, direction, filtering)
         along = direction[:, own]
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
-        if eta.start < eta.stop:
-            w[step, :, eta] = np.sign(direction[:, eta]) * flight.known[step]
         if errors.start < errors.stop:
             w[step, :, errors] = np.sign(kick)
         if free is not None:

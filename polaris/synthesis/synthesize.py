@@ -57,7 +57,8 @@ def synthesize(
     Raises
     ------
     ScenarioError, SynthesisInfeasible, NotCertified
-        See `get_safety`. `NotCertified` also where no schedule is found that keeps the budget.
+        See `get_safety`. `NotCertified` also where no schedule is found that keeps the budget, and both where
+        an abort with thrust is required, but not proven from the one that is found.
     """
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
@@ -67,7 +68,10 @@ def synthesize(
     in_view = recourse and safety.problem.recourse != "none"
     found = most_worthy(search, in_view)
     free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
-    return best_share(search, found, in_view) if free else found
+    found = best_share(search, found, in_view) if free else found
+    if found.powered is not None:
+        found.powered.require()
+    return found
 
 
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:

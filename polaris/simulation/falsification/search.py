@@ -13,6 +13,7 @@ from ...synthesis.recoverable import directed
 from ...synthesis.schedule import Schedule
 from ..integration import Integrator
 from ..run_metrics import Runs
+from .aborting import Aborted
 from .attacks import Attack, Attacker
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 from .drifting import least_distances
@@ -26,6 +27,9 @@ ELITES = 12
 FAILING_EVERY = 3
 """Every so many batches something fails in every flight, where faults are isolated late."""
 
+ABORT_EVERY = 4
+"""Every so many batches the flight is aborted, at the start of one of the steps from which that is proven."""
+
 TAIL_EVERY = 8
 """Every so many batches S flies on after T, and in the last one if it has not before."""
 
@@ -33,7 +37,7 @@ SMALLEST = 50
 """Fewest runs in a batch, but for the last."""
 
 KINDS = ("unsafe set", "saturation", "margin")
-"""Kinds of violation while it is flown, the gravest first; besides, that of the drift."""
+"""Kinds of violation while it is flown, the gravest first; besides, those of the drift and of an abort."""
 
 ROUND = ("worst", "again", "again", "mutate", "mutate", "random")
 """One round of the search, a batch each."""
@@ -45,9 +49,9 @@ class Failure:
 
     Attributes
     ----------
-    kind : {"unsafe set", "saturation", "margin", "drift"}
+    kind : {"unsafe set", "saturation", "margin", "drift", "abort"}
         A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven; so
-        did the drift of one in which all thrust stopped.
+        did the drift of one in which all thrust stopped; an aborted one missed its orbit, or spent more.
     limit : str
         Which unsafe set or input.
     time_s : float
@@ -72,9 +76,14 @@ class Failure:
             "unsafe set": f"{self.limit} is entered",
             "saturation": f"S asks for more {self.limit} than there is",
             "margin": f"the margin to {self.limit} is below the proven one",
+            "abort": f"an aborted flight exceeds its {self.limit}",
             "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
         }[self.kind]
         return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
+
+
+Found = tuple[Failure, tuple[Attack, bool, int]]
+"""A violation and its case."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +108,8 @@ class Falsification:
         The worst violation.
     case : tuple or None
         The attack behind it (one run), whether the tail was flown, and the integration steps per node.
+    abort : int or None
+        The step at whose start that flight was aborted with thrust, if it was.
     """
 
     schedule: Schedule
@@ -110,6 +121,7 @@ class Falsification:
     seconds: float
     failure: Failure | None
     case: tuple[Attack, bool, int] | None
+    abort: int | None = None
 
     @property
     def ratio(self) -> Array:
@@ -175,6 +187,9 @@ class _Search:
         self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=0)
         self.elites: dict[int, tuple[Attack, Array]] = {}
         self.last: tuple[Runs, Attained] | None = None
+        ways = () if schedule.powered is None else schedule.powered.ways
+        self.aborts = [k for k, way in enumerate(ways) if way.branch is not None]
+        self.abort: int | None = None
 
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
         begun = time.perf_counter()
@@ -188,6 +203,9 @@ class _Search:
             attacker = self.failing if self.failing is not None and batch % FAILING_EVERY == 1 else attacker
             beyond = beyond or attacker is self.tail
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
+            if self.aborts and batch % ABORT_EVERY == ABORT_EVERY - 2:
+                found, self.flown, batch = self._aborted(count), self.flown + count, batch + 1
+                continue
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
             measured = attained(attacker.claims, flown, attack.failing)
@@ -202,7 +220,7 @@ class _Search:
         failure, case = found or (None, None)
         names, spent = self.main.claims.names, time.perf_counter() - begun
         limits = names, self.least, self.proven, self.at
-        return Falsification(self.schedule, *limits, self.flown, spent, failure, case)
+        return Falsification(self.schedule, *limits, self.flown, spent, failure, case, self.abort)
 
     def _attack(self, attacker: Attacker, kind: str, count: int) -> Attack:
         if attacker is self.main:
@@ -214,14 +232,16 @@ class _Search:
                 return attacker.random(count)
         return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
 
-    def _record(
-        self, claims: Claims, attack: Attack, measured: Attained
-    ) -> tuple[Failure, tuple[Attack, bool, int]] | None:
-        """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
+    def _record(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
+        """Note the least margins; the worst violation."""
         every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
         least, when = measured.margin[best, every], measured.when[best, every]
         less = (least < self.least) & (not claims.failing)
         self.least[less], self.at[less] = least[less], when[less]
+        return self._confirmed(claims, attack, measured)
+
+    def _confirmed(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
+        """The worst violation, flown again with finer steps to be sure of it."""
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
             confirmed = confirm(claims, attack.pick(np.array([run])))
@@ -230,7 +250,18 @@ class _Search:
                 return failure, (finer, claims.tail, substeps)
         return None
 
-    def _stopped(self, attack: Attack, flown: Runs) -> tuple[Failure, tuple[Attack, bool, int]] | None:
+    def _aborted(self, count: int) -> Found | None:
+        """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
+        tried = Aborted(self.schedule, int(self.main.rng.choice(self.aborts)), count, self.main.rng)
+        claims = tried.attacker.claims
+        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs))
+        limit, when, margin, attack = tried.exceeded()
+        if found is None and margin < -EXACT_M:
+            found = Failure("abort", limit, when, margin, 0.0), (attack, True, 1)
+        self.abort = tried.step if found else None
+        return found
+
+    def _stopped(self, attack: Attack, flown: Runs) -> Found | None:
         """The worst violation of what is claimed of the drift after all thrust stops."""
         passive = self.schedule.passive
         if passive is None or passive.least is None:
