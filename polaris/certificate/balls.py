@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from functools import cache
-from math import hypot, inf, nextafter
+from math import hypot
 
 from flint import arb, arb_mat
 
@@ -121,11 +121,6 @@ def lengths(M: arb_mat) -> list[arb]:
     """`norms` from above, in doubles: exact numbers."""
     table = [[float(x.abs_upper()) for x in row] for row in M.tolist()]
     return [arb(hypot(*row) * (1 + FEW) + TINY) for row in table]
-
-
-def over(x: arb) -> float:
-    """A double that is no less."""
-    return nextafter(float(x.upper()), inf)
 
 
 def root(square: arb) -> arb:

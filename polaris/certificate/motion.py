@@ -25,7 +25,6 @@ from .balls import (
     magnitude,
     root,
     row_sums,
-    spans,
     sums,
     widths,
 )
@@ -43,7 +42,7 @@ class Push:
     @classmethod
     def in_box(cls, V: arb_mat, bounds: list[arb]) -> Push:
         """``|v_i| <= bounds[i]``."""
-        return cls(V, diagonal(bounds), lambda rows: spans(rows, column(bounds)).entries())
+        return cls(V, diagonal(bounds), lambda rows: (magnitude(rows) * column(bounds)).entries())
 
     @classmethod
     def in_zonotope(cls, V: arb_mat, generators: arb_mat) -> Push:

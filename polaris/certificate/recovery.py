@@ -11,7 +11,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .arcs import Path
-from .balls import above, beside, largest, magnitude, matrix, over, plain, require, row_of, spans, sums
+from .balls import TINY, above, beside, largest, magnitude, matrix, plain, require, row_of, spans, sums
 from .document import Document
 from .loop import Needs
 from .scheduled import Along
@@ -34,9 +34,9 @@ class Target:
 
     @cached_property
     def least(self) -> tuple[int, float, float]:
-        """Row, room and whole in doubles; the room less what rounding adds to differences of both."""
-        room, whole = -over(-self.room), over(self.whole)
-        return self.row, room - SPARE * (abs(room) + abs(whole)), whole
+        """Row, room and whole in doubles; the room less what rounding may do to them and to needs."""
+        room, whole = float(self.room.lower()), float(self.whole.upper())
+        return self.row, room - SPARE * (abs(room) + abs(whole)) - TINY, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +101,7 @@ class Limits:
     def less_jump(self, needs: Needs, path: Path) -> Limits:
         """The same limits, the tail's reduced by what the jump at its start needs."""
         size = magnitude(path.jump)
-        cost = [
-            ((magnitude(row) + bend) * size).entries()
-            for row, bend in zip(needs.carried, needs.bend, strict=True)
-        ]
-        share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-        late = [x * share for x in needs.forgotten]
+        cost, late = [needs.boxed(size, lag) for lag in range(len(needs.carried))], needs.still(size)
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
@@ -139,12 +134,8 @@ def levels_of(document: Document, noise: list[arb], needs: Needs, path: Path) ->
     """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
     size, count = magnitude(path.jump), 2 * len(noise)
     first = needs.rows.nrows() - count
-    steps = zip(needs.carried, needs.bend, strict=True)
-    costs = zip(*(((magnitude(row) + bend) * size).entries()[first:] for row, bend in steps), strict=True)
-    share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-    jumps = [
-        largest((*cost, late * share)) for cost, late in zip(costs, needs.forgotten[first:], strict=True)
-    ]
+    costs = [*(needs.boxed(size, lag) for lag in range(len(needs.carried))), needs.still(size)]
+    jumps = list(map(largest, zip(*costs, strict=True)))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]
     return [
         [
@@ -206,17 +197,17 @@ class Recovery:
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
         worst = 1.0
         coarse = [
-            self._over((spans(row, sizes) + bend * sizes).tolist(), lag)
-            for lag, (row, bend) in enumerate(zip(self.needs.carried, self.needs.bend, strict=True))
+            [[float(x.abs_upper()) for x in row] for row in (spans(rows, sizes) + bend * sizes).tolist()]
+            for rows, bend in zip(self.needs.carried, self.needs.bend, strict=True)
         ]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
-                of, most = self._of(share, k, lag), coarse[lag]
+                of, most, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
                     row, room, whole = target.least
-                    if not most[row][place] <= room - of * whole:
+                    if not most[row][place] + more[row] <= room - of * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
@@ -224,11 +215,9 @@ class Recovery:
                 self._check_late(k, reached[k], share)
         return worst
 
-    def _over(self, table: list[list[arb]], lag: int) -> list[list[float]]:
-        """Needs along the rows at a lag, what disturbs included, as doubles that are no less."""
-        return [
-            [over(x + more) for x in row] for row, more in zip(table, self.needs.disturbed[lag], strict=True)
-        ]
+    @cached_property
+    def _disturbed(self) -> list[list[float]]:
+        return [[float(x.abs_upper()) for x in each] for each in self.needs.disturbed]
 
     def _all(self, node: int, lag: int) -> list[Target]:
         """Limits that a set at a node must keep to some periods later."""
@@ -241,10 +230,9 @@ class Recovery:
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
-        extent = self.needs.memory.z.entries()
-        part = largest(a / b for a, b in zip(z.size().entries(), extent, strict=True))
+        late = self.needs.still(z.size())
         for row, target in self._least[self._far_cell(k)].items():
-            need = part * self.needs.forgotten[row] + self.needs.disturbed[-1][row]
+            need = late[row] + self.needs.disturbed[-1][row]
             where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
             self._leaves(share, target, need, where)
 
@@ -266,7 +254,9 @@ class Recovery:
             disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = most + extra + disturbance, target.room
-                if not room - need >= of * target.whole:  # the booked part can be had more exactly
+                if not room - need >= of * target.whole:  # all of it can be had more exactly
+                    at = row_of(needs.carried[lag], row)
+                    most = sums((at * z.c).entries(), z.spread(at))[0]
                     need = most + needs.booked(z, lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
@@ -292,13 +282,14 @@ class Recovery:
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
         """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
         per = self.needs.per_norm(inverse)
+        coarse = [[float(x.abs_upper()) for x in each] for each in per]
         for step, radius in enumerate(radii):
             k = step * self.document.q
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
-                most = self._over([[x * radius] for x in per[lag]], lag)
+                most, more = coarse[lag], self._disturbed[lag]
                 for t in self._all(k, lag):
                     row, room, _ = t.least
-                    if most[row][0] <= room:
+                    if most[row] * radius + more[row] <= room:
                         continue
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):

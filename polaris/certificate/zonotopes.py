@@ -87,12 +87,12 @@ class Zonotope:
         return Zonotope(self.c, Generators(self._made, *generators))
 
     def spread(self, rows: arb_mat) -> list[arb]:
-        """How far ``row x`` may be from its value at the centre."""
-        return widths(rows * self.G)
+        """How far ``row x`` may be from its value at the centre, enclosed."""
+        return row_sums(rows * self.G)
 
     def support(self, rows: arb_mat) -> list[arb]:
-        """``max row x`` over the set, for every row."""
-        return sums((rows * self.c).entries(), self.spread(rows))
+        """``max row x`` over the set, for every row, from above."""
+        return sums((rows * self.c).entries(), widths(rows * self.G))
 
     @property
     def widths(self) -> list[arb]:
