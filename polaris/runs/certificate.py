@@ -106,8 +106,11 @@ def _system(safety: Safety) -> dict[str, Any]:
 
 def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
     """Faults that are isolated late, if any; no pushes where navigation is lost."""
-    found = [{"name": fault.name, "lasts": float(fault.lasts), "pushes": fault.pushes} for fault in faults]
-    found = [{key: told for key, told in one.items() if np.size(told)} for one in found]
+    found = [
+        {"name": fault.name, "lasts": float(fault.lasts)}
+        | ({"pushes": fault.pushes} if len(fault.pushes) else {})
+        for fault in faults
+    ]
     return {"transients": found} if found else {}
 
 
