@@ -31,6 +31,9 @@ from .onboard import FlightSoftware
 EXACT = 1e-8
 """Instants that are nearer than this are one [s]: Basilisk counts in nanoseconds."""
 
+SIGNS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)
+"""What products of components count in a cross product."""
+
 DRAG = 2.2
 """Drag coefficient; areas follow from the scenario's ballistic coefficients."""
 
@@ -72,15 +75,20 @@ class Flight:
     spread: np.ndarray
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product of vectors (..., 3); for single ones several times as fast as numpy's."""
+    return np.asarray(np.einsum("ijk,...j,...k->...i", SIGNS, a, b))
+
+
 def frame(r: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Hill's frame of inertial positions and velocities (..., 3): its axes as rows, its rate in them.
 
     Shapes (..., 3, 3) and (..., 3). J2 alone is taken to turn the orbit's plane.
     """
-    h = np.cross(r, v)
+    h = cross(r, v)
     size, R = np.linalg.norm(h, axis=-1), np.linalg.norm(r, axis=-1)
     x, z = r / R[..., None], h / size[..., None]
-    axes = np.stack([x, np.cross(z, x), z], axis=-2)
+    axes = np.stack([x, cross(z, x), z], axis=-2)
     across = -3 * J2 * MU * EARTH_RADIUS_M**2 / R**4 * x[..., 2] * z[..., 2]
     return axes, np.stack([R * across / size, np.zeros_like(R), size / R**2], axis=-1)
 
@@ -92,13 +100,13 @@ def relative(
     axes, rate = frame(target[..., :3], target[..., 3:]) if hill is None else hill
     p = np.einsum("...ij,...j->...i", axes, chaser[..., :3] - target[..., :3])
     v = np.einsum("...ij,...j->...i", axes, chaser[..., 3:] - target[..., 3:])
-    return np.concatenate([p, v - np.cross(rate, p)], axis=-1)
+    return np.concatenate([p, v - cross(rate, p)], axis=-1)
 
 
 def absolute(target: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Inertial state of the chaser, from its state in the target's frame."""
     axes, rate = frame(target[:3], target[3:])
-    return target + np.concatenate([x[:3] @ axes, (x[3:] + np.cross(rate, x[:3])) @ axes])
+    return target + np.concatenate([x[:3] @ axes, (x[3:] + cross(rate, x[:3])) @ axes])
 
 
 def inertial(env: Environment, latitude: float, target: np.ndarray) -> np.ndarray:

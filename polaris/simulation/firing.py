@@ -45,7 +45,7 @@ class Firing:
             self.left = due - u * h
         self.asked = u
         u = u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
-        return u if self.failing is None else u + self.failing.added(told, step)
+        return u if self.failing is None else u + self.failing.added(self.asked, step)
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:
         """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
@@ -65,7 +65,8 @@ class Firing:
     @cached_property
     def _series(self) -> list[Array]:
         """A pulse about a step's middle: per share of the step to the third, fifth, ... power, (m, n)."""
-        A, h, parts = self.system.A, self.dt, []
+        A, h = self.system.A, self.dt
+        parts: list[Array] = []
         term = first = expm(A * h / 2) @ self.system.B * h
         while np.abs(term).max() > 1e-15 * np.abs(first).max():
             power = 2 * len(parts) + 2

@@ -206,7 +206,7 @@ def _look_closer(
     (a, b), (da, db) = ([part @ x.T for part in ends] for x in (system.position, h * system.velocity))
     p, grown = cubic(a, b, da, db, s), 0.0
     if system.timing.fired:  # not, then, what the polytopes are grown by because of them
-        p = p + _pulsed(system, *ends, h, s)
+        p = p + _pulsed(system, ends[0], ends[1], h, s)
         sizes = claims.moved, claims.moved + np.array(system.timing.pulsed)
         grown = float(np.diff([np.linalg.norm(np.abs(system.position) @ size) for size in sizes])[0])
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
