@@ -74,7 +74,8 @@ class Argument:
         self.gain = self.pilots[0].gain
         self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
-        self.upsets = moved(document, self.plant)
+        networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
+        self.upsets = moved(document, self.plant, networks)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.

@@ -131,11 +131,6 @@ class Arrival:
         spare = arb(claimed) * (1 + SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
-    def _forgotten(self, needs: Needs, size: arb_mat) -> list[arb]:
-        """What undisturbed errors up to a size still need at any node beyond the loop's memory."""
-        share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
-        return [late * share for late in needs.forgotten]
-
     def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
         """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
         found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
@@ -144,7 +139,7 @@ class Arrival:
             pushed = needs.disturbed if around else [*needs.responses[: periods + 1], needs.settled]
             parts = [pushed[min(lag, periods + 1)]]
             if lag > periods:
-                parts.append(self._forgotten(needs, z.size()))
+                parts.append(needs.still(z.size()))
             else:
                 parts.append(z.support(needs.carried[lag]))
                 parts += [needs.booked(z, lag)] if around else []
@@ -154,7 +149,7 @@ class Arrival:
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
-            return sums(least, self._forgotten(needs, jump))
+            return sums(least, needs.still(jump))
         carried = magnitude(needs.carried[node])
         return sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
 

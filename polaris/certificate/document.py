@@ -118,8 +118,8 @@ class Document:
         least = [min(each["lasts"], *map(min, each.get("pushes") or [[0.0]])) for each in self.transients]
         if any(x < 0 for x in least) or any(each["lasts"] == 0 for each in self.transients):
             raise ValueError("faults isolated late last for some time, and push by no less than nothing")
-        if self.transients and (not self.sampled or self.fired or self.carried):
-            raise ValueError("faults isolated late need sampled feedback, inputs that are held, and no rest")
+        if self.transients and not self.sampled:
+            raise ValueError("faults isolated late need sampled feedback")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")

@@ -139,6 +139,12 @@ CLAIMED = {
             "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
         })),
     },
+    "withheld?": Rows({
+        "fault": NAME, "lasts_s": NOT_NEGATIVE, "steps": Rows({
+            **every(Whole(), "step limit_step"), **every(TEXT, "controller limit"),
+            **every(REAL, "t_s limit_time_s need room short"),
+        }),
+    }),
     "powered_abort?": {
         **every(BOUND, "within_s delta_v_max_m_s"),
         "steps": Rows({

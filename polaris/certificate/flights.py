@@ -231,6 +231,8 @@ def fly(
                 highs[axis].append(at + room_for)
             if barrier is not None:
                 needs = sums(middle, spread, more)[n:]
+                if not all(need <= there for need, there in zip(needs, room[place], strict=True)):
+                    needs = sums(middle[n:], z.spread(barrier.rows), more[n:])  # to the last digits
                 for name, need, there in zip(barrier.names, needs, room[place], strict=True):
                     if not need <= there:
                         told = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"

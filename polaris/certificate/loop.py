@@ -203,12 +203,17 @@ class Needs:
     @cached_property
     def forgotten(self) -> list[arb]:
         """What any undisturbed error within ``z`` at the start still needs after N periods."""
-        memory = self.memory
-        each = [
-            ((magnitude(row) + bend) * memory.z).entries()
-            for row, bend in zip(self.carried[: memory.periods], self.bend[: memory.periods], strict=True)
-        ]
-        return [largest(values) * memory.c for values in zip(*each, strict=True)]
+        each = [self.boxed(self.memory.z, lag) for lag in range(self.memory.periods)]
+        return [largest(values) * self.memory.c for values in zip(*each, strict=True)]
+
+    def boxed(self, size: arb_mat, lag: int) -> list[arb]:
+        """What any undisturbed error up to a size needs in the periods next to node l."""
+        return list(((magnitude(self.carried[lag]) + self.bend[lag]) * size).entries())
+
+    def still(self, size: arb_mat) -> list[arb]:
+        """The same after N periods."""
+        share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
+        return [late * share for late in self.forgotten]
 
     def tube(self, start: Zonotope) -> list[list[arb]]:
         """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""

@@ -101,12 +101,7 @@ class Limits:
     def less_jump(self, needs: Needs, path: Path) -> Limits:
         """The same limits, the tail's reduced by what the jump at its start needs."""
         size = magnitude(path.jump)
-        cost = [
-            ((magnitude(row) + bend) * size).entries()
-            for row, bend in zip(needs.carried, needs.bend, strict=True)
-        ]
-        share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-        late = [x * share for x in needs.forgotten]
+        cost, late = [needs.boxed(size, lag) for lag in range(len(needs.carried))], needs.still(size)
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
@@ -139,12 +134,8 @@ def levels_of(document: Document, noise: list[arb], needs: Needs, path: Path) ->
     """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
     size, count = magnitude(path.jump), 2 * len(noise)
     first = needs.rows.nrows() - count
-    steps = zip(needs.carried, needs.bend, strict=True)
-    costs = zip(*(((magnitude(row) + bend) * size).entries()[first:] for row, bend in steps), strict=True)
-    share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-    jumps = [
-        largest((*cost, late * share)) for cost, late in zip(costs, needs.forgotten[first:], strict=True)
-    ]
+    costs = [*(needs.boxed(size, lag) for lag in range(len(needs.carried))), needs.still(size)]
+    jumps = list(map(largest, zip(*costs, strict=True)))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]
     return [
         [
@@ -239,10 +230,9 @@ class Recovery:
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
-        extent = self.needs.memory.z.entries()
-        part = largest(a / b for a, b in zip(z.size().entries(), extent, strict=True))
+        late = self.needs.still(z.size())
         for row, target in self._least[self._far_cell(k)].items():
-            need = part * self.needs.forgotten[row] + self.needs.disturbed[-1][row]
+            need = late[row] + self.needs.disturbed[-1][row]
             where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
             self._leaves(share, target, need, where)
 
@@ -264,7 +254,9 @@ class Recovery:
             disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = most + extra + disturbance, target.room
-                if not room - need >= of * target.whole:  # the booked part can be had more exactly
+                if not room - need >= of * target.whole:  # all of it can be had more exactly
+                    at = row_of(needs.carried[lag], row)
+                    most = sums((at * z.c).entries(), z.spread(at))[0]
                     need = most + needs.booked(z, lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"

@@ -14,6 +14,7 @@ from .file_keys import GAINS, SCHEDULE
 from .files import contents
 from .powered import told_aborts
 from .structure import conform, shown, strict_json
+from .transients import check_withheld
 from .verdict import Rejected
 
 STEP_COLUMNS = (
@@ -113,6 +114,7 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
+            "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
             "powered_abort": told_aborts(document, stored["guarantee"].get("powered_abort")),
         },
     }

@@ -170,8 +170,11 @@ class KeepInPolytope(KeepIn):
         """As of all keep-in sets, in the steps in which it holds."""
         found = super().timed_polytopes(system, delta, cells)
         holds = during(self.begins, self.ends, np.arange(cells, dtype=float) * delta, delta)
+        if holds.all() and self.ends == np.inf:
+            return found
+        known = all(when < cells * delta for when in (self.begins, self.ends) if when != np.inf)
         factor = np.where(holds, 1.0, FAR)[:, None, None]
-        return found if holds.all() else tuple(replace(one, offsets=one.offsets * factor) for one in found)
+        return tuple(replace(one, offsets=one.offsets * factor, static=known) for one in found)
 
     def signed_distance(self, t: ArrayLike, p: ArrayLike, *known: Any) -> Array:
         """As of all obstacles; inf while it does not hold."""

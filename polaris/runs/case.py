@@ -15,7 +15,8 @@ from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.failing import Failing
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims, attained
-from ..simulation.falsification.search import Failure, Falsification, violation
+from ..simulation.falsification.search import Falsification
+from ..simulation.falsification.violations import Failure, violation
 from ..simulation.integration import Integrator
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize

@@ -36,6 +36,7 @@ from ..synthesis.neural import NeuralController
 from ..synthesis.same_system import check_safety
 from ..synthesis.schedule import Schedule
 from ..synthesis.share_bound import ShareBound, share_bound
+from ..synthesis.withheld import withheld
 from . import arrays
 from . import tables as files
 from .certificate import described, hexadecimal, write_certificate
@@ -225,7 +226,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """What is claimed, until when, why, and on what assumptions."""
-    end, goal = schedule.safety.end, schedule.arrival
+    end, goal, late = schedule.safety.end, schedule.arrival, withheld(schedule)
     return {
         "kind": schedule.guarantee,
         "horizon": end.horizon,
@@ -243,6 +244,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         },
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
         **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
+        **({"withheld": late} if late else {}),
         **({} if schedule.powered is None else {"powered_abort": schedule.powered.told()}),
     }
 

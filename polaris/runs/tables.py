@@ -194,7 +194,22 @@ def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
     found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
     powered = claim.get("powered_abort")
-    return found + ([("Powered abort", abort_told(powered))] if powered else [])
+    found += [("Powered abort", abort_told(powered))] if powered else []
+    return found + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
+
+
+def _withheld(claim: Mapping[str, Any]) -> str:
+    """Which steps S flies because of a fault, and which bound is short by how much."""
+    fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
+    if not steps:
+        return f"along this reference {fault} keeps no step from U."
+    worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
+    short, when = directed(worst["short"], ".4g", up=True), f"t = {worst['limit_time_s']:.6g} s"
+    return (
+        f"because of {fault} S flies {len(steps)} of the steps ({', '.join(str(x['step']) for x in steps)});"
+        f" in step {worst['step']} {worst['controller']} would leave {worst['limit']} {short} short, in step"
+        f" {worst['limit_step']} ({when})."
+    )
 
 
 def abort_told(claim: Mapping[str, Any]) -> str:

@@ -134,10 +134,7 @@ class Navigation(Estimate):
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         bounds, (steps, step) = np.array([declared, *later]), horizon
         oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
-        start, last = (
-            np.arange(steps + 1, dtype=float) * step,
-            np.arange(steps + 1) == steps,
-        )  # all has begun in the end
+        start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
         met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
         rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
         return replace(system, error_by_step=rows)

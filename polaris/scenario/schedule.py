@@ -61,9 +61,6 @@ class ScheduleScenario(Scenario):
         if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
             rule = "isolated late need sampled feedback, and last no less than its period"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
-        if late and (system.timing.fired or system.timing.carried > 0):
-            rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
-            raise ScenarioError("faults", late[0].name, rule)
         if late and system.observer is not None:
             raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
         abort, phases = model.abort, () if model.navigation is None else model.navigation.phases
@@ -221,7 +218,9 @@ class ScheduleScenario(Scenario):
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
         weight, gains = tracking.weight, gains_of(self.model, system)
         unsteered = np.zeros((system.m, system.n))
-        late = transients(self.model.faults, self.allocation(), (unsteered, *gains))
+        networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
+        steepest = [each.steepest(system, self.obstacles()) for each in networks]
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest)
         system = replace(system, transients=late)
         return Problem(
             system=system,

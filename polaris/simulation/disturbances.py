@@ -13,7 +13,6 @@ from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
-from .observing import worst_errors
 
 Disturbance = Literal["none", "random", "worst", "mixed"]
 
@@ -135,6 +134,25 @@ def adjoint_worst_case(
             free[step] = np.sign(kick) * system.u_max
         adjoint = carried
     return w, free, adjoint
+
+
+def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) -> tuple[Array, Array]:
+    """Worst errors of estimates in a step along `direction` (R, p + n), in which disturbances and they count.
+
+    Of an observer its noise, as `followed` reads it: `later` (R, n) is how much its error counts at the end
+    of the step, returned with how much it does before, and counted in `direction`.
+    """
+    observer, known, (Ad, _, Dd), p = flight.system.observer, flight.known[step], flight.held, flight.system.p
+    noted = direction[:, p:]
+    if observer is None:
+        return np.sign(noted) * known, later
+    direction[:, :p] -= later @ Dd
+    before = later @ Ad + noted
+    if step % flight.substeps:
+        return 0 * before, before
+    way = np.sign(before @ observer.gain) @ np.linalg.pinv(observer.measures).T if step else before
+    size = np.maximum(np.abs(way).max(axis=1, keepdims=True), 1e-300)
+    return way / size * known.min(), before @ observer.rest
 
 
 def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> tuple[Array, Array]:

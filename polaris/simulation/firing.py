@@ -45,7 +45,7 @@ class Firing:
             self.left = due - u * h
         self.asked = u
         u = u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
-        return u if self.failing is None else u + self.failing.added(told, step)
+        return u if self.failing is None else u + self.failing.added(self.asked, step)
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:
         """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""

@@ -131,7 +131,8 @@ class Integrator(Firing):
 
     def noted(self, w: Array, eta: Array | None) -> Array | None:
         """Errors of estimates under disturbances w: as they are given, or an observer's by its noise."""
-        return eta if eta is None or self.system.observer is None else followed(self, w, eta)
+        observer, times = self.system.observer, (self.substeps, round(self.system.timing.delay / self.dt))
+        return eta if eta is None or observer is None else followed(observer, self.held, times, w, eta)
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""

@@ -21,22 +21,21 @@ from ..planning.reference import Reference
 from ..planning.solve import plan
 from .arrival import distance, goal_rows, tolerated
 from .attempts import perceive_unsafe, plan_problem
-from .clearance import Clearance, best_facets, error_tube
+from .clearance import Clearance, error_tube
 from .controllers import TubeSegment
 from .demand import command_errors
 from .end_condition import coast, judge_end, tail_length
 from .get_safety import Safety, get_recover
 from .problem import PoweredAbort
 from .recoverable import Margin, RecoverableSet, directed
-from .tracking import Tracking
+from .tracking import Tracking, at_nodes
 
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
-PROGRAMS = 1000
+PROGRAMS = 300
 """Most linear programs that the plan of one branch takes."""
 SPARE = 0.02
 """Share by which claims are loosened, and plans kept further away: a checker merges sets in its own way."""
-
 TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"
 """What is told of an abort in a step, in the order of `PoweredSafety.told`."""
 
@@ -262,7 +261,7 @@ def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: in
     nu = np.vstack([safety.reference.nu[:b], found.nu])
     path = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, nu)
     reference, jump = coast(path, tail)
-    facets = best_facets(tracking, reference, unsafe, safety.start)
+    facets = np.vstack([safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
     clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
@@ -278,15 +277,16 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
     def needed(rows: Array) -> Array:
         parts = []
         for each in taken:
+            bow = np.zeros((1, system.n)) if each.tube is None else at_nodes(each.tube.bow)
             for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
-                one = Zonotope(each.sets.c[i], each.sets.G[i])
+                one = Zonotope(each.sets.c[i], each.sets.G[i]).inflate(bow[i])
                 tube = error_tube(tracking, one, rows)
                 q, last = tracking.feedback.nodes_per_cell, len(tube.need) - 1
                 lags = np.arange(b * q, asked.K * q + 1) - each.first - i
                 at = tube.need[np.minimum(lags, last)]
                 parts.append(np.maximum(at[:-1].reshape(asked.K - b, q, -1).max(axis=1), at[q::q]))
-        caused = safety.clearance.scheduled(rows).max(axis=(0, 1))
-        return np.asarray(np.max(parts, axis=0) * (1 + SPARE) + caused)
+        most: Array = np.max(parts, axis=0) * (1 + SPARE)
+        return most + safety.clearance.scheduled(rows).max(axis=(0, 1))
 
     margins = [
         np.maximum(known[b:], needed(-body.normals @ system.position))

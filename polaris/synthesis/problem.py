@@ -141,8 +141,8 @@ class Problem:
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
-        if not self.system.ideal and self.recoverable != "polytope":
-            rule = "must be 'polytope' with [navigation], [thrusters], [timing] or faults isolated late"
+        if not replace(self.system, transients=()).ideal and self.recoverable != "polytope":
+            rule = "must be 'polytope' with [navigation], [thrusters] or [timing]"
             raise ScenarioError("recoverable.kind", self.recoverable, rule)
         share = self.thrust_share
         if share is not None and not 0 < number("tracking.thrust_share", share) <= 1:

@@ -12,7 +12,7 @@ import numpy as np
 from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
-from .get_safety import SHARES, Safety, get_safety
+from .get_safety import SHARES, Safety, find_safety, get_safety
 from .in_view import views
 from .look_ahead import SAFETY
 from .neural import NeuralController
@@ -81,7 +81,7 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     laws = [law for law in search.controllers[1:] if isinstance(law, known)]
     for share in SHARES[1:] if len(laws) == len(search.controllers) - 1 else ():
         with suppress(SynthesisInfeasible, NotCertified):
-            safety = get_safety(replace(problem, thrust_share=share))
+            safety = find_safety(replace(problem, thrust_share=share))
             turns = [law.along(safety.reference, safety.tracking) for law in laws]
             along = replace(search, safety=safety, controllers=(safety.controller, *turns))
             found.append(most_worthy(along, recourse))
@@ -124,7 +124,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
     def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
         try:
-            safety = get_safety(problem, along=plan)
+            safety = find_safety(problem, plan)
         except SynthesisInfeasible:
             return None
         turns = [law.along(safety.reference, safety.tracking) for law in laws]

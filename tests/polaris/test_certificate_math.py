@@ -360,9 +360,9 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     row = matrix([[1.0]])
     needs = SimpleNamespace(
         carried=[row] * 3,
-        bend=[0 * row] * 3,
-        memory=SimpleNamespace(periods=2, z=column([1.0])),
-        forgotten=[arb(0)],
+        boxed=lambda size, lag: size.entries(),
+        memory=SimpleNamespace(periods=2),
+        still=lambda size: [arb(0)],
     )
     path = SimpleNamespace(planned=0, plant=SimpleNamespace(q=1), jump=column([0.5]))
     limits = Limits(row, [[[Target(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)
