@@ -256,7 +256,7 @@ def fly(
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
-        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
+        nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
     return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
 
