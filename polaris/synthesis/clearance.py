@@ -186,7 +186,7 @@ class Clearance:
     def tail_need(self, rows: Array) -> Array:
         """What S needs along rows (r, n) from a node of the tail on, errors at T apart, shape (nodes, r)."""
         found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
-        nodes = np.concatenate([found[:, :-1].reshape(-1, len(rows)), found[-1, -1:]])
+        nodes = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
         nodes[self.q :: self.q] = np.maximum(nodes[self.q :: self.q], found[:, -1])
         later = np.maximum.accumulate(nodes[::-1])[::-1]
         return np.asarray(later + self.jump_need(rows) + self.round_off(rows))
