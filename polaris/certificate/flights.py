@@ -251,8 +251,8 @@ def fly(
                     needs = sums(middle[n:], z.spread(barrier.rows), more[n:])  # to the last digits
                 for name, need, there in zip(barrier.names, needs, room[place], strict=True):
                     if not need <= there:
-                        told = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
-                        require("separation", there - need, f"{told} of {plain(there)} m")
+                        where = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
+                        require("separation", there - need, f"{where} of {plain(there)} m")
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
