@@ -76,9 +76,9 @@ from .scenario.scenario import load_scenario as load_scenario
 from .simulation.baselines import Flights as Flights
 from .simulation.baselines import Flown as Flown
 from .simulation.baselines import compare as compare
-from .simulation.falsification.search import Failure as Failure
 from .simulation.falsification.search import Falsification as Falsification
 from .simulation.falsification.search import falsify as falsify
+from .simulation.falsification.violations import Failure as Failure
 from .simulation.metrics import Metrics as Metrics
 from .simulation.orbit.environment import Environment as Environment
 from .simulation.orbit.model_error import ModelError as ModelError

@@ -3,6 +3,7 @@
 Every control period it takes the navigation solution and answers with the thrust that the scheduled
 controller asks for, in Hill's frame. Where the scenario declares a delay, a solution is that old when its
 command takes effect; the software then carries it forward by the linear model and the commands it has issued.
+What thrusters are to make of a command is an impulse, a multiple of the declared bit.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import csv
 import json
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -54,22 +56,45 @@ class FlightSoftware:
             inputs = np.array(law.get("own_inputs", table[:, 7:10]))
             self.laws[law["mode"]] = np.array(law["gain"]), states, inputs
         self.issued: list[np.ndarray] = []  # one per period; the last `late` are not in effect yet
+        thrusters = scenario.get("thrusters", {})
+        self.bit = float(thrusters.get("impulse_bit_N_s", 0.0))
+        self.carries, self.left = thrusters.get("remainder") == "carried", np.zeros(3)
+        self.held = cache(lambda h: held(self.A, self.B, h))
         self.late = round(self.delay / self.period)
         if abs(self.late * self.period - self.delay) > 1e-9 * self.period:
             raise ValueError(f"{folder}: this software knows delays of whole periods, not {self.delay:g} s")
 
     def command(self, tick: int, seen: np.ndarray) -> np.ndarray:
-        """Thrust [N] in Hill's frame, shape (3,), that takes effect `late` periods after tick `tick`.
+        """Thrust [N] in Hill's frame, shape (3,), that takes effect at tick `tick`, the first being 0.
 
-        `seen` is the relative state [m, m/s] as navigation has it at that tick.
+        `seen` is the relative state [m, m/s] as navigation has it at that tick. From it follows what takes
+        effect `late` periods after; from the first one what does before that, too.
         """
-        phi, gamma = held(self.A, self.B, self.period)
+        phi, gamma = self.held(self.period)
         x = seen
-        for u in self.issued[len(self.issued) - self.late :] if self.late else []:
+        for u in self.issued[tick:]:
             x = phi @ x + gamma @ u
-        u = np.clip(self.law(tick + self.late, x), -self.limit, self.limit)
-        self.issued.append(u)
-        return u
+        for due in range(len(self.issued), tick + self.late + 1):
+            u = np.clip(self.law(due, x), -self.limit, self.limit)
+            x = phi @ x + gamma @ u
+            self.issued.append(u)
+        return self.issued[tick]
+
+    def impulse(self, u: np.ndarray) -> np.ndarray:
+        """Impulses [N s] along the thrusters' axes, shape (3,), for a period's command u [N] along them.
+
+        The nearest multiples of the bit; where the rest is carried, those of what is due and was left before,
+        rounded towards zero. What the limits do not allow is left as well.
+        """
+        most = self.period * self.limit
+        due = np.clip(self.period * u, -most, most) + self.left
+        if self.bit > 0 and self.carries:
+            made = self.bit * np.floor(np.abs(due) / self.bit * (1 + 1e-12))
+        else:
+            made = self.bit * np.round(np.abs(due) / self.bit) if self.bit > 0 else np.abs(due)
+        made = np.sign(due) * np.minimum(made, most)
+        self.left = (due - made) * self.carries
+        return np.asarray(made)
 
     def law(self, tick: int, x: np.ndarray) -> np.ndarray:
         """What the scheduled controller asks for at the instant of a tick."""
@@ -78,5 +103,5 @@ class FlightSoftware:
         gain, states, inputs = self.laws[self.modes[k] if k < len(self.modes) else 0]
         last = len(states) - 2
         k, since = min(k, last), t - min(k, last) * self.step
-        phi, gamma = held(self.A, self.B, since)
+        phi, gamma = self.held(round(since, 9))
         return np.asarray(inputs[k] + gain @ (phi @ states[k] + gamma @ inputs[k] - x))

@@ -1,16 +1,18 @@
 """Two spacecraft in Basilisk: gravity with J2, drag, thrusters with on-times, noisy navigation.
 
 Equations of motion, integrator, atmosphere, drag, thrusters and the noise of navigation are Basilisk's. From
-the toolkit come the scenario's numbers and the target's first state.
+the toolkit come the scenario's numbers and the target's first state. Modules are called where something
+changes: at every control period, the chaser's also whenever a nozzle opens or shuts.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from Basilisk.architecture import messaging, sysModel
+from Basilisk.architecture import messaging
 from Basilisk.simulation import (
     dragDynamicEffector,
     exponentialAtmosphere,
@@ -18,7 +20,6 @@ from Basilisk.simulation import (
     simpleNav,
     spacecraft,
     sphericalHarmonicsGravityModel,
-    svIntegrators,
     thrusterDynamicEffector,
 )
 from Basilisk.utilities import RigidBodyKinematics, SimulationBaseClass, macros
@@ -27,11 +28,11 @@ from polaris.simulation.orbit.environment import EARTH_RADIUS_M, J2, MU, Environ
 
 from .onboard import FlightSoftware
 
-STEP = 0.05
-"""Step of Basilisk's integrator [s]: the shortest pulse, and what on-times are rounded to."""
+EXACT = 1e-8
+"""Instants that are nearer than this are one [s]: Basilisk counts in nanoseconds."""
 
-NOZZLES = 2
-"""Per direction: each has its share of the thrust, and they may burn for different times."""
+SIGNS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)
+"""What products of components count in a cross product."""
 
 DRAG = 2.2
 """Drag coefficient; areas follow from the scenario's ballistic coefficients."""
@@ -61,15 +62,22 @@ class Flight:
         What navigation said at every control period.
     asked : ndarray, shape (P, 3)
         What the flight software asked for at every control period [N].
-    burned : ndarray, shape (P, K, 3)
-        True force [N] in each of the K integration steps of every control period, in that frame at its start.
+    impulse, spread : ndarray, shape (P, 3)
+        Of every period's pulses, all centred in it: their true impulse [N s], and their second moment in time
+        about the middle [N s^3], in that frame.
     """
 
     times: np.ndarray
     states: np.ndarray
     seen: np.ndarray
     asked: np.ndarray
-    burned: np.ndarray
+    impulse: np.ndarray
+    spread: np.ndarray
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product of vectors (..., 3); for single ones several times as fast as numpy's."""
+    return np.asarray(np.einsum("ijk,...j,...k->...i", SIGNS, a, b))
 
 
 def frame(r: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,26 +85,28 @@ def frame(r: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Shapes (..., 3, 3) and (..., 3). J2 alone is taken to turn the orbit's plane.
     """
-    h = np.cross(r, v)
+    h = cross(r, v)
     size, R = np.linalg.norm(h, axis=-1), np.linalg.norm(r, axis=-1)
     x, z = r / R[..., None], h / size[..., None]
-    axes = np.stack([x, np.cross(z, x), z], axis=-2)
+    axes = np.stack([x, cross(z, x), z], axis=-2)
     across = -3 * J2 * MU * EARTH_RADIUS_M**2 / R**4 * x[..., 2] * z[..., 2]
     return axes, np.stack([R * across / size, np.zeros_like(R), size / R**2], axis=-1)
 
 
-def relative(target: np.ndarray, chaser: np.ndarray) -> np.ndarray:
-    """State of the chaser in the target's frame, from inertial states (..., 6)."""
-    axes, rate = frame(target[..., :3], target[..., 3:])
+def relative(
+    target: np.ndarray, chaser: np.ndarray, hill: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """State of the chaser in the target's frame, which may be known, from inertial states (..., 6)."""
+    axes, rate = frame(target[..., :3], target[..., 3:]) if hill is None else hill
     p = np.einsum("...ij,...j->...i", axes, chaser[..., :3] - target[..., :3])
     v = np.einsum("...ij,...j->...i", axes, chaser[..., 3:] - target[..., 3:])
-    return np.concatenate([p, v - np.cross(rate, p)], axis=-1)
+    return np.concatenate([p, v - cross(rate, p)], axis=-1)
 
 
 def absolute(target: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Inertial state of the chaser, from its state in the target's frame."""
     axes, rate = frame(target[:3], target[3:])
-    return target + np.concatenate([x[:3] @ axes, (x[3:] + np.cross(rate, x[:3])) @ axes])
+    return target + np.concatenate([x[:3] @ axes, (x[3:] + cross(rate, x[:3])) @ axes])
 
 
 def inertial(env: Environment, latitude: float, target: np.ndarray) -> np.ndarray:
@@ -109,11 +119,10 @@ def inertial(env: Environment, latitude: float, target: np.ndarray) -> np.ndarra
     return np.concatenate([R * radial, V * radial + h / R * along])
 
 
-class Computer(sysModel.SysModel):  # type: ignore[misc]
-    """Runs the flight software: navigation in, on-times of all nozzles out."""
+class Computer:
+    """Runs the flight software, and the valves: navigation in, on-times of the nozzles out."""
 
     def __init__(self, software: FlightSoftware, navigators: list[Any], true: np.ndarray) -> None:
-        super().__init__()
         self.software, self.true = software, true
         self.target, self.chaser = (messaging.NavTransMsgReader() for _ in range(2))
         self.attitude = messaging.NavAttMsgReader()
@@ -121,42 +130,36 @@ class Computer(sysModel.SysModel):  # type: ignore[misc]
         self.chaser.subscribeTo(navigators[1].transOutMsg)
         self.attitude.subscribeTo(navigators[1].attOutMsg)
         self.output = messaging.THRArrayOnTimeCmdMsg()
-        self.tick = 0
         self.seen: list[np.ndarray] = []
         self.asked: list[np.ndarray] = []
-        self.burned: list[np.ndarray] = []
-        self.queue: list[np.ndarray] = [np.zeros(3)] * software.late
+        self.impulse: list[np.ndarray] = []
+        self.spread: list[np.ndarray] = []
 
-    def Reset(self, _: int) -> None:
-        """Nothing to prepare."""
-
-    def UpdateState(self, now: int) -> None:
-        """One control period."""
+    def burns(self, tick: int) -> np.ndarray:
+        """On-times of all nozzles [s] in the control period that begins, each in the middle of it."""
         target, chaser = (
-            np.concatenate([message().r_BN_N, message().v_BN_N]) for message in (self.target, self.chaser)
+            np.concatenate([said.r_BN_N, said.v_BN_N]) for said in (self.target(), self.chaser())
         )
-        x = relative(target, chaser)
-        self.queue.append(self.software.command(self.tick, x))
-        force = self.queue.pop(0)
-        turned = (
-            RigidBodyKinematics.MRP2C(np.array(self.attitude().sigma_BN)) @ frame(target[:3], target[3:])[0].T
-        )
-        wanted = turned @ force
-        steps = round(self.software.period / STEP)
-        share = np.minimum(np.abs(wanted) / self.software.limit, 1.0)
-        pulses = np.round(share * steps * NOZZLES).astype(int)  # of all nozzles of a direction together
-        on = np.zeros((3, 2, NOZZLES), dtype=int)
-        for axis in range(3):
-            on[axis, int(wanted[axis] < 0)] = [(pulses[axis] + i) // NOZZLES for i in range(NOZZLES)]
-        on = on.reshape(6, NOZZLES)
-        burning = (np.arange(steps)[:, None, None] < on).sum(axis=-1) / NOZZLES  # (steps, 6)
+        hill = frame(target[:3], target[3:])
+        x = relative(target, chaser, hill)
+        force = self.software.command(tick, x)
+        attitude = RigidBodyKinematics.MRP2C(np.array(self.attitude().sigma_BN))
+        turned = attitude @ hill[0].T
+        along = self.software.impulse(turned @ force) / self.software.limit
+        on = np.stack([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1).ravel()
         self.seen.append(x)
         self.asked.append(force)
-        self.burned.append(burning @ self.true @ turned)
+        self.impulse.append(on @ self.true @ turned)
+        self.spread.append(on**3 / 12 @ self.true @ turned)
+        return on
+
+    def open(self, on: np.ndarray, since: float, now: int) -> None:
+        """Command the nozzles that burn some time [s] into the period, for as long as they still do."""
+        left = (self.software.period + on) / 2 - since
+        burning = (since > (self.software.period - on) / 2 - EXACT) & (left > EXACT)
         payload = messaging.THRArrayOnTimeCmdMsgPayload()
-        payload.OnTimeRequest = (on.ravel() * STEP).tolist()
-        self.output.write(payload, now, self.moduleID)
-        self.tick += 1
+        payload.OnTimeRequest = np.where(burning, left, 0.0).tolist()
+        self.output.write(payload, now, 0)
 
 
 def gravity() -> Any:
@@ -188,10 +191,7 @@ def fly(
     """
     simulation = SimulationBaseClass.SimBaseClass()
     process = simulation.CreateNewProcess("flight")
-    # At every instant: the craft arrive there, the software sees it, the nozzles hear of it.
-    process.addTask(simulation.CreateNewTask("motion", macros.sec2nano(STEP)), 10)
-    process.addTask(simulation.CreateNewTask("software", macros.sec2nano(software.period)), 5)
-    process.addTask(simulation.CreateNewTask("nozzles", macros.sec2nano(STEP)), 1)
+    process.addTask(simulation.CreateNewTask("all", macros.sec2nano(software.period)))
     planet, air = gravity(), exponentialAtmosphere.ExponentialAtmosphere()
     air.planetRadius, air.baseDensity, air.scaleHeight = env.radius, env.density, env.scale_height
     air.envMinReach, air.envMaxReach = -1e6, 1e6
@@ -211,14 +211,11 @@ def fly(
         drag.coreParams.comOffset = [0.0, 0.0, 0.0]
         drag.atmoDensInMsg.subscribeTo(air.envOutMsgs[-1])
         body.addDynamicEffector(drag)
-        # The midpoint rule asks for forces in the middle of steps alone: so pulses keep their impulse.
-        rule = svIntegrators.svIntegratorRungeKutta(body, [[0.0, 0.0], [0.5, 0.0]], [0.0, 1.0], [0.0, 0.5])
-        body.setIntegrator(rule)
-        craft.append((body, drag, rule))
+        craft.append((body, drag))
     thrusters = thrusterDynamicEffector.ThrusterDynamicEffector()
     turn = RigidBodyKinematics.PRV2C(np.array(errors.tilt)) if np.any(errors.tilt) else np.eye(3)
     true = np.kron(np.diag(software.limit), [[1.0], [-1.0]]) @ turn * np.array(errors.thrust)[:, None]
-    for force in np.repeat(true, NOZZLES, axis=0) / NOZZLES:
+    for force in true:
         one = thrusterDynamicEffector.THRSimConfig()
         one.MaxThrust = float(np.linalg.norm(force))
         one.thrLoc_B, one.thrDir_B = [[0.0]] * 3, [[x] for x in force / one.MaxThrust]
@@ -242,20 +239,28 @@ def fly(
         navigators.append(nav)
     computer = Computer(software, navigators, true)
     thrusters.cmdsInMsg.subscribeTo(computer.output)
-    for nav in navigators:
-        simulation.AddModelToTask("software", nav, 20)
-    simulation.AddModelToTask("software", computer, 10)
-    simulation.AddModelToTask("nozzles", thrusters)
-    for model in (air, *(drag for _, drag, _ in craft), *(one for one, *_ in craft)):
-        simulation.AddModelToTask("motion", model)
-    logs = [one.scStateOutMsg.recorder(macros.sec2nano(software.period)) for one, *_ in craft]
-    for log in logs:
-        simulation.AddModelToTask("motion", log)
+    logs = [one.scStateOutMsg.recorder() for one, _ in craft]
+    arriving = [*logs, air, *(drag for _, drag in craft), *navigators]
+    for model in (*arriving, thrusters, *(one for one, _ in craft)):
+        simulation.AddModelToTask("all", model)
     simulation.InitializeSimulation()
-    simulation.ConfigureStopTime(macros.sec2nano(duration))
-    simulation.ExecuteSimulation()
-    both = [np.hstack([log.r_BN_N, log.v_BN_N]) for log in logs]
-    states, periods = relative(*both), len(logs[0].times()) - 1
+    periods = round(duration / software.period)
+    for tick in range(periods + 1):
+        begin = macros.sec2nano(tick * software.period)
+        for model in arriving:
+            model.UpdateState(begin)
+        if tick == periods:
+            break
+        on = computer.burns(tick)
+        switches = (software.period + np.concatenate([-on, on])[np.tile(on > 0, 2)]) / 2
+        instants = np.unique(np.round(np.append(switches, [0.0, software.period]) / EXACT)) * EXACT
+        for since, until in pairwise(instants.tolist()):
+            now = begin + macros.sec2nano(since)
+            computer.open(on, since, now)
+            thrusters.UpdateState(now)
+            craft[1][0].UpdateState(begin + macros.sec2nano(until))
+        craft[0][0].UpdateState(begin + macros.sec2nano(software.period))
+    states = relative(*(np.hstack([log.r_BN_N, log.v_BN_N]) for log in logs))
     times = np.asarray(logs[0].times()) * 1e-9
-    seen, asked, burned = (np.array(x[:periods]) for x in (computer.seen, computer.asked, computer.burned))
-    return Flight(times, states, seen, asked, burned)
+    told = (computer.seen, computer.asked, computer.impulse, computer.spread)
+    return Flight(times, states, *map(np.array, told))

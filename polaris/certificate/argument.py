@@ -25,13 +25,16 @@ from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
-ORDERS = (12, 80, 400)
+ORDERS = (24, 80, 400)
 """Generators per dimension that sets keep from one step to the next: what is tried in turn."""
 
 NETWORK_ORDER = 30
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
-NARROWER = ("controllers", "separation", "enclosures", "recoverable", "margins", "goal", "passive")
+NARROWER = (
+    *("controllers", "separation", "enclosures", "recoverable", "margins"),
+    *("goal", "passive", "powered_abort"),
+)
 """Claims that may fail because sets are wider than they need to be."""
 
 PATH_SLACK = 1e-9
@@ -71,7 +74,8 @@ class Argument:
         self.gain = self.pilots[0].gain
         self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
         self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
-        self.upsets = moved(document, self.plant)
+        networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
+        self.upsets = moved(document, self.plant, networks)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds.
@@ -112,7 +116,7 @@ class Argument:
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
         memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
-        prolonged, chosen = self._prolonged(path, memory)
+        prolonged, chosen = self.prolonged(path, memory)
         scheduled = None
         if profile or self.document.error_by_step:
             scheduled = Scheduled(self.document, self.loop, memory, prolonged, self.gain)
@@ -128,6 +132,11 @@ class Argument:
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
+
+        self.aborts(sets, flown)
+
+    def aborts(self, sets: list[Zonotope], flown: list[Flown]) -> None:
+        """What is claimed of aborts from the sets that the schedule reaches: see `powered`."""
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
         """What errors need along rows, a fault that is isolated late included."""
@@ -269,7 +278,7 @@ class Argument:
         told = f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
         self.record.holds("recoverable_sets", told)
 
-    def _prolonged(self, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
+    def prolonged(self, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
         """The path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
 
         Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
@@ -314,7 +323,7 @@ class Argument:
     def _closes(self, path: Path, tail: int) -> None:
         """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
         doc = self.document
-        moving = [item.name for item in doc.unsafe if not item.resting]
+        moving = [item.name for item in doc.unsafe if doc.moves(item)]
         if moving:
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         if any(any(u) for u in doc.inputs[self.K :]):

@@ -57,9 +57,9 @@ class Arrival:
             raise Rejected(
                 "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
             )
-        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self._soon(), self.document)
+        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self.soon, self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
-        self._tolerance(claim, spec, rows.scale, largest(needs.settled))
+        self.tolerated(claim, spec, rows.scale, largest(needs.settled))
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -77,10 +77,12 @@ class Arrival:
                 )
         raise refusals[0]
 
-    def _soon(self) -> arb:
+    @property
+    def soon(self) -> arb:
+        """Time in which a velocity is a length [s]."""
         return arb(SOON) * self.document.steps * self.document.delta
 
-    def _tolerance(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
+    def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
         given = spec.get("tolerance_m")
         allowed = largest((arb(SHARE) * scale, settled * (1 + arb(HOLDING)))) if given is None else arb(given)
@@ -129,11 +131,6 @@ class Arrival:
         spare = arb(claimed) * (1 + SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
-    def _forgotten(self, needs: Needs, size: arb_mat) -> list[arb]:
-        """What undisturbed errors up to a size still need at any node beyond the loop's memory."""
-        share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
-        return [late * share for late in needs.forgotten]
-
     def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
         """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
         found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
@@ -142,7 +139,7 @@ class Arrival:
             pushed = needs.disturbed if around else [*needs.responses[: periods + 1], needs.settled]
             parts = [pushed[min(lag, periods + 1)]]
             if lag > periods:
-                parts.append(self._forgotten(needs, z.size()))
+                parts.append(needs.still(z.size()))
             else:
                 parts.append(z.support(needs.carried[lag]))
                 parts += [needs.booked(z, lag)] if around else []
@@ -152,7 +149,7 @@ class Arrival:
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
-            return sums(least, self._forgotten(needs, jump))
+            return sums(least, needs.still(jump))
         carried = magnitude(needs.carried[node])
         return sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
 

@@ -94,7 +94,9 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
     least, tank = claimed.get("abort", {}).get("least_m"), scenario.get("tank", {}).get("delta_v_m_s")
-    return Stated(start, bounds, least, claimed["upkeep"], tank, (claimed["goal"], scenario["goal"]))
+    orbit = scenario.get("abort", {}).get("orbit")
+    orbit = scenario["goal"] if orbit == {"kind": "goal"} else orbit
+    return Stated(start, bounds, least, claimed["upkeep"], tank, (claimed["goal"], scenario["goal"]), orbit)
 
 
 def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:

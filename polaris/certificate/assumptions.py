@@ -49,6 +49,8 @@ class Premises:
         Whether there are bounds for every step besides.
     observer : iterable of float
         Bounds on the errors of what an observer measures, if one makes the estimates.
+    initial : iterable of float
+        Bounds on the errors of its first estimate; empty if it has long been at work.
     timing : iterable of float
         Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
     thrusters : iterable of float
@@ -76,6 +78,7 @@ class Premises:
     estimate: Iterable[float] = ()
     by_step: bool = False
     observer: Iterable[float] = ()
+    initial: Iterable[float] = ()
     timing: Iterable[float] = ()
     thrusters: Iterable[float] = ()
     pulses: Iterable[float] = ()
@@ -118,7 +121,11 @@ class Premises:
             yield f"sampling: {each}, in time and with {seen}"
         if measured := list(self.observer):
             told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
-            yield f"observer: {told}, the filter has the gain that is stated, and has long been at work"
+            first = (
+                f"its first estimate is within [{_listed(first)}]" if (first := list(self.initial)) else ""
+            )
+            first = first or "has long been at work"
+            yield f"observer: {told}, the filter has the gain that is stated, and {first}"
         elif any(errors):
             near = f"no state is further from its estimate than [{_listed(errors)}], one by one"
             apart = ", nor in any step than is stated for it" if self.by_step else ""

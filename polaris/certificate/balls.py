@@ -1,6 +1,8 @@
 """Matrices of balls: every number is enclosed, every operation rounds outwards (python-flint's arb)."""
 
 from collections.abc import Iterable, Sequence
+from functools import cache
+from math import hypot
 
 from flint import arb, arb_mat
 
@@ -8,7 +10,8 @@ from .verdict import Rejected, Undecided
 
 PRECISION = 128  # bits of the midpoints
 TERMS = 8  # terms of the Taylor series of an exponential over an interval of time
-
+FEW, TINY = 1e-15, 1e-300
+"""More than doubles lose in a norm of numbers that are rounded to doubles, relative to it and near zero."""
 
 Number = arb | float  # an entry: a float is exact
 
@@ -93,9 +96,31 @@ def row_sums(M: arb_mat) -> list[arb]:
     return [sum(map(abs, row), arb(0)) for row in M.tolist()]
 
 
+def spans(M: arb_mat, sizes: arb_mat) -> arb_mat:
+    """Exact upper bounds on ``|M| sizes``, close to it: the radii of a product with balls about zero."""
+    balls = [arb(0, x) for x in sizes.entries()]
+    return magnitude(M * arb_mat(sizes.nrows(), sizes.ncols(), balls))
+
+
+def widths(M: arb_mat) -> list[arb]:
+    """`row_sums` from above: exact numbers."""
+    return [x.abs_upper() for x in (M * _unit_balls(M.ncols())).entries()]
+
+
+@cache
+def _unit_balls(count: int) -> arb_mat:
+    return column([arb(0, 1)] * count)
+
+
 def norms(M: arb_mat) -> list[arb]:
     """2-norm of every row."""
     return [root(sum((x * x for x in row), arb(0))) for row in M.tolist()]
+
+
+def lengths(M: arb_mat) -> list[arb]:
+    """`norms` from above, in doubles: exact numbers."""
+    table = [[float(x.abs_upper()) for x in row] for row in M.tolist()]
+    return [arb(hypot(*row) * (1 + FEW) + TINY) for row in table]
 
 
 def root(square: arb) -> arb:

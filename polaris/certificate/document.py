@@ -13,7 +13,7 @@ from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
 from .layers import network_of
-from .parts import Law, Matrix, Vector, abort_of, check_bodies, unsafe_set
+from .parts import Law, Matrix, Powered, UnsafeSet, Vector, abort_of, check_bodies, powered_of, unsafe_set
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
 
@@ -118,8 +118,8 @@ class Document:
         least = [min(each["lasts"], *map(min, each.get("pushes") or [[0.0]])) for each in self.transients]
         if any(x < 0 for x in least) or any(each["lasts"] == 0 for each in self.transients):
             raise ValueError("faults isolated late last for some time, and push by no less than nothing")
-        if self.transients and (not self.sampled or self.fired or self.carried):
-            raise ValueError("faults isolated late need sampled feedback, inputs that are held, and no rest")
+        if self.transients and not self.sampled:
+            raise ValueError("faults isolated late need sampled feedback")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -156,14 +156,28 @@ class Document:
             raise ValueError("the reference must cover every step")
         drift = read.get("drift")
         self.drift = None if drift is None else abort_of(drift, self.q)
+        sets, powered = [len(item["normals"]) for item in read["unsafe_sets"]], read.get("powered")
+        self.powered: Powered | None = None if powered is None else powered_of(powered, self.delta, sets)
+        if powered is not None and self.transients:
+            raise ValueError("aborts with thrust are not covered with faults isolated late")
         self.laws = [
             Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
             for law in read["controllers"]
         ]
 
+    @property
+    def longest(self) -> int:
+        """Cells of the longest of all references."""
+        branches = () if self.powered is None else self.powered.branches
+        return max(self.cells, *(len(branch.facets) for branch in branches), 0)
+
     def known_to(self, k: int) -> Vector:
         """Errors of estimates in step k, or after the last one."""
         return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
+
+    def moves(self, item: UnsafeSet) -> bool:
+        """Whether an unsafe set moves; what is to be stayed inside from a step on does not, after T."""
+        return not (item.rests_from(self.steps) if item.keep_in else item.resting)
 
     @property
     def calmest(self) -> Vector:
@@ -177,7 +191,8 @@ class Document:
         sizes |= {"K": K, "K+1": K + 1, "q": self.q, "cells": self.cells, "cells+1": self.cells + 1}
         sizes |= {"two": 2, "sets": sets, "n+2": n + 2}
         covered = next(iter(lengths.get("covered", {self.cells: ""})))
-        if covered != self.cells and (self.drift is None or covered < self.cells):
+        further = self.drift is not None or self.powered is not None
+        if covered < self.longest or (covered > self.cells and not further):
             raise ValueError("unsafe sets must be known for as long as the reference")
         sizes["covered"] = covered
         sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
@@ -229,6 +244,7 @@ class Document:
             estimate=self.measured,
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
+            initial=(self.observer or {}).get("initial") or (),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
             if self.timing
             else (),

@@ -63,7 +63,8 @@ CERTIFICATE = {
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n"),
-        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured")},
+        "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
+                      **every(grid("n"), "initial? settled?")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -104,6 +105,14 @@ CERTIFICATE = {
             "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
         }, 1)))),
     },
+    "powered?": {
+        **every(Either((HEX, None)), "within budget"),
+        "branches": Rows({
+            "step": Whole(1), "inputs": grid("* m"), "facets": grid("* sets", Whole()), "tail": grid("n"),
+            "tolerance": HEX, "horizon": HORIZON, "until": Either((HEX, None)),
+        }),
+        "steps": grid("K", Either((None, {**every(Whole(), "branch cell"), "delta_v": HEX}))),
+    },
     "samples?": {
         **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
         "fits": grid("K", Either((None, grid("q m n+2")))),
@@ -129,6 +138,19 @@ CLAIMED = {
         "witness": Either((None, {
             "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
         })),
+    },
+    "withheld?": Rows({
+        "fault": NAME, "lasts_s": NOT_NEGATIVE, "steps": Rows({
+            **every(Whole(), "step limit_step"), **every(TEXT, "controller limit"),
+            **every(REAL, "t_s limit_time_s need room short"),
+        }),
+    }),
+    "powered_abort?": {
+        **every(BOUND, "within_s delta_v_max_m_s"),
+        "steps": Rows({
+            **every(BOUND, "leaves_s by_s delta_v_m_s safe_until_s"),
+            "step": Whole(), "why": Either((TEXT, None)),
+        }),
     },
     "statement?": {
         **every(SHARE, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
@@ -170,7 +192,7 @@ GAINS = {
             **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
         "error_by_step?": MATRIX,
-        "observer?": {**every(MATRIX, "measures gain"), "noise": VECTOR},
+        "observer?": {**every(MATRIX, "measures gain"), **every(VECTOR, "noise initial? settled?")},
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

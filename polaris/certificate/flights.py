@@ -222,13 +222,17 @@ def fly(
             bow = [largest((extra[0][x], extra[1][x])) + bows[x][i] for x in range(n)]
             departures.check(i, base, d, moved, end, bow)
         for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
-            middle, spread = (rows * z.c).entries(), z.spread(rows)
+            along = [z, *([] if barrier is None else [z.through(barrier.rows)])]
+            middle = [x for part in along for x in part.c.entries()]
+            spread = [x for part in along for x in part.widths]
             for axis in range(n):
                 at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
                 lows[axis].append(at - room_for)
                 highs[axis].append(at + room_for)
             if barrier is not None:
                 needs = sums(middle, spread, more)[n:]
+                if not all(need <= there for need, there in zip(needs, room[place], strict=True)):
+                    needs = sums(middle[n:], z.spread(barrier.rows), more[n:])  # to the last digits
                 for name, need, there in zip(barrier.names, needs, room[place], strict=True):
                     if not need <= there:
                         told = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"

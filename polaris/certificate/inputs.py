@@ -14,6 +14,7 @@ from .lqr import check_gain, positive_definite
 from .navigation import measured_errors
 from .own import check_own
 from .perception import check_unsafe
+from .powered import check_asked_abort
 from .repeated import check_switching
 from .timing import check_timing
 from .transients import check_transients
@@ -53,6 +54,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         if document.horizon == "infinite" and moving:
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         _check_abort(document, scenario.get("abort"))
+        check_asked_abort(document, scenario.get("abort", {}))
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
         told = "gains are the stabilising ones of their weights, references the scenario's"
@@ -70,11 +72,12 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
 def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
     """What is claimed of the drift after all thrust stops is what the scenario asks."""
     drift = document.drift
+    asks = spec is not None and bool({"drift_s", "drift_orbits"} & set(spec))
+    if asks != (drift is not None):
+        raise Rejected("passive", "certificate and scenario do not both speak of the drift")
     if spec is None or drift is None:
-        if (spec is None) != (drift is None):
-            raise Rejected("passive", "certificate and scenario do not both speak of the drift")
         return
-    if ("drift_s" in spec) == ("drift_orbits" in spec):
+    if "drift_s" in spec and "drift_orbits" in spec:
         raise Rejected("passive", "the scenario must give the drift either in orbits or as a time")
     asked = (
         arb(spec["drift_s"])

@@ -31,6 +31,7 @@ class Stated:
     upkeep: dict[str, Any] | None = None  # what S spends for as long as it flies on
     tank: float | None = None  # velocity change that there is propellant for, by the scenario
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
+    orbit: dict[str, Any] | None = None  # that an abort with thrust leads to, by the scenario
 
 
 def check_norm_bounds(bounds: dict[str, Any], gain: arb_mat, motion: Motion, memory: Memory) -> None:

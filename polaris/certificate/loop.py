@@ -34,6 +34,8 @@ class Memory:
     c: arb
     errors: list[list[arb]] = field(default_factory=list)
     """Bounds, l periods after a hand-over, on the part of the errors of every input that commands cause."""
+    rates: list[Needs] = field(default_factory=list, repr=False)
+    """Of ``A_c e`` and of ``X A_c e``, once they are known."""
 
     @property
     def periods(self) -> int:
@@ -167,12 +169,13 @@ class Needs:
             box += self.motion.box_of(Push.in_box(self.motion.plant.B, self.memory.errors[0]))
         return [x.upper() for x in sums(self.responses[-1], self.late(box))]
 
-    @cached_property
+    @property
     def rates(self) -> tuple[Needs, Needs]:
         """The same of ``A_c e`` and of ``X A_c e``, which bend the motion between nodes."""
-        closed = self.motion.closed
-        both = (Needs(self.motion, self.memory, M) for M in (closed, self.motion.X * closed))
-        return next(both), next(both)
+        known, closed = self.memory.rates, self.motion.closed
+        if not known or known[0].motion is not self.motion:
+            known[:] = [Needs(self.motion, self.memory, M) for M in (closed, self.motion.X * closed)]
+        return known[0], known[1]
 
     @cached_property
     def peak(self) -> list[arb]:
@@ -200,12 +203,17 @@ class Needs:
     @cached_property
     def forgotten(self) -> list[arb]:
         """What any undisturbed error within ``z`` at the start still needs after N periods."""
-        memory = self.memory
-        each = [
-            ((magnitude(row) + bend) * memory.z).entries()
-            for row, bend in zip(self.carried[: memory.periods], self.bend[: memory.periods], strict=True)
-        ]
-        return [largest(values) * memory.c for values in zip(*each, strict=True)]
+        each = [self.boxed(self.memory.z, lag) for lag in range(self.memory.periods)]
+        return [largest(values) * self.memory.c for values in zip(*each, strict=True)]
+
+    def boxed(self, size: arb_mat, lag: int) -> list[arb]:
+        """What any undisturbed error up to a size needs in the periods next to node l."""
+        return list(((magnitude(self.carried[lag]) + self.bend[lag]) * size).entries())
+
+    def still(self, size: arb_mat) -> list[arb]:
+        """The same after N periods."""
+        share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
+        return [late * share for late in self.forgotten]
 
     def tube(self, start: Zonotope) -> list[list[arb]]:
         """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""

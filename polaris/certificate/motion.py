@@ -21,11 +21,12 @@ from .balls import (
     dot,
     exponential,
     exponential_over,
+    lengths,
     magnitude,
-    norms,
     root,
     row_sums,
     sums,
+    widths,
 )
 from .zonotopes import Zonotope, ball_cover
 
@@ -46,12 +47,12 @@ class Push:
     @classmethod
     def in_zonotope(cls, V: arb_mat, generators: arb_mat) -> Push:
         """``v = generators b``, every ``|b_i| <= 1``."""
-        return cls(V, generators, lambda rows: row_sums(rows * generators))
+        return cls(V, generators, lambda rows: widths(rows * generators))
 
     @classmethod
     def in_ball(cls, V: arb_mat, radius: arb) -> Push:
         """``norm(v, 2) <= radius``."""
-        return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in norms(rows)])
+        return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in lengths(rows)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 from typing import Any
 
-from flint import arb
+from flint import arb, arb_mat
 
-from .balls import absolute, column, exponential, identity, magnitude, matrix, require, sums
+from .balls import absolute, column, exponential, identity, largest, magnitude, matrix, require, sums
 from .document import Document
+from .motion import Plant
 from .plants import plant_of
+from .timing import displaced
 from .verdict import Rejected
 
 PARTS = 4
@@ -16,6 +19,9 @@ PARTS = 4
 
 INSTANT = 1e-9
 """Share of a step by which instants may differ and count as one."""
+
+ROUNDED = 1e-12
+"""Rounding of bounds that are stated, relative to them."""
 
 FORGOTTEN, LONGEST = 1e-9, 4096
 """What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
@@ -39,10 +45,10 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
         raise Rejected("system", "an observer's estimates are declared as well")
     if not document.sampled or timing.get("missed_periods", 0):
         raise Rejected("system", "an observer needs a measurement in every control period")
-    if document.fired or document.carried or document.transients:  # as the scenario has them
-        raise Rejected("system", "an observer with pulses, carried impulses or faults isolated late")
-    _check_observer(document, asked, stored)
-    return [stored]
+    if document.transients:  # as the scenario has them
+        raise Rejected("system", "an observer with faults isolated late")
+    initial = _declared(document, asked.get("initial", {}))
+    return _observed(document, asked, initial if any(initial) else [], timing.get("delay_s", 0.0))
 
 
 def _declared(document: Document, spec: dict[str, Any]) -> list[float]:
@@ -69,22 +75,30 @@ def _phased(
     """The largest bounds of the phases that measurements of each step may come from."""
     if not phases:
         return [declared]
-    delta, begin = arb(document.delta), [0.0, *(phase["from_s"] for phase in phases)]
+    begin = [0.0, *(phase["from_s"] for phase in phases)]
     if any(a >= b for a, b in pairwise(begin)):
         raise Rejected("system", "phases of the navigation must begin one after the other")
     bounds = [declared, *(_declared(document, phase) for phase in phases)]
-    oldest = timing.get("delay_s", 0.0) + timing.get("missed_periods", 0) * delta / document.q
-    slack, last, rows = INSTANT * delta, document.steps, []
-    for k in range(last + 1):
-        begun = [k == last or not a >= (k + 1) * delta - slack for a in begin]
-        over = [*(b <= k * delta - oldest + slack for b in begin[1:]), False]
-        met = [bound for bound, one, other in zip(bounds, begun, over, strict=True) if one and not other]
+    oldest = timing.get("delay_s", 0.0) + timing.get("missed_periods", 0) * arb(document.delta) / document.q
+    ends, rows = [*begin[1:], inf], []
+    for k in range(document.steps + 1):
+        known = zip(bounds, begin, ends, strict=True)
+        met = [bound for bound, a, b in known if holding(document, a, b, k, oldest)]
         rows.append([max(each) for each in zip(*met, strict=True)])
     return rows
 
 
-def _check_observer(document: Document, spec: dict[str, Any], stored: list[float]) -> None:
-    """Errors of an observer with the gain that is stated stay within what is stored."""
+def holding(document: Document, begins: float, ends: float, k: int, oldest: arb | float = 0.0) -> bool:
+    """Whether a phase may be met in step k, or so long before; after the last step all have begun."""
+    delta = arb(document.delta)
+    begun = k == document.steps or not begins >= (k + 1) * delta - INSTANT * delta
+    return begun and not ends <= k * delta - oldest + INSTANT * delta
+
+
+def _observed(
+    document: Document, spec: dict[str, Any], initial: list[float], delay: float
+) -> list[list[float]]:
+    """Errors of an observer with the gain that is stated, by step if its first errors are known."""
     n, stated = len(document.A), document.observer
     if stated is None:
         raise Rejected("system", "the certificate does not state the observer's gain")
@@ -95,24 +109,62 @@ def _check_observer(document: Document, spec: dict[str, Any], stored: list[float
         measures = [[float(i == j) for j in range(n)] for i in range(len(noise))]
         if "position_error_m" not in spec or {"matrix", "error"} & set(spec):
             raise Rejected("system", "the observer does not measure the position")
-    if (stated["measures"], stated["noise"]) != (measures, noise):
+    if (stated["measures"], stated["noise"], stated.get("initial") or []) != (measures, noise, initial):
         raise Rejected("system", "the observer is not the scenario's")
     plant, M, L = plant_of(document), matrix(measures), matrix(stated["gain"])
-    rest, part = identity(n) - L * M, replace(plant, h=plant.h / PARTS).open
-    pushes = [plant.disturbance, plant.push(plant.thruster_error(plant.u_max))]
-    v = column(sums(map(arb, noise), (absolute(M) * column(document.displaced)).entries()))
-    left, come, loop = identity(n), [arb(0)] * n, rest * exponential(plant.A, plant.h)[0]
+    rest = identity(n) - L * M
+    loop = rest * exponential(plant.A, plant.h)[0]
+    settled = (stated.get("settled") if initial else document.measured) or [0.0] * n
+    noisy = column(sums(map(arb, noise), (absolute(M) * column(displaced(document, delay))).entries()))
+    _check_settled(plant, (rest, loop), (L, noisy), settled)
+    if not initial:
+        return [settled]
+    fading = _fading(loop, column(initial), document)
+    rows = [[float(x.upper()) for x in sums(map(arb, settled), left)] for left in fading]
+    for i, (bound, *most) in enumerate(zip(document.measured, *rows, strict=True)):
+        spare = bound * arb(1 + ROUNDED) - max(most)
+        require("system", spare, f"error of the observer's state {i}: {bound}")
+    return rows
+
+
+def _check_settled(
+    plant: Plant, filtering: tuple[arb_mat, arb_mat], noisy: tuple[arb_mat, arb_mat], settled: list[float]
+) -> None:
+    """Errors of an observer that has long been at work stay within bounds.
+
+    What an update and a period make of them is `filtering`, the gain and bounds on what is measured `noisy`.
+    """
+    n, part = len(settled), replace(plant, h=plant.h / PARTS).open
+    pushes = [plant.disturbance, *plant.carry, plant.push(plant.thruster_error(plant.u_max))]
+    left, come, (rest, loop), (L, v) = identity(n), [arb(0)] * n, filtering, noisy
     for _ in range(LONGEST):
         rows, more = left * rest, (magnitude(left * L) * v).entries()
         for _ in range(PARTS):
             more = sums(more, *(part.push_gain(rows, push) for push in pushes if push is not None))
             rows = rows * part.phi
         come, left = sums(come, more), left * loop
-        late = (magnitude(left) * column(stored)).entries()
-        spare = [bound * arb(1 + 1e-12) - x for bound, x in zip(stored, sums(come, late), strict=True)]
+        late = (magnitude(left) * column(settled)).entries()
+        spare = [bound * arb(1 + ROUNDED) - x for bound, x in zip(settled, sums(come, late), strict=True)]
         if all(x >= 0 for x in spare):
             return
-        if all(x <= FORGOTTEN * bound for x, bound in zip(late, stored, strict=True)):
+        if all(x <= FORGOTTEN * bound for x, bound in zip(late, settled, strict=True)):
             break
     for i, x in enumerate(spare):
-        require("system", x, f"error of the observer's state {i}: {stored[i]}")
+        require("system", x, f"error of the observer's state {i}: {settled[i]}")
+
+
+def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[arb]]:
+    """What first errors of an observer still add in each step, and ever after."""
+    left, each, first = identity(loop.nrows()), [], document.steps * document.q
+    for _ in range(first):
+        each.append((magnitude(left) * initial).entries())
+        left = left * loop
+    q = document.q
+    found = [list(map(largest, zip(*each[k * q : (k + 1) * q], strict=True))) for k in range(document.steps)]
+    ever, turn = (magnitude(left) * initial).entries(), loop
+    for _ in range(LONGEST):  # until so many periods make no more of what they begin with
+        if all(x <= y for x, y in zip((magnitude(turn) * column(ever)).entries(), ever, strict=True)):
+            return [*found, ever]
+        left, turn = left * loop, turn * loop
+        ever = [largest(pair) for pair in zip(ever, (magnitude(left) * initial).entries(), strict=True)]
+    raise Rejected("system", "the observer does not forget its first errors")

@@ -27,7 +27,11 @@ class UnsafeSet:
     @property
     def resting(self) -> bool:
         """Whether the offsets are the same at all times."""
-        return all(b == self.start[0] for b in (*self.start, *self.end))
+        return self.rests_from(0)
+
+    def rests_from(self, cell: int) -> bool:
+        """The same from the start of a cell on."""
+        return all(b == self.start[cell] for b in (*self.start[cell:], *self.end[cell:]))
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,60 @@ class Abort:
     keep_in: bool  # whether keep-in sets count
     parts: int  # of a step
     steps: list[list[Departure] | None]  # None of those from which nothing is claimed
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A reference that leaves the schedule's at the start of a step, towards the orbit of an abort."""
+
+    step: int
+    inputs: Matrix  # of its steps until it coasts
+    facets: list[list[int]]  # in every cell from the start of the flight on
+    tail: Vector  # the state from which it coasts
+    tolerance: float  # what counts as reached [m]
+    horizon: str  # as that of the schedule
+    until: float | None
+
+
+@dataclass(frozen=True)
+class Way:
+    """What is claimed of an abort in one step: along which branch, at which cell's start it has arrived."""
+
+    branch: int
+    cell: int
+    delta_v: float
+
+
+@dataclass(frozen=True)
+class Powered:
+    """What is claimed of aborts with thrust."""
+
+    within: float | None  # [s]
+    budget: float | None  # [m/s]
+    branches: list[Branch]
+    steps: list[Way | None]  # None of those of which nothing is claimed
+
+
+def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
+    """What is said of aborts with thrust; `sets` are the numbers of facets of the unsafe sets."""
+    branches = [Branch(**each) for each in item["branches"]]
+    steps = [None if way is None else Way(**way) for way in item["steps"]]
+    within, budget = item["within"], item["budget"]
+    for branch in branches:
+        if not branch.step + len(branch.inputs) <= len(branch.facets) or not branch.step <= len(steps):
+            raise ValueError("a branch must leave within the schedule, and have facets in all of its cells")
+        if any(f >= count for row in branch.facets for f, count in zip(row, sets, strict=True)):
+            raise ValueError("facets of a branch must name one facet of every unsafe set in every cell")
+    for k, way in enumerate(steps):
+        if way is None:
+            continue
+        if not (way.branch < len(branches) and branches[way.branch].step > k):
+            raise ValueError(f"the abort in step {k} must be along a branch that leaves later")
+        if within is not None and not (way.cell - k) * delta <= within * (1 + 1e-9):
+            raise Rejected("powered_abort", f"the abort in step {k} takes more than {within:g} s")
+        if budget is not None and not way.delta_v <= budget:
+            raise Rejected("powered_abort", f"the abort in step {k} takes more than {budget:g} m/s")
+    return Powered(within, budget, branches, steps)
 
 
 def unsafe_set(item: dict[str, Any]) -> UnsafeSet:

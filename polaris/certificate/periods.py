@@ -21,10 +21,10 @@ class Period:
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""
-        return d.through(self.motion.phi).moved(self.motion.gamma * self.g)
+        return d.image(self.motion.phi).moved(self.motion.gamma * self.g)
 
     def after(self, end: Zonotope) -> Zonotope:
-        """The set at the next node, from `ends`."""
+        """The set at the next node, from `ends`: what is known of one along rows serves the other."""
         pushed, push = [], self.push
         if push is not None:
             held = self.motion.held is not None

@@ -48,7 +48,7 @@ def precision_for(document: Document) -> int:
     """
     plant = plant_of(document)
     step = magnitude(exponential(plant.A, arb(document.delta))[0])
-    most = largest((step**document.cells).entries())
+    most = largest((step**document.longest).entries())
     bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
     if not (most.is_finite() and bits <= MOST_BITS):
         raise Undecided("reference", f"it takes more than {MOST_BITS} bits to follow it to its end")

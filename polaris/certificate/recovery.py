@@ -11,7 +11,7 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .arcs import Path
-from .balls import above, absolute, beside, largest, magnitude, matrix, plain, require, row_of, sums
+from .balls import TINY, above, beside, largest, magnitude, matrix, plain, require, row_of, spans, sums
 from .document import Document
 from .loop import Needs
 from .scheduled import Along
@@ -27,6 +27,16 @@ class Target:
     room: arb  # what there is for errors
     name: str  # unsafe set or input
     whole: arb  # the room before a jump of the reference took its part: what shares refer to
+
+    def less(self, taken: arb) -> Target:
+        """The same with less room."""
+        return Target(self.row, (self.room - taken).lower(), self.name, self.whole)
+
+    @cached_property
+    def least(self) -> tuple[int, float, float]:
+        """Row, room and whole in doubles; the room less what rounding may do to them and to needs."""
+        room, whole = float(self.room.lower()), float(self.whole.upper())
+        return self.row, room - SPARE * (abs(room) + abs(whole)) - TINY, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,29 +101,21 @@ class Limits:
     def less_jump(self, needs: Needs, path: Path) -> Limits:
         """The same limits, the tail's reduced by what the jump at its start needs."""
         size = magnitude(path.jump)
-        cost = [
-            ((magnitude(row) + bend) * size).entries()
-            for row, bend in zip(needs.carried, needs.bend, strict=True)
-        ]
-        share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-        late = [x * share for x in needs.forgotten]
+        cost, late = [needs.boxed(size, lag) for lag in range(len(needs.carried))], needs.still(size)
         targets = self.targets[: path.planned]
         for tail, nodes in enumerate(self.targets[path.planned :]):
             reduced = []
             for i, met in enumerate(nodes):
                 lag = tail * path.plant.q + i
                 spent = cost[lag] if lag <= needs.memory.periods else late
-                reduced.append([replace(t, room=(t.room - spent[t.row]).lower()) for t in met])
+                reduced.append([t.less(spent[t.row]) for t in met])
             targets.append(reduced)
         return Limits(self.rows, targets)
 
     def less(self, taken: Along) -> Limits:
         """The same limits, each reduced by what is taken of it at its node, along its row."""
         targets = [
-            [
-                [replace(t, room=(t.room - at[t.row]).lower()) for t in met]
-                for met, at in zip(*cell, strict=True)
-            ]
+            [[t.less(at[t.row]) for t in met] for met, at in zip(*cell, strict=True)]
             for cell in zip(self.targets, taken, strict=True)
         ]
         return Limits(self.rows, targets)
@@ -132,12 +134,8 @@ def levels_of(document: Document, noise: list[arb], needs: Needs, path: Path) ->
     """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
     size, count = magnitude(path.jump), 2 * len(noise)
     first = needs.rows.nrows() - count
-    steps = zip(needs.carried, needs.bend, strict=True)
-    costs = zip(*(((magnitude(row) + bend) * size).entries()[first:] for row, bend in steps), strict=True)
-    share = largest(a / b for a, b in zip(size.entries(), needs.memory.z.entries(), strict=True))
-    jumps = [
-        largest((*cost, late * share)) for cost, late in zip(costs, needs.forgotten[first:], strict=True)
-    ]
+    costs = [*(needs.boxed(size, lag) for lag in range(len(needs.carried))), needs.still(size)]
+    jumps = list(map(largest, zip(*costs, strict=True)))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]
     return [
         [
@@ -199,22 +197,27 @@ class Recovery:
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
         worst = 1.0
         coarse = [
-            (absolute(row) + bend) * sizes
-            for row, bend in zip(self.needs.carried, self.needs.bend, strict=True)
+            [[float(x.abs_upper()) for x in row] for row in (spans(rows, sizes) + bend * sizes).tolist()]
+            for rows, bend in zip(self.needs.carried, self.needs.bend, strict=True)
         ]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
             for lag in range(self.lags(k) + 1):
+                of, most, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
-                    room = target.room - self.needs.disturbed[lag][target.row]
-                    if not room - coarse[lag][target.row, place] >= self._of(share, k, lag) * target.whole:
-                        close.setdefault((lag, target.row), []).append(target)
+                    row, room, whole = target.least
+                    if not most[row][place] + more[row] <= room - of * whole:
+                        close.setdefault((lag, row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
             if share > 0:
                 self._check_late(k, reached[k], share)
         return worst
+
+    @cached_property
+    def _disturbed(self) -> list[list[float]]:
+        return [[float(x.abs_upper()) for x in each] for each in self.needs.disturbed]
 
     def _all(self, node: int, lag: int) -> list[Target]:
         """Limits that a set at a node must keep to some periods later."""
@@ -227,10 +230,9 @@ class Recovery:
 
     def _check_late(self, k: int, z: Zonotope, share: float) -> None:
         """The share claimed at a set is left of all limits beyond the memory, too."""
-        extent = self.needs.memory.z.entries()
-        part = largest(a / b for a, b in zip(z.size().entries(), extent, strict=True))
+        late = self.needs.still(z.size())
         for row, target in self._least[self._far_cell(k)].items():
-            need = part * self.needs.forgotten[row] + self.needs.disturbed[-1][row]
+            need = late[row] + self.needs.disturbed[-1][row]
             where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
             self._leaves(share, target, need, where)
 
@@ -252,7 +254,9 @@ class Recovery:
             disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = most + extra + disturbance, target.room
-                if not room - need >= of * target.whole:  # the booked part can be had more exactly
+                if not room - need >= of * target.whole:  # all of it can be had more exactly
+                    at = row_of(needs.carried[lag], row)
+                    most = sums((at * z.c).entries(), z.spread(at))[0]
                     need = most + needs.booked(z, lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
@@ -278,15 +282,23 @@ class Recovery:
     def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
         """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
         per = self.needs.per_norm(inverse)
+        coarse = [[float(x.abs_upper()) for x in each] for each in per]
         for step, radius in enumerate(radii):
             k = step * self.document.q
             for lag in range(self.lags(k) + 1) if radius > 0 else ():
+                most, more = coarse[lag], self._disturbed[lag]
                 for t in self._all(k, lag):
+                    row, room, _ = t.least
+                    if most[row] * radius + more[row] <= room:
+                        continue
                     spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
                     if not spare >= -MARGIN_SLACK * abs(t.room):
                         where = f"radius {radius:.6g} at {self.time(k)}, {t.name} at {self.time(k + lag)}"
                         require("recoverable_sets", spare, where)
 
+
+SPARE = 1e-12
+"""Of rooms in doubles, which tell where a need is certainly within: far above their rounding."""
 
 MARGIN_SLACK = 1e-6
 """Slack of stored margins and radii, as a share of the room: they are results in double precision."""

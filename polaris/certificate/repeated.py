@@ -12,7 +12,9 @@ from typing import Any
 from .document import Document
 from .file_keys import GAINS, SCHEDULE
 from .files import contents
+from .powered import told_aborts
 from .structure import conform, shown, strict_json
+from .transients import check_withheld
 from .verdict import Rejected
 
 STEP_COLUMNS = (
@@ -112,6 +114,8 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
+            "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
+            "powered_abort": told_aborts(document, stored["guarantee"].get("powered_abort")),
         },
     }
     same("schedule", "schedule.json", expected, stored)
@@ -183,7 +187,7 @@ def _check_reason(document: Document) -> None:
     true = {
         "until": f"{document.until:g}" if document.until is not None else "",
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",
-        "moving": ", ".join(item.name for item in document.unsafe if not item.resting),
+        "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
     }
     for what, found in words.groupdict().items():
         if what == "limit" and found is not None and found not in limit_names(document):

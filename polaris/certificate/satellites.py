@@ -4,7 +4,7 @@ from typing import Any
 
 from flint import arb, arb_mat, fmpq, fmpq_mat
 
-from .balls import absolute, column, exponential, exponential_over, magnitude, matrix, norms, require
+from .balls import absolute, column, exponential, exponential_over, lengths, matrix, norms, require, spans
 from .document import Document
 from .parts import UnsafeSet
 from .plants import plant_of
@@ -72,11 +72,11 @@ class Satellite:
             if part == parts:
                 break
             second, following = carried * over, carried * small
-            bend = (absolute(second * self.state) + absolute(second) * self.half) * (h**2 / 8)
+            bend = (absolute(second * self.state) + spans(second, self.half)) * (h**2 / 8)
             margin = bend.entries()
             later = [norms(following * M) for M, _ in self.pushes]
             for (M, accel), g, after in zip(self.pushes, now, later, strict=True):
-                for f, (x, y, z) in enumerate(zip(g, after, norms(magnitude(second * M)), strict=True)):
+                for f, (x, y, z) in enumerate(zip(g, after, lengths(second * M), strict=True)):
                     margin[f] += accel * (h / 8 * max(x - y, arb(0)) + h**3 / 12 * z)
                     gained[f] += accel * (h / 2 * (x + y) + h**3 / 12 * z)
             margins.append(margin)

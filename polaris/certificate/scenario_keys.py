@@ -48,6 +48,12 @@ _AFFINE = {
 }
 _ESTIMATE = {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS}
 _GOAL = {"tolerance_m?": POSITIVE}
+_ORBITS: dict[str, dict[str, Any]] = {
+    "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
+                       "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
+    "linear_nmt": {**_GOAL, "amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
+    "stationary": {**_GOAL, "state": VECTOR},
+}
 _BODY = {"name": NAME, "velocity_m_s?": VECTOR}
 _POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
 
@@ -71,9 +77,9 @@ SCENARIO = {
     },
     "navigation?": {
         **_ESTIMATE,
-        "phases?": Rows({"from_s": POSITIVE, **_ESTIMATE}, 0, 64),
+        "phases?": Rows({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
         "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
-                         "error?": LIMITS},
+                         "error?": LIMITS, "initial?": _ESTIMATE},
     },
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
@@ -93,6 +99,7 @@ SCENARIO = {
     "tank?": {"delta_v_m_s": POSITIVE},
     "abort?": {
         "drift_orbits?": Real(above=0, most=100), "drift_s?": POSITIVE, **every(bool, "required? keep_in?"),
+        "orbit?": Kinds({"goal": {}, **_ORBITS}), **every(POSITIVE, "within_s? delta_v_max_m_s?"),
     },
     "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
     "initial_set": Kinds({
@@ -110,13 +117,7 @@ SCENARIO = {
         "kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball")),
         "recourse?": Text(("in_view", "none")),
     },
-    "goal": Kinds({
-        "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
-                           "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
-        "linear_nmt": {**_GOAL, "amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
-        "stationary": {**_GOAL, "state": VECTOR},
-        "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS},
-    }),
+    "goal": Kinds({**_ORBITS, "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS}}),
     "planner?": {
         "objective?": Text(("margin_then_fuel", "distance", "fuel")),
         "extra_margin_m?": NOT_NEGATIVE,

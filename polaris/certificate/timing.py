@@ -58,10 +58,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
             require("system", bound - needed, f"displacement of state {i}: {bound}")
     if (len(measured) > 1) != bool(document.error_by_step):
         raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
-    periods = arb(delay) / plant.h
-    near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
-    share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
-    away = [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
+    away = displaced(document, delay)
     carried = [_carried(plant, delay + plant.h * i) for i in range(missed + 1)]
     for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
         known = column(sums(map(arb, row), away))
@@ -70,6 +67,14 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
             spare = bound * arb(1 + ROUNDED) - needed
             require("system", spare, f"error of the prediction of state {i}: {bound}")
+
+
+def displaced(document: Document, delay: float) -> list[arb]:
+    """By how much states may be displaced when they are measured, as the certificate has it."""
+    periods = arb(delay) * document.q / arb(document.delta)
+    near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
+    share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
+    return [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
 
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:

@@ -5,10 +5,11 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import absolute, column, diagonal, exponential, identity, largest, magnitude, matrix
+from .balls import absolute, column, diagonal, exponential, identity, largest, magnitude, matrix, smallest
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Plant
+from .networks import Policy
 from .timing import predicted
 from .verdict import Rejected, Undecided
 
@@ -44,27 +45,70 @@ def _lasts(fault: dict[str, Any]) -> float:
     return float(fault["lasts_s"] if fault["kind"] == "navigation_lost" else fault.get("isolation_s", 0.0))
 
 
-def moved(document: Document, plant: Plant) -> list[arb_mat]:
+def check_withheld(
+    document: Document, stored: list[dict[str, Any]] | None, limits: set[str]
+) -> list[dict[str, Any]] | None:
+    """What is told of faults: of steps of S, names and times that there are; what is short is no claim."""
+    laws, delta = {law.name for law in document.laws[1:]}, document.delta
+    for row in (row for fault in stored or [] for row in fault["steps"]):
+        k, at = row["step"], row["limit_time_s"]
+        if not (k < document.steps and document.modes[k] == 0 and row["controller"] in laws):
+            raise Rejected("schedule", f"step {k} is not one that S flies in the place of another")
+        if row["limit"] not in limits or row["short"] != row["need"] - row["room"]:
+            raise Rejected("schedule", f"in step {k} {row['limit']} is not what is short")
+        if row["t_s"] != k * delta or row["limit_step"] != int(at / delta + 1e-9):
+            raise Rejected("schedule", f"step {k} does not begin or end at that time")
+    known = [(each["name"], each["lasts"]) for each in document.transients]
+    if known != [(fault["fault"], fault["lasts_s"]) for fault in stored or []]:
+        raise Rejected("schedule", f"S flies because of faults that are not {known}")
+    return stored
+
+
+def moved(document: Document, plant: Plant, networks: list[Policy]) -> list[arb_mat]:
     """Boxes, one of which holds what thrust that is not as commanded has added to the states, (n, 1) each.
 
-    Every law answers with no more than its gain times the deviation, whatever clips it.
+    Every law answers with no more than its gain times the deviation, whatever clips it; networks also with
+    no more than twice the limits, so that of two bounds each entry is the smaller.
     """
-    if document.transients and any(law.kind in ("neural", "black_box") for law in document.laws):
-        raise Undecided("controllers", "networks and black boxes under faults isolated late are not followed")
+    if document.transients and any(law.kind == "black_box" for law in document.laws):
+        raise Undecided("controllers", "black boxes under faults isolated late are not followed")
+    gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
+    found, both = [], gains + [_steepest(policy) for policy in networks if document.transients]
+    for each in document.transients:
+        for push in each.get("pushes") or []:
+            size = [arb(x) for x in push]
+            wrong = [x + 2 * top for x, top in zip(size, plant.u_max, strict=True)]
+            found.append(_spread(document, plant, each, both, size))
+            if networks:
+                free = _spread(document, plant, each, gains, wrong)
+                pairs = zip(found.pop().entries(), free.entries(), strict=True)
+                found.append(column([smallest(x.upper() for x in pair) for pair in pairs]))
+    return found
+
+
+def _spread(
+    document: Document, plant: Plant, fault: dict[str, Any], gains: list[arb_mat], size: list[arb]
+) -> arb_mat:
+    """The same under laws with gains up to these, inputs being off by some size besides."""
     n, m = plant.B.nrows(), plant.B.ncols()
-    gains = [absolute(matrix(law.gain)).entries() for law in document.laws if law.gain is not None]
-    most = arb_mat(m, n, [largest(each) for each in zip(*gains, strict=True)])
+    most = arb_mat(m, n, [largest(each) for each in zip(*(K.entries() for K in gains), strict=True)])
     along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
     answer = diagonal([1 + arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
     growth = absolute(plant.A) + absolute(plant.B) * answer * most
-    found = []
-    for each in document.transients:
-        late = exponential(growth, arb(each["lasts"]) + _hidden(document, plant))[1] * absolute(plant.B)
-        for push in each.get("pushes") or []:
-            size = [arb(x) for x in push]
-            wrong = [a + b for a, b in zip(size, plant.thruster_part(size), strict=True)]
-            found.append(magnitude(late * column(wrong)))
-    return found
+    late = exponential(growth, arb(fault["lasts"]) + _hidden(document, plant))[1] * absolute(plant.B)
+    wrong = [a + b for a, b in zip(size, plant.thruster_part(size), strict=True)]
+    return magnitude(late * column(wrong))
+
+
+def _steepest(policy: Policy) -> arb_mat:
+    """Largest size of every entry of its derivative by the state: no activation is steeper than 1."""
+    M, bent = policy.reads, False
+    for layer in policy.layers:
+        if isinstance(layer, tuple):
+            M = (absolute(layer[0]) if bent else layer[0]) * M
+        else:
+            M, bent = absolute(M), True
+    return absolute(M)
 
 
 def _hidden(document: Document, plant: Plant) -> arb:
@@ -92,13 +136,10 @@ def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
 
 def upset(needs: Needs, boxes: list[arb_mat]) -> list[list[arb]]:
     """What errors in any of some boxes need along rows by the end of the period after node l + 1."""
-    found: list[list[arb]] = [[arb(0)] * needs.rows.nrows()]
-    for box in boxes:
-        share = largest(a / b for a, b in zip(box.entries(), needs.memory.z.entries(), strict=True))
-        found.append([x * share for x in needs.forgotten])
-    most, steps = _largest(found), []
-    for row, bend in zip(needs.carried, needs.bend, strict=True):
-        most = _largest([most, *(((magnitude(row) + bend) * box).entries() for box in boxes)])
+    most = _largest([[arb(0)] * needs.rows.nrows(), *map(needs.still, boxes)])
+    steps = []
+    for lag in range(len(needs.carried)):
+        most = _largest([most, *(needs.boxed(box, lag) for box in boxes)])
         steps.append(most)
     last = len(steps) - 1
     return [steps[min(lag + 2, last)] for lag in range(last + 1)]

@@ -2,34 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 
 from flint import arb, arb_mat
 
-from .balls import beside, column, cross, diagonal, dot, largest, magnitude, matrix, row_sums, smallest, sums
+from .balls import (
+    beside,
+    column,
+    cross,
+    diagonal,
+    dot,
+    largest,
+    magnitude,
+    matrix,
+    row_sums,
+    smallest,
+    sums,
+    widths,
+)
 
 NOTHING = 1e-8
 """Share of a set's extent that generators may come to which are merged whatever their number."""
 
 
 class Generators:
-    """Generators, what matrices make of them and how far they reach, each made once."""
+    """Generators, what matrices make of them and how far they reach, each made once, part by part."""
 
-    def __init__(self, G: arb_mat) -> None:
-        self.G = G
+    def __init__(self, *parts: arb_mat | Generators) -> None:
+        self._parts = parts
         self._images: dict[int, tuple[arb_mat, Generators]] = {}
+
+    @cached_property
+    def G(self) -> arb_mat:
+        """All of them."""
+        blocks = [part.G if isinstance(part, Generators) else part for part in self._parts]
+        return blocks[0] if len(blocks) == 1 else beside(*blocks)
 
     @cached_property
     def widths(self) -> list[arb]:
         """How far every coordinate may be from the centre's."""
-        return row_sums(self.G)
+        return sums(*(part.widths if isinstance(part, Generators) else widths(part) for part in self._parts))
 
     def image(self, M: arb_mat) -> Generators:
         """Of the set mapped by a matrix."""
         if id(M) not in self._images:
-            self._images[id(M)] = M, Generators(M * self.G)
+            parts = [part.image(M) if isinstance(part, Generators) else M * part for part in self._parts]
+            self._images[id(M)] = M, Generators(*parts)
         return self._images[id(M)][1]
 
 
@@ -38,8 +58,12 @@ class Zonotope:
     """A zonotope."""
 
     c: arb_mat  # centre, shape (n, 1)
-    G: arb_mat  # generators, one per column, shape (n, g)
-    made: Generators | None = field(default=None, repr=False)  # of the same, if it is known
+    of: arb_mat | Generators  # one per column, shape (n, g)
+
+    @property
+    def G(self) -> arb_mat:
+        """Its generators, shape (n, g)."""
+        return self._made.G
 
     def image(self, M: arb_mat) -> Zonotope:
         """The set mapped by a matrix."""
@@ -48,36 +72,41 @@ class Zonotope:
     def through(self, M: arb_mat) -> Zonotope:
         """The same by a matrix that is asked for again, of this set or of it moved."""
         found = self._made.image(M)
-        return Zonotope(M * self.c, found.G, found)
+        return Zonotope(M * self.c, found)
 
     @cached_property
     def _made(self) -> Generators:
-        return self.made or Generators(self.G)
+        return self.of if isinstance(self.of, Generators) else Generators(self.of)
 
     def moved(self, v: arb_mat) -> Zonotope:
         """The set moved by a vector (n, 1)."""
-        return Zonotope(self.c + v, self.G, self._made)
+        return Zonotope(self.c + v, self._made)
 
     def grown(self, *generators: arb_mat) -> Zonotope:
         """Minkowski sum with zonotopes about zero, given by their generators."""
-        return Zonotope(self.c, beside(self.G, *generators))
+        return Zonotope(self.c, Generators(self._made, *generators))
 
     def spread(self, rows: arb_mat) -> list[arb]:
-        """How far ``row x`` may be from its value at the centre."""
+        """How far ``row x`` may be from its value at the centre, enclosed."""
         return row_sums(rows * self.G)
 
     def support(self, rows: arb_mat) -> list[arb]:
-        """``max row x`` over the set, for every row."""
-        return sums((rows * self.c).entries(), self.spread(rows))
+        """``max row x`` over the set, for every row, from above."""
+        return sums((rows * self.c).entries(), widths(rows * self.G))
+
+    @property
+    def widths(self) -> list[arb]:
+        """How far every coordinate may be from the centre's."""
+        return self._made.widths
 
     def tops(self) -> list[arb]:
         """``max x_i`` over the set."""
-        return sums(self.c.entries(), self._made.widths)
+        return sums(self.c.entries(), self.widths)
 
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
         centre = self.c.entries()
-        return magnitude(column([abs(c) + most for c, most in zip(centre, self._made.widths, strict=True)]))
+        return magnitude(column([abs(c) + most for c, most in zip(centre, self.widths, strict=True)]))
 
     def reduced(self, most: int) -> Zonotope:
         """Enclosing set with exact centre and at most `most` exact generators.
@@ -87,11 +116,14 @@ class Zonotope:
         together is next to nothing.
         """
         n, count = self.G.nrows(), self.G.ncols()
-        table = self.G.tolist()
-        extent = [max(float(x.mid()), 1e-300) for x in self._made.widths]
+        middle = self.G.mid()
+        table = middle.tolist()
+        extent = [max(float(x), 1e-300) for x in self.widths]
         kept: list[int] = list(range(count))
         if count > n:
-            sizes = [[abs(float(table[i][j].mid())) / extent[i] for i in range(n)] for j in range(count)]
+            sizes = [
+                [abs(float(x)) / e for x, e in zip(g, extent, strict=True)] for g in zip(*table, strict=True)
+            ]
             longest = [max(size) for size in sizes]
             ranked = sorted(range(count), key=lambda j: -longest[j])
             total = 0.0
@@ -101,10 +133,10 @@ class Zonotope:
             kept = sorted(ranked[: most - n])
         merged = set(range(count)) - set(kept)
         box = [
-            sum((abs(row[j]) for j in merged), middle.rad()) + sum((row[j].rad() for j in kept), arb(0))
-            for row, middle in zip(table, self.c.entries(), strict=True)
+            sum((abs(row[j]) for j in merged), c.rad() + radii)
+            for row, c, radii in zip(table, self.c.entries(), widths(self.G - middle), strict=True)
         ]
-        exact = matrix([[row[j].mid() for j in kept] for row in table], len(kept))
+        exact = matrix([[row[j] for j in kept] for row in table], len(kept))
         return Zonotope(self.c.mid(), beside(exact, diagonal([x.abs_upper() for x in box])))
 
 

@@ -117,9 +117,8 @@ def _show_model_error(found: ModelError) -> None:
     for name, value in told["parts_m_s2"].items():
         typer.echo(f"  {name.replace('_', ' '):16} {value:9.3g}")
     typer.echo(f"  {'bound':16} {told['bound_m_s2']:9.3g}   (sampled: {told['sampled_share']:.0%} of it)")
-    typer.echo(
-        f"  {'declared':16} {told['declared_m_s2']:9.3g}   {'covers it' if found.covered else 'TOO SMALL'}"
-    )
+    covers = "covers it" if found.covered else "TOO SMALL"
+    typer.echo(f"  {'declared':16} {told['declared_m_s2']:9.3g}   {covers}")
     typer.echo(
         f"Largest at t = {worst['time_s']:g} s under {worst['controller']}: within"
         f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m in height,"

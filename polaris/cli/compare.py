@@ -163,10 +163,9 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
         typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
-        told = (
-            f"the planner's wall clock ended its search early ({', '.join(cut)}): another machine, or another"
-        )
-        warnings.warn(f"{told} run, may find another plan; allow more time", ClockWarning, stacklevel=2)
+        told = f"the planner's wall clock ended its search early ({', '.join(cut)})"
+        why = "another machine, or another run, may find another plan; allow more time"
+        warnings.warn(f"{told}: {why}", ClockWarning, stacklevel=2)
     finish(folder, options.figures, options.as_json, options.quiet)
 
 

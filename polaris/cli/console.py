@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 PATIENCE = 1.0  # seconds a stage may take before it is shown
-
-
 WINDOW = 3600.0
 """Seconds over which speed is measured to tell the time left: a batch of a campaign may take minutes."""
 

@@ -225,7 +225,9 @@ def answering() -> Iterator[None]:
     except (typer.Exit, typer.Abort):
         raise
     except Exception as error:  # a fault of the program: still one message, with where it happened
-        _fail(f"internal fault ({_where(error)}): {type(error).__name__}: {error}", 1)
+        *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+        where = f"{frame.f_globals.get('__name__', '?')}:{line}"
+        _fail(f"internal fault ({where}): {type(error).__name__}: {error}", 1)
     finally:
         for number, known in before.items():
             signal.signal(number, known)
@@ -256,11 +258,6 @@ def _warning() -> Iterator[None]:
 def _terminated(number: int, frame: Any) -> NoReturn:
     """Leave like after an error, so that nothing half-written stays."""
     raise SystemExit(128 + number)
-
-
-def _where(error: BaseException) -> str:
-    *_, (frame, line) = traceback.walk_tb(error.__traceback__)
-    return f"{frame.f_globals.get('__name__', '?')}:{line}"
 
 
 def _fail(message: str, code: int) -> NoReturn:

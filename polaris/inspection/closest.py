@@ -11,21 +11,13 @@ from ..model.hill import free_flight
 from ..model.system import Array
 from .vectors import dot, length
 
-SEGMENT = 20.0
-"""Largest spacing [s] of the instants at which every free flight is looked at first."""
-
-TOLERANCE = 1e-6
-"""A closest approach is never above the true infimum by more than this [m]."""
-
-NEWTON = 40
-"""Most steps per minimum: Newton's converge in three or four, bisection alone in thirty."""
-
+SEGMENT = 20.0  # largest spacing [s] of the instants at which every free flight is looked at first
+TOLERANCE = 1e-6  # a closest approach is never above the true infimum by more than this [m]
+NEWTON = 40  # most steps per minimum: Newton's converge in three or four, bisection alone in thirty
 HALVINGS = 40
 """Most halvings of a segment that may hide a minimum; each makes its doubt sixteen times smaller."""
 
-BLOCK = 1024
-"""Flights looked at together: what fits into fast memory."""
-
+BLOCK = 1024  # flights looked at together: what fits into fast memory
 NO_PAIRS = np.zeros((0, 2), dtype=np.intp)
 
 
@@ -184,16 +176,13 @@ class ClosestApproach:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Segments of flights on which the distance may fall below the least one found so far.
-
-    Of each: the flight's row in what was `found`, its `parts`, the bound on ``q''''``.
-    """
+    """Segments of flights on which the distance may fall below the least one found so far."""
 
     found: Approach
-    row: NDArray[np.intp]
+    row: NDArray[np.intp]  # of each segment's flight, in what was found
     parts: Array
     n: float
-    quartic: Array
+    quartic: Array  # bounds on ``|q''''|``
 
     def run(self, start: Array, end: Array, first: Array, last: Array) -> None:
         """Search the segments, one for each row; all of the same length."""

@@ -40,12 +40,8 @@ def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
     For `numbers` see `polaris.inspection.loops.rows`.
     """
     runs, deputies, n, D, growth = len(x), x.shape[1], numbers[0], numbers[11], numbers[13]
-    found, z, push, known = (
-        np.empty((runs, deputies + len(pairs), 5)),
-        np.empty(6),
-        np.zeros(3),
-        held.shape[1] > 0,
-    )
+    found, known = np.empty((runs, deputies + len(pairs), 5)), held.shape[1] > 0
+    z, push = np.empty(6), np.zeros(3)
     for r in range(runs):
         for k in range(deputies + len(pairs)):
             thrust, spread = (1.0 if k < deputies else 2.0) * numbers[14], 1 - 1 / np.sqrt(3)
@@ -68,10 +64,7 @@ def motions(x: Array, pairs: Array, held: Array, numbers: Array) -> Array:
 
 @compiled
 def _parts(z: Array, n: float) -> Array:
-    """As `polaris.inspection.closest.flight_parts`, of one flight, but first where it starts: (4, 3).
-
-    ``p(t) = p(0) + b t - c (1 - cos(n t)) + d sin(n t)`` has no differences of large numbers.
-    """
+    """Of one flight ``p(0) + b t - c (1 - cos(n t)) + d sin(n t)``: no large differences, shape (4, 3)."""
     parts = np.zeros((4, 3))
     parts[0] = z[:3]
     parts[1, 1] = -6 * n * z[0] - 3 * z[4]

@@ -73,16 +73,6 @@ class Ellipses:
         span = min(q.distance_max / np.sqrt(2), q.speed_max / q.mean_motion)
         return cls(q.mean_motion, 1.5 * q.separation, span / 2, span)
 
-    @classmethod
-    def fitting(cls, inspection: Inspection, given: Ellipses | None) -> Ellipses:
-        """Those given, or the usual ones; a ScenarioError if for another orbit: there they are no flights."""
-        if given is None:
-            return cls.of(inspection)
-        if given.mean_motion != inspection.mean_motion:
-            rule = f"must be for {inspection.mean_motion:g} rad/s"
-            raise ScenarioError("ellipses", given.mean_motion, rule)
-        return given
-
     def nearest(self, x: Array) -> Array:
         """State on an eNMT within the limits that is nearest to a state, shapes (..., 6) [m, m/s].
 

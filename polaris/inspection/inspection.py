@@ -16,7 +16,6 @@ from ..model.system import Array, LinearSystem
 from .vectors import CENTRE
 
 MOST_DEPUTIES = 50  # most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints
-
 UNITS = {"mass": "kg", "mean_motion": "rad/s", "field_of_view": "rad", "passive_time": "s", "thrust_max": "N"}
 UNITS |= dict.fromkeys(("deputy_radius", "chief_radius", "distance_max", "smoothing"), "m")
 UNITS |= dict.fromkeys(("docking_speed", "speed_max", "delta_v_max"), "m/s") | {"speed_slope": "1/s"}

@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from reach.sets.zonotope import Zonotope
 
@@ -19,7 +20,21 @@ from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
 
+FAR = 1000.0
+"""Times as far out is a set in steps in which it does not hold."""
+
+INSTANT = 1e-9
+"""Share of a step by which instants may differ and count as one."""
+
 MOST_CORNERS = 8192  # of a zonotope that is compared with a cone corner by corner
+
+
+def during(
+    begins: float | Array, ends: float, start: Array, step: float, before: float = 0.0
+) -> NDArray[np.bool_]:
+    """In which steps from some instants on [s] something holds that begins and ends, or so long before."""
+    slack = INSTANT * step
+    return np.asarray((begins < start + step - slack) & ~(ends <= start - before + slack))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,17 +150,43 @@ class KeepInPolytope(KeepIn):
         What tables, figures and messages call it.
     H, b : array_like, shapes (F, d) and (F,)
         Facets, b in m per unit of row length; rows are scaled to unit length.
+    begins, ends : float
+        When it holds [s]; in proofs for whole steps, and `FAR` times as far out in all others.
     """
 
     name: str
     H: ArrayLike
     b: ArrayLike
+    begins: float = -np.inf
+    ends: float = np.inf
 
     def __post_init__(self) -> None:
         put = object.__setattr__
         polytope = solid(self.path, self.H, self.b)
         put(self, "H", polytope.H)
         put(self, "b", polytope.b)
+
+    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
+        """As of all keep-in sets, in the steps in which it holds."""
+        found = super().timed_polytopes(system, delta, cells)
+        holds = during(self.begins, self.ends, np.arange(cells, dtype=float) * delta, delta)
+        if holds.all() and self.ends == np.inf:
+            return found
+        known = all(when < cells * delta for when in (self.begins, self.ends) if when != np.inf)
+        factor = np.where(holds, 1.0, FAR)[:, None, None]
+        return tuple(replace(one, offsets=one.offsets * factor, static=known) for one in found)
+
+    def signed_distance(self, t: ArrayLike, p: ArrayLike, *known: Any) -> Array:
+        """As of all obstacles; inf while it does not hold."""
+        return self._while(t, super().signed_distance(t, p, *known))
+
+    def entry_time(self, t: ArrayLike, p: ArrayLike, v: ArrayLike, *known: Any) -> Array:
+        """As of all obstacles; inf while it does not hold."""
+        return self._while(t, super().entry_time(t, p, v, *known))
+
+    def _while(self, t: ArrayLike, found: Array) -> Array:
+        holds = (self.begins <= np.asarray(t)) & (np.asarray(t) < self.ends)
+        return found if np.all(holds) else np.where(holds, found, np.inf)
 
     def _grown(self, radius: float) -> KeepInPolytope:
         return replace(self, b=np.asarray(self.b) - radius)

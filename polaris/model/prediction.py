@@ -62,15 +62,7 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
         If errors are not forgotten.
     """
     noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(moved, (system.n,))
-    loop, count = observer.rest @ np.asarray(expm(system.A * h)), 1
-    while True:
-        last = np.abs(np.linalg.matrix_power(loop, count))
-        if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
-            break
-        if count >= LONGEST or not np.all(np.isfinite(last)):
-            rule = "leave errors of the estimate that no filter forgets"
-            raise ScenarioError("navigation.measurement", observer.measures.tolist(), rule)
-        count *= 2
+    loop, last, count = _forgetting(system, observer, h)
     left = powers(loop, count - 1)
     E = system.error_map(system.thrusters.error(system.u_max))
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, h / IN_PERIOD, E)
@@ -78,6 +70,38 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
     pushed = flow.disturbance_support(rows, IN_PERIOD)[-1].reshape(left.shape[:2])
     come = np.sum(pushed + np.abs(left @ observer.gain) @ noise, axis=0) * (1 + ROUNDED)
     return np.asarray(np.linalg.solve(np.eye(system.n) - last, come) * (1 + ROUNDED))
+
+
+def _forgetting(system: LinearSystem, observer: Observer, h: float) -> tuple[Array, Array, int]:
+    """What a period makes of errors of the estimate, and bounds on what so many periods leave of them."""
+    loop, count = observer.rest @ np.asarray(expm(system.A * h)), 1
+    while True:
+        last = np.abs(np.linalg.matrix_power(loop, count))
+        if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
+            return loop, last, count
+        if count >= LONGEST or not np.all(np.isfinite(last)):
+            rule = "leave errors of the estimate that no filter forgets"
+            raise ScenarioError("navigation.measurement", observer.measures.tolist(), rule)
+        count *= 2
+
+
+def fading(system: LinearSystem, observer: Observer, h: float, steps: int, periods: int) -> Array:
+    """What the first errors of an observer still add in steps of some periods, and ever after, (K + 1, n).
+
+    Raises what `filtered` does.
+    """
+    (loop, last, count), first = _forgetting(system, observer, h), steps * periods
+    left = np.abs(powers(loop, first + count - 1)) @ np.asarray(observer.initial) * (1 + ROUNDED)
+    ever = np.linalg.solve(np.eye(system.n) - last, left[first:].max(axis=0)) * (1 + ROUNDED)
+    return np.vstack([left[:first].reshape(steps, periods, -1).max(axis=1), ever])
+
+
+def observing(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> LinearSystem:
+    """The system whose estimates are those of an observer; `moved` and errors are those of `filtered`."""
+    found = filtered(system, observer, h, moved)
+    if (left := observer.fading) is None:
+        return replace(system, observer=observer, estimate_error=found)
+    return replace(system, observer=replace(observer, settled=found), error_by_step=found + left)
 
 
 def design(system: LinearSystem, measures: Array, noise: Array, h: float) -> Observer:
@@ -165,17 +189,10 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     Raises
     ------
     ScenarioError
-        If the system is so unstable that nothing bounds a prediction, or an observer has pulses to filter.
+        If the system is so unstable that nothing bounds a prediction.
     """
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
-    steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
-    if system.observer is not None:
-        if timing.fired or timing.carried:
-            rule = "is not covered with pulses, or with impulses whose rest is carried"
-            raise ScenarioError("navigation.measurement", None, rule)
-        jittered = replace(system, thrusters=replace(exact, bit=exact.bit + bit))
-        steps = filtered(jittered, system.observer, h, moved)[None]
     if timing.carried:
         held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
         moved = moved + held * timing.carried * (1 + ROUNDED)
@@ -184,10 +201,13 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
         bit, within = pulse_error(system, np.array(timing.fired), h)
         away = moved + between_nodes(timing, h) * within
         moved, timing = moved + within, replace(timing, pulsed=tuple(within.tolist()))
-    measured, displaced = tuple(np.max(steps, axis=0).tolist()), tuple(moved.tolist())
-    longer = 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter > 0 else 0.0
-    timing = replace(timing, bit=exact.bit, longer=longer, measured=measured, displaced=displaced, period=h)
+    displaced, longer = tuple(moved.tolist()), 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter else 0.0
+    timing = replace(timing, bit=exact.bit, longer=longer, displaced=displaced, period=h)
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
+    if system.observer is not None:  # of the motion under inputs that are held
+        system = observing(system, system.observer, h, away)
+    steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
+    system = replace(system, timing=replace(timing, measured=tuple(np.max(steps, axis=0).tolist())))
     worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:

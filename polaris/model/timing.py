@@ -65,11 +65,19 @@ class Observer:
     noise : ndarray, shape (r,)
         Bounds on the errors of what is measured.
     gain : ndarray, shape (n, r)
+    initial, settled : ndarray, shape (n,), optional
+        Bounds on the errors of the estimate at first, and of one that has long been made; of such a one there
+        is talk where `initial` is left out.
+    fading : ndarray, shape (K + 1, n), optional
+        What the first errors still add in each step of a schedule, and ever after.
     """
 
     measures: Array
     noise: Array
     gain: Array
+    initial: Array | None = None
+    settled: Array | None = None
+    fading: Array | None = None
 
     @property
     def rest(self) -> Array:

@@ -23,6 +23,8 @@ class Transient:
         Of its thrust that is lost, or pushes without being asked to.
     gains : ndarray, shape (m, n)
         Largest size of every entry of the gains of all experimental controllers that have one.
+    networks : ndarray, shape (m, n), optional
+        The same of networks, where any fly: how steep they are in the state.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Transient:
     thrust: NDArray[np.float64]
     share: float
     gains: NDArray[np.float64]
+    networks: NDArray[np.float64] | None = None
 
     @property
     def pushes(self) -> NDArray[np.float64]:

@@ -198,9 +198,8 @@ def _show(grid: DecisionGrid, method: Method, flight: Flight, worst: int, neares
         for k in range(grid.decisions)
     ]
     labels = ("closest", *(f"run {run}" for run in chosen[1:]))
-    return Shown(
-        labels, flight.times, flight.states[chosen], flight.inputs[chosen], who[chosen], nearest, decisions
-    )
+    paths = flight.states[chosen], flight.inputs[chosen], who[chosen]
+    return Shown(labels, flight.times, *paths, nearest, decisions)
 
 
 def _synthesis(grid: DecisionGrid, key: str) -> float:

@@ -24,11 +24,8 @@ from ..synthesis.polytope_sets import PolytopeSets
 from ..synthesis.schedule import Schedule
 from ..synthesis.tracking import Feedback, Tracking
 
-PERIOD = 1.0
-"""Longest decision period chosen by default [s]."""
-
-WHOLE = 1e-9
-"""Relative tolerance on "divides"."""
+PERIOD = 1.0  # longest decision period chosen by default [s]
+WHOLE = 1e-9  # relative tolerance on "divides"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +122,6 @@ class DecisionGrid:
         tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
         return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
 
-    # -- what it consists of ------------------------------------------------------------------------
-
     @property
     def system(self) -> LinearSystem:
         """What is controlled."""
@@ -168,8 +163,6 @@ class DecisionGrid:
         )
         return replace(self.schedule, safety=safety)
 
-    # -- instants -------------------------------------------------------------------------------------
-
     @cached_property
     def xi(self) -> Array:
         """The safe reference at every node up to the end of the tail, shape (nodes + 1, n)."""
@@ -185,11 +178,9 @@ class DecisionGrid:
         """The experimental controllers' own references at every node up to T, by mode."""
         out = {}
         for mode, law in enumerate(self.controllers):
-            if (
-                isinstance(law, (AffineController, NeuralController))
-                and law.own is not self.clearance.reference
-            ):
-                out[mode] = _at_nodes(law.own.fine(self.clearance.q))
+            own = getattr(law, "own", self.clearance.reference)
+            if own is not self.clearance.reference:
+                out[mode] = _at_nodes(own.fine(self.clearance.q))
         return out
 
     @cached_property

@@ -60,7 +60,8 @@ class Conditions:
                     x0[first : first + count] = theta.support_vector(adjoint)
                 first += count
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
-        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * grid.half_widths
+        wrong = grid.half_widths - grid.system.displaced_at_nodes * bool(grid.system.timing.carried)
+        errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
         return cls(x0, np.concatenate(parts, axis=1), errors, seed)
 
     @classmethod
@@ -78,39 +79,18 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """All runs of one method.
+    """All runs of one method."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (N+1,)
-        The nodes [s].
-    states : ndarray, shape (R, N+1, n)
-    inputs : ndarray, shape (R, N, m)
-        Applied right after every node [N].
-    demanded : ndarray, shape (R, N)
-        Largest ratio of commanded to available thrust.
-    delta_v : ndarray, shape (R,)
-        [m/s]
-    modes : ndarray of int, shape (R, N)
-        What flew after every node.
-    margins, why : ndarray, shapes (R, D)
-        Of every decision, see `Choice`.
-    deviation : ndarray, shape (R,)
-        Mean over time of the 2-norm of applied minus desired input [N].
-    seconds : ndarray, shape (D,)
-        Wall time of each decision, for all runs together.
-    """
-
-    times: Array
-    states: Array
-    inputs: Array
-    demanded: Array
-    delta_v: Array
-    modes: NDArray[np.int_]
-    margins: Array
-    why: NDArray[np.int_]
-    deviation: Array
-    seconds: Array
+    times: Array  # the nodes [s], (N+1,)
+    states: Array  # (R, N+1, n)
+    inputs: Array  # applied right after every node [N], (R, N, m)
+    demanded: Array  # largest ratio of commanded to available thrust, (R, N)
+    delta_v: Array  # [m/s], (R,)
+    modes: NDArray[np.int_]  # what flew after every node, (R, N)
+    margins: Array  # of every decision, see `Choice`, (R, D)
+    why: NDArray[np.int_]  # likewise
+    deviation: Array  # mean over time of the 2-norm of applied minus desired input [N], (R,)
+    seconds: Array  # wall time of each decision, for all runs together, (D,)
 
 
 def fly(
@@ -134,6 +114,7 @@ def fly(
     flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
     preferred = min(1, len(grid.controllers) - 1)
     method.start(R)
+    engine.begin(R)
     states[0] = x = conditions.x0
     for k in range(D):
         if progress and k % 50 == 0:
@@ -185,7 +166,8 @@ class Engine(Integrator):
         To be called once for every node, before `step`: black boxes are asked here, for all runs.
         """
         eta = w[:, self.columns[1]]
-        seen = x + eta if eta.size else x
+        self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
+        seen = self.estimate(node * self.substeps, x)
         boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
         self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
         told = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
@@ -207,10 +189,12 @@ class Engine(Integrator):
         out = [np.empty_like(x), np.empty_like(u), np.empty(len(x)), np.empty(len(x))]
         for mode in present.tolist():
             self._rows = chosen = flying == mode
-            for whole_, part in zip(
-                out, self._under(mode, node, u[chosen], x[chosen], w[chosen]), strict=True
-            ):
+            left, self.left = self.left, None if self.left is None else self.left[chosen]
+            parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
+            for whole_, part in zip(out, parts, strict=True):
                 whole_[chosen] = part
+            if left is not None:
+                left[chosen], self.left = self.left, left
         self._rows = slice(None)
         return out[0], out[1], out[2], out[3]
 
@@ -225,4 +209,5 @@ class Engine(Integrator):
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
         applied = self.applied(u, 0)
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1) * self.substeps
-        return x @ Ad.T + applied @ Bd.T + w @ Dd.T, np.clip(u, -limit, limit), demand, spent
+        after = x @ Ad.T + applied @ Bd.T + w @ Dd.T + self.bow()
+        return after, np.clip(u, -limit, limit), demand, spent

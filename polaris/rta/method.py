@@ -14,9 +14,7 @@ from ..model.system import Array
 from ..synthesis.black_box import BlackBox
 from .decision_grid import DecisionGrid
 
-FILTERED = -1
-"""Mode of a period in which neither S nor U flies but an input that a filter has chosen."""
-
+FILTERED = -1  # mode of a period in which neither S nor U flies but an input that a filter has chosen
 METHODS: dict[str, type[Method]] = {}
 """Every method by its key, in the order of tables; classes put themselves in."""
 
@@ -87,23 +85,13 @@ class Claim:
 
 @dataclass(frozen=True)
 class Option:
-    """What a method can be tuned by: a keyword of its class, ``--tune KEY.NAME=VALUE`` on the command line.
-
-    Attributes
-    ----------
-    name, meaning, default : str
-        For the documentation.
-    values : tuple of float
-        What the benchmark of the comparison page tries.
-    unit : {"", "decisions", "per duration", "of the duration"}
-        Of those values; durations are those of the flight.
-    """
+    """What a method can be tuned by: a keyword of its class, ``--tune KEY.NAME=VALUE`` for commands."""
 
     name: str
-    meaning: str
+    meaning: str  # for the documentation, as is the default
     default: str
-    values: tuple[float, ...]
-    unit: str = ""
+    values: tuple[float, ...]  # what the benchmark of the comparison page tries
+    unit: str = ""  # of those: "", "decisions", "per duration" or "of the duration" of the flight
 
 
 class Method(ABC):
@@ -160,9 +148,8 @@ class Method(ABC):
     def on(cls, grid: DecisionGrid, **options: Any) -> Method:
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
         if cls.predicts and any(isinstance(law, BlackBox) and law.memory for law in grid.controllers):
-            raise NotCertified(
-                "it would ask what a black box with memory answers in flights that are not flown"
-            )
+            told = "it would ask what a black box with memory answers in flights that are not flown"
+            raise NotCertified(told)
         try:
             return cls(grid, **options)
         except NotCertified:

@@ -112,9 +112,8 @@ class MethodResult:
 def measure(grid: DecisionGrid, flight: Flight, conditions: Conditions, name: str) -> Metrics:
     """Metrics of the flights of one method against the true unsafe sets."""
     planned = np.zeros(grid.clearance.planned, dtype=int)  # modes differ from run to run: counted below
-    runs = Runs(
-        grid.schedule, flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v, planned
-    )
+    seen = flight.times, flight.states, flight.inputs, flight.demanded, flight.delta_v
+    runs = Runs(grid.schedule, *seen, planned)
     found = evaluate(runs, conditions.seed, name)
     who = flown(grid, flight)
     return replace(

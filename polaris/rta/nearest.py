@@ -185,11 +185,7 @@ def _enter(
     force: Array,
     factor: Array,
 ) -> int:
-    """Take in a row that is missed by `short`; rows whose force would change its sign leave.
-
-    `factor` is the Cholesky factor of the products of the active rows. Returned is how many are active, -1 if
-    the row cannot be met.
-    """
+    """Take in a row missed by `short`, some may leave; how many are active, -1 if it cannot be met."""
     size, new = len(u), 0.0
     own, share, step = np.zeros(size), np.empty(size), np.empty(size)
     _add(program, entering, 1.0, own)

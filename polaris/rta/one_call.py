@@ -69,7 +69,6 @@ class RunTimeFilter(Protocol):
         u_des : array_like, shape (N, m), or None
             Desired thrust [N]; None if it came too late. What is no such numbers did not come at all.
         """
-        ...
 
 
 class Backup(Protocol):
@@ -77,7 +76,6 @@ class Backup(Protocol):
 
     def __call__(self, t: float, x: Array) -> Array:
         """Thrust [N], shape (N, m), within the limits, for finite states of shape (N, n)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,6 @@ class CallByCall(ABC):
         return nothing if u is None else np.where(np.isfinite(u), np.clip(u, -limit, limit), 0.0)
 
 
-def named(labels: Sequence[str], values: Array, shown: NDArray[np.bool_] | bool = True) -> dict[str, float]:
-    """Values by their names; nan where they are not to be shown."""
-    told = values if shown is True else np.where(shown, values, np.nan)
-    return dict(zip(labels, told.tolist(), strict=True))
+def named(labels: Sequence[str], values: Array) -> dict[str, float]:
+    """Values by their names."""
+    return dict(zip(labels, values.tolist(), strict=True))

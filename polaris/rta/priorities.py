@@ -5,6 +5,7 @@ later rank; rows that can be met together with all of their own rank and of the 
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import daqp
 import numpy as np
@@ -17,7 +18,6 @@ Flags = NDArray[np.bool_]
 
 MET = 1e-9  # shortage, in parts of the limit, up to which a row of length 1 counts as met
 SPARE = 1e-7  # by how much more than need be a row that cannot be met may be missed, in parts of the limit
-
 SURE = 0.01
 """Multiplier from which a row is settled with its program's shortage; the largest one always is.
 
@@ -103,13 +103,9 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
 
 
 def _largest_shortage(G: Array, need: Array, free: Flags, exact: bool) -> _Least | None:
-    """Least s with ``G u >= need`` on the rows that are not free, ``G u >= need - s`` on the free ones.
-
-    The multipliers prove how small s can be at best; where that says that a solver was not near enough, or
-    where it had no answer, the next is asked, and exact arithmetic in the end.
-    """
+    """Least s with ``G u >= need - s`` on free rows, 0 on others; multipliers prove how near solvers are."""
     if not exact:
-        for solver in (_by_active_set, _by_vertices):
+        for solver in (_by_active_set, partial(lowest, exact=False)):
             answer = solver(G, need, free)
             if answer is None or not np.isfinite(answer[0]).all():
                 continue
@@ -133,10 +129,6 @@ def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | 
     return (x, -info["lam"][v + 1 :]) if flag > 0 else None
 
 
-def _by_vertices(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
-    return lowest(G, need, free, exact=False)
-
-
 def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _Least:
     u = np.clip(x[:-1], -1.0, 1.0)
     multiplier = np.maximum(multiplier, 0.0)
@@ -151,10 +143,7 @@ def _proved(G: Array, need: Array, multiplier: Array) -> float:
 
 
 def _nearest(G: Array, asked: Array, desired: Array, found: Array) -> Array:
-    """The nearest to the desired input that gives what is asked; as near as the way from `found` leads there.
-
-    The solver's answer is taken if it gives what is asked, else the last point on the way to it that does.
-    """
+    """The nearest to the desired input that gives what is asked: the solver's, or the last on the way."""
     M, v = G.shape
     lower = np.concatenate([np.full(v, -1.0), asked])
     upper = np.concatenate([np.full(v, 1.0), np.full(M, 1e30)])

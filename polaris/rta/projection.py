@@ -11,9 +11,7 @@ from ..model.system import Array
 from .priorities import least_violation
 
 PRIMAL = 1e-11  # violation [N] of a row of length 1 that the solver may leave
-
-FEW = 8
-"""Up to so many independent programs go to the solver as one."""
+FEW = 8  # up to so many independent programs go to the solver as one
 
 DESIRED, FILTERED, SHORT, FAILED = range(4)
 """How an input came about: as desired; nearest that satisfies all rows; nearest that violates them least,
@@ -118,10 +116,7 @@ def _coupled(
 
 
 def _together(G: Array, bound: Array, desired: Array, limit: float, needed: Array, u: Array) -> Index:
-    """A few independent programs as one: a call of the solver costs more than their sizes.
-
-    Writes the solutions into `u` and returns the programs left to do: all, if one of them has no solution.
-    """
+    """A few programs as one, which saves calls: solutions go into `u`; to do are none, or all."""
     which, row = np.nonzero(needed)
     alone = np.full(len(which), -1, dtype=np.intp)
     found, status = _coupled(G[which, row], bound[which, row], desired[:, 0], limit, which, alone, None)

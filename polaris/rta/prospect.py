@@ -232,10 +232,7 @@ class Prospect:
 def _commands(
     grid: DecisionGrid, leg: Leg, law: AffineController, stages: list[Stage]
 ) -> tuple[Array, Array, Array, Array]:
-    """Commands of a declared law at the nodes: ``matrix e + known``, at most ``room - per_size norm(W e)``.
-
-    Then, on the exact state, they stay within the thrust limits from node to node too.
-    """
+    """Commands ``matrix e + known``, within limits all the time if at most ``room - per_size norm(W e)``."""
     system, count = grid.system, len(stages[0].offset)
     W_size = np.linalg.norm(grid.tracking.W_inverse, axis=1)
     sampled = grid.tracking.feedback.sampled

@@ -75,10 +75,6 @@ class Received:
     steady: bool = True
     whole: bool = False
 
-    def counted(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Constraints all of whose deputies have an estimate; `second` is -1 where there is one only."""
-        return np.asarray(self.estimated[first] & np.append(self.estimated, True)[second])
-
     def fallback(self) -> str | None:
         """What was missing, in words; None if nothing."""
         if self.whole:

@@ -28,11 +28,8 @@ from ..synthesis.demand import taken_over
 from ..synthesis.polytope_sets import PolytopeSets
 from .decision_grid import DecisionGrid
 
-NEVER = 1e200
-"""Reciprocal of a limit that leaves no room; times any error it is still a number."""
-
-NEAR = 1500
-"""Limits per set that are always worked out; those further ahead are first bounded all at once."""
+NEVER = 1e200  # reciprocal of a limit that leaves no room; times any error it is still a number
+NEAR = 1500  # limits per set that are always worked out; those further ahead are first bounded all at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +116,6 @@ class Recovery:
         more = float(np.linalg.norm(np.abs(tracking.W) @ box)) * (tracking.accumulated + 1.0)
         return tracking.disturbance_radius + more
 
-    # -- the path between two nodes -------------------------------------------------------------------
-
     @cached_property
     def open_flow(self) -> LinearFlow:
         """Motion under a known command within the limits, from node to node; errors of thrusters included."""
@@ -154,8 +149,6 @@ class Recovery:
         flow, rows = self.open_flow, self.grid.clearance.obstacle_rows[0]
         size = np.linalg.norm(self.grid.tracking.W_inverse, axis=1)
         return np.asarray(flow.h**2 / 8 * np.abs(rows @ flow.A_x @ flow.A_x) @ flow.growth @ size)
-
-    # -- limits ---------------------------------------------------------------------------------------
 
     @cached_property
     def limits(self) -> Array:

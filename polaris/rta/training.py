@@ -14,9 +14,7 @@ from .flight import Conditions, Engine
 from .method import FILTERED
 from .methods.monitor import REENTRY, Monitor
 
-POOL = 32
-"""Fewest flights whose conditions are drawn at a time."""
-
+POOL = 32  # fewest flights whose conditions are drawn at a time
 FLAGS = ("collided", "ended", "intervened")
 TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
 """What is told of every flight after a period, see `TrainingFlights.advance`."""
@@ -90,6 +88,7 @@ class TrainingFlights:
         self._flown, self._left = np.zeros(self.runs, dtype=int), 0
         self._w = np.zeros((0, self.runs, 0))
         self._errors = np.zeros((grid.decisions + 1, self.runs, n))
+        self._owed = np.zeros((self.runs, grid.system.m))  # what is left of impulses [N s]
 
     def shield(self, reentry: float = REENTRY) -> None:
         """Let the online monitor decide, which assumes nothing of the policy but the thrust limits.
@@ -115,6 +114,7 @@ class TrainingFlights:
                 if not self._w.size:
                     self._w = np.zeros((len(self._drawn.w), self.runs, self._drawn.w.shape[2]))
             self._left -= 1
+            self._owed[run] = 0.0
             self.x[run], self._w[:, run] = self._drawn.x0[self._left], self._drawn.w[:, self._left]
             self._errors[:-1, run] = self._drawn.errors[:, self._left]
             self._told[run] = rng.uniform(-1, 1, self._told.shape[1])
@@ -122,19 +122,15 @@ class TrainingFlights:
 
     def observe(self) -> Array:
         """What policies read of the states as measured, shape (R, r)."""
-        return (
-            self._read(self.k, self.x + self._errors[self.k, np.arange(self.runs)], self._told) * self.scale
-        )
+        seen = self.x + self._errors[self.k, np.arange(self.runs)]
+        return self._read(self.k, seen, self._told) * self.scale
 
     def _read(self, k: NDArray[np.int_], x: Array, told: Array | float) -> Array:
         grid = self.grid
         step = np.minimum(k * grid.nodes // grid.clearance.q, len(self._nu) - 1)
-        known = (
-            (step * grid.tracking.delta)[:, None],
-            self._nu[step],
-            self._bodies[0][k] + told * self._bodies[1][k],
-        )
-        return stacked(tuple(self.inputs), self.senses.parts(self.target[k * grid.nodes], x, *known))
+        t, bodies = (step * grid.tracking.delta)[:, None], self._bodies[0][k] + told * self._bodies[1][k]
+        parts = self.senses.parts(self.target[k * grid.nodes], x, t, self._nu[step], bodies)
+        return stacked(tuple(self.inputs), parts)
 
     def advance(self, u: Array, moving: NDArray[np.bool_] | None = None) -> dict[str, NDArray[Any]]:
         """Fly a decision period with inputs (R, m), clipped to the limits; some flights may stand still.
@@ -169,12 +165,15 @@ class TrainingFlights:
         u = np.where(finite[:, None], u, 0.0)
         distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
         normals, offsets, _ = grid.facets
+        self.engine.left = self._owed[chosen] if grid.system.timing.carried else None
         for node in range(k * grid.nodes, (k + 1) * grid.nodes):
             x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
             spent += thrust * self.engine.dt
             room = x @ (normals @ grid.system.position).T - offsets[node + 1]
             distance = np.minimum(distance, grid.nearest(room))
         self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
+        if self.engine.left is not None:
+            self._owed[chosen] = self.engine.left
         off = (x - self.target[(k + 1) * grid.nodes]) @ grid.system.position.T
         near = 1 / (1 + np.linalg.norm(off, axis=1) / self._length)
         worth = near - self.effort * spent / (grid.period * grid.system.u_max.sum())

@@ -12,23 +12,14 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from ..planning.lp import GrowingLP
 
-BITS = 60
-"""Coefficients are taken as multiples of 2^-60: 1e-18, a thousandth of the rounding of one near 1."""
-
-STEPS = 20
-"""Most steps in floating point, which only look for a vertex to begin with, per variable or row."""
-
+BITS = 60  # coefficients are taken as multiples of 2^-60: 1e-18, a thousandth of the rounding of one near 1
+STEPS = 20  # most steps in floating point, which only look for a vertex to begin with, per variable or row
 SCALE = 1e3
 """How much larger than they are programs are handed to HiGHS, which knows no tolerance below 1e-10."""
 
-EXACT_STEPS = 2000
-"""Most exact steps."""
-
-BLAND = 300
-"""After so many the steps follow Bland's rule, which cannot cycle."""
-
-LEAST = 1e-12
-"""What counts as zero of the multipliers of a vertex found in floating point."""
+EXACT_STEPS = 2000  # most exact steps
+BLAND = 300  # after so many the steps follow Bland's rule, which cannot cycle
+LEAST = 1e-12  # what counts as zero of the multipliers of a vertex found in floating point
 
 
 def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -> tuple[Array, Array] | None:

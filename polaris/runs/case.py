@@ -15,7 +15,8 @@ from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.failing import Failing
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims, attained
-from ..simulation.falsification.search import Failure, Falsification, violation
+from ..simulation.falsification.search import Falsification
+from ..simulation.falsification.violations import Failure, violation
 from ..simulation.integration import Integrator
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
@@ -77,6 +78,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "w": _packed(attack.w[:, 0]),
         "inputs": None if attack.free is None else _packed(attack.free[:, 0]),
         "failing": None if attack.failing is None else attack.failing.table(),
+        "abort": found.abort,
     }
     target = Path(path)
     write_whole(target, json_text(data))
@@ -104,6 +106,8 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
     if digest(schedule) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
         raise ScenarioError("case", str(path), rule)
+    if data.get("abort") is not None:
+        schedule = schedule.aborted(int(data["abort"]))
     try:
         attack = Attack(
             _finite(data["x0"])[None],

@@ -21,6 +21,7 @@ from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..model.transient import Transient
 from ..scenario.fields import python_name
+from ..simulation.metrics import finite
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import error_tube
 from ..synthesis.controllers import AffineController, Controller, TubeSegment
@@ -29,7 +30,7 @@ from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
 from ..synthesis.schedule import Schedule
-from .tables import errors_of, finite, strict, write_text
+from .tables import errors_of, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
@@ -42,6 +43,8 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
     safety = schedule.safety
     start, end, feedback = safety.problem.initial_set, safety.end, safety.tracking.feedback
     K, q = safety.problem.K, feedback.nodes_per_cell
+    # Cells over which the unsafe sets are known: those of the reference, and those that drifts need.
+    covered = max(safety.reference.cells, 0 if (flight := safety.free_flight) is None else K + flight.cells)
     kind = "sampled" if feedback.sampled else "continuous"
     data: dict[str, Any] = {
         "format": FORMAT,
@@ -51,7 +54,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "system": _system(safety),
         "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
         "initial_set": {"center": start.c, "generators": start.G.T},
-        "unsafe_sets": [_unsafe(item, _covered(safety)) for item in safety.clearance.unsafe],
+        "unsafe_sets": _sets(schedule, covered),
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
@@ -65,6 +68,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         },
         "enclosures": _enclosures(schedule),
         **_drift(schedule),
+        **_powered(schedule),
         "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
         **_samples(schedule),
         "guarantee": schedule.guarantee,
@@ -95,11 +99,7 @@ def _system(safety: Safety) -> dict[str, Any]:
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
         **errors_of(safety),
-        **(
-            {}
-            if safety.problem.allocation is None
-            else {"allocation": _allocation(safety.problem.allocation)}
-        ),
+        **_allocation(safety.problem.allocation),
         **_transients(system.transients),
     }
 
@@ -114,14 +114,19 @@ def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
     return {"transients": found} if found else {}
 
 
-def _allocation(made: Allocation) -> dict[str, Any]:
-    return {"directions": made.directions, "limits": made.limits, "corners": made.corners}
+def _allocation(made: Allocation | None) -> dict[str, Any]:
+    if made is None:
+        return {}
+    return {"allocation": {"directions": made.directions, "limits": made.limits, "corners": made.corners}}
 
 
-def _covered(safety: Safety) -> int:
-    """Cells over which the unsafe sets are known: those of the reference, and those that drifts need."""
-    flight = safety.free_flight
-    return max(safety.reference.cells, 0 if flight is None else safety.problem.K + flight.cells)
+def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
+    """Unsafe sets for as long as anything is said of them."""
+    known = schedule.safety.clearance.unsafe
+    for branch in schedule.powered.branches if schedule.powered else ():
+        if branch.safety.reference.cells > cells:
+            known, cells = branch.safety.clearance.unsafe, branch.safety.reference.cells
+    return [_unsafe(item, cells) for item in known]
 
 
 def _drift(schedule: Schedule) -> dict[str, Any]:
@@ -133,6 +138,31 @@ def _drift(schedule: Schedule) -> dict[str, Any]:
     abort = passive.flight.abort
     known = {"horizon": float(abort.horizon), "keep_in": abort.keep_in, "parts": passive.flight.parts}
     return {"drift": {**known, "steps": steps}}
+
+
+def _powered(schedule: Schedule) -> dict[str, Any]:
+    """References that leave the schedule's towards the orbit of an abort, and which serves each step."""
+    powered = schedule.powered
+    if powered is None:
+        return {}
+    branches = [
+        {
+            "step": each.step,
+            "inputs": each.safety.reference.nu[each.step : each.safety.problem.K],
+            "facets": each.safety.clearance.facets,
+            "tail": each.safety.reference.chi[each.safety.problem.K],
+            "tolerance": float(each.goal[2]),
+            "horizon": each.safety.end.horizon,
+            "until": finite(each.safety.end.until),
+        }
+        for each in powered.branches
+    ]
+    steps = [
+        None if way.branch is None else {"branch": way.branch, "cell": way.cell, "delta_v": way.delta_v}
+        for way in powered.ways
+    ]
+    known = {"within": powered.asked.within, "budget": powered.asked.budget}
+    return {"powered": {**known, "branches": branches, "steps": steps}}
 
 
 def _departure(part: Drift) -> dict[str, Any]:

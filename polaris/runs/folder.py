@@ -163,6 +163,5 @@ def readable(path: Path) -> Iterator[None]:
         if isinstance(error, ScenarioError):
             raise
         told = " ".join(str(error).split()) or type(error).__name__
-        raise ScenarioError(
-            "run folder", str(path), f"a file in it is damaged ({told}); run the scenario again"
-        ) from error
+        rule = f"a file in it is damaged ({told}); run the scenario again"
+        raise ScenarioError("run folder", str(path), rule) from error

@@ -24,12 +24,10 @@ PREDICTED = {"t_s": "t", "states": "x", "delta_v_m_s": "delta_v"}  # the same fo
 def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelRun:
     """Fly one deputy into its fuel limit."""
     model, flight = scenario.model, scenario.model.flight
-    shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1]
+    shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1].tolist()
     with (stages or Stages()).stage("flight"):
         filtering = FuelLimit(scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
-        return fly_fuel_limit(
-            filtering, scenario.primary(), model.initial_state, flight.duration_s, shown.tolist()
-        )
+        return fly_fuel_limit(filtering, scenario.primary(), model.initial_state, flight.duration_s, shown)
 
 
 def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:

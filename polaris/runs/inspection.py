@@ -18,15 +18,7 @@ from numpy.typing import NDArray
 
 from ..inspection.constraints.allowable_set import allowable
 from ..inspection.flights.judge import JudgedRun, Least, judge
-from ..inspection.flights.simulation import (
-    BACKUP,
-    UNPROVEN,
-    Flights,
-    InspectionRun,
-    fly_one,
-    smoothness,
-    whole_periods,
-)
+from ..inspection.flights.simulation import BACKUP, UNPROVEN, Flights, InspectionRun, fly_one, smoothness
 from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
 from ..scenario.filter_tables import AssuredFilter, BarrierFilter
 from ..scenario.scenario import FlightScenario
@@ -61,7 +53,7 @@ def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> Judged
             scenario.primary(),
             scenario.errors(),
         )
-        total = whole_periods(flight.duration_s, flight.period_s)
+        total = round(flight.duration_s / flight.period_s)
         counting = stages.counting("flight: {} of {} periods")
         filtering = scenario.filter(scenario.model.filter, flight.period_s)
         run = fly_one(flights, filtering, lambda step: counting(step.k + 1, total))
@@ -87,8 +79,6 @@ def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
         raise ValueError("flight.npz: arrays of the wrong shape")
     return InspectionRun(q, **read_held(arrays, ARRAYS))
 
-
-# -- in numbers -------------------------------------------------------------------------------------
 
 MEANING = {
     "phi1": ("separation from the chief", "m"),

@@ -13,7 +13,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 MANIFEST = ".polaris.json"  # list of what Polaris wrote into a folder
-
 NESTED = ("figures", "run", "run/figures")
 """Folders in a folder of ours that are replaced on their own, and then have a manifest too."""
 
@@ -34,7 +33,6 @@ RESULTS = (
 """What a campaign writes into its folder as it goes."""
 
 FORMAT = "polaris folder"
-
 LONG = 86400.0  # age [s] at which what lies half done belongs to nobody, whatever machine wrote it
 
 

@@ -17,13 +17,8 @@ from .picture import Picture, SlicePicture, TubePicture, directions
 SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set
 
 
-def picture_of_safety(safety: Safety) -> Picture:
-    """What Algorithm 1 found."""
-    return _picture(safety, "Safe reference")
-
-
-def _picture(safety: Safety, title: str, **found: Any) -> Picture:
-    """The reference, what Algorithm 2 found besides, and slices of the recoverable sets."""
+def picture_of_safety(safety: Safety, title: str = "Safe reference", **found: Any) -> Picture:
+    """What Algorithm 1 found, what Algorithm 2 `found` besides, and slices of the recoverable sets."""
     problem = safety.problem
     scene = (problem.system, tuple(problem.unsafe), problem.goal, problem.initial_set)
     picture = Picture(title, *scene, safety.reference, problem.K, **found)
@@ -37,7 +32,7 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         if len(schedule.controllers) > 1:
             flights["experimental"] = fly_nominal(schedule, 1, schedule.controllers[1].name)
     arrival = schedule.arrival if schedule.guarantee == "proved" else None
-    return _picture(
+    return picture_of_safety(
         schedule.safety,
         "Switching schedule",
         controllers=tuple(controller.name for controller in schedule.controllers),
@@ -85,9 +80,8 @@ def recoverable_slices(safety: Safety, picture: Picture) -> SlicePicture:
     flat = picture.frame.flat
     lift = np.asarray(np.linalg.pinv(system.position)[:, flat].T, dtype=float)
     circle: Array = np.array([[1.0], [-1.0]]) if len(flat) == 1 else directions(24)
-    slices = [
-        _slice(safety, int(k), e, circle, lift) for k, e in zip(nodes, states - centre[:, None], strict=True)
-    ]
+    errors = states - centre[:, None]
+    slices = [_slice(safety, int(k), e, circle, lift) for k, e in zip(nodes, errors, strict=True)]
     places = states @ system.position.T
     outlines = np.array(slices) + places[:, :, None, flat]
     places[np.isnan(outlines).any(axis=(2, 3))] = np.nan

@@ -22,7 +22,6 @@ from .tables import write_csv
 
 Row = dict[str, Any]  # what one point says, by column
 
-
 COLUMNS = {
     "folder": "run folder of the point; printed: recoverable.recourse = none, where no price is paid",
     "field": "what of the scenario is changed from point to point, by its key",

@@ -31,16 +31,11 @@ class _Program:
     """A running program that is asked; see `program`."""
 
     def __init__(self, command: Sequence[str], seconds: float) -> None:
-        self.shown, self.seconds, pipe = (
-            " ".join(command)[:100],
-            positive("seconds", seconds, "s"),
-            subprocess.PIPE,
-        )
+        self.shown, self.seconds = " ".join(command)[:100], positive("seconds", seconds, "s")
+        pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
         self.lines, self.heard = Queue[bytes](2), bytearray()
         try:
-            self.process: Any = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
-            )
+            self.process: Any = subprocess.Popen(command, start_new_session=True, **pipes)
         except (OSError, ValueError, IndexError) as error:
             raise ScenarioError("black box", self.shown, f"cannot be started: {error}") from error
         self.listening = threading.Thread(target=self._listen, daemon=True)

@@ -27,7 +27,7 @@ from ..model.checks import of_kind
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
-from ..simulation.metrics import DEFINITIONS
+from ..simulation.metrics import DEFINITIONS, finite
 from ..simulation.sampled import Sampled, with_boxes
 from ..synthesis import get_safety, synthesize
 from ..synthesis.black_box import Ask
@@ -36,6 +36,7 @@ from ..synthesis.neural import NeuralController
 from ..synthesis.same_system import check_safety
 from ..synthesis.schedule import Schedule
 from ..synthesis.share_bound import ShareBound, share_bound
+from ..synthesis.withheld import withheld
 from . import arrays
 from . import tables as files
 from .certificate import described, hexadecimal, write_certificate
@@ -91,9 +92,8 @@ def fly_schedule(
     """Synthesise a schedule, prove it (or sample it, where black boxes fly), and fly it in simulation."""
     with stages.stage("safety controller"):
         problem = scenario.problem()
-        safety = get_safety.get_safety(
-            replace(problem, planner=replace(problem.planner, progress=stages.planner))
-        )
+        planner = replace(problem.planner, progress=stages.planner)
+        safety = get_safety.get_safety(replace(problem, planner=planner))
     with stages.stage("experimental controllers"):
         experimental = () if boxes else scenario.controllers(safety)
     with stages.stage("schedule"):
@@ -164,9 +164,8 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
     np.savez(folder / "tubes.npz", **arrays.tube_arrays(schedule))
     np.savez(folder / "trajectories.npz", **arrays.flight_arrays(flights))
-    write_certificate(
-        folder, schedule, scenario.name, [*DATA_FILES, *(file.name for file in scenario.files())]
-    )
+    names = [*DATA_FILES, *(file.name for file in scenario.files())]
+    write_certificate(folder, schedule, scenario.name, names)
 
 
 def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -218,7 +217,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
             "runs": worst.runs,
             "violated": worst.failure is not None,
             "failure": None if worst.failure is None else str(worst.failure),
-            "least_m": files.finite(float(min(sets, default=np.inf))),
+            "least_m": finite(float(min(sets, default=np.inf))),
             "leave_sets": sampled.adverse,
             "repeats": sampled.repeats,
         }
@@ -227,7 +226,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
     """What is claimed, until when, why, and on what assumptions."""
-    end, goal = schedule.safety.end, schedule.arrival
+    end, goal, late = schedule.safety.end, schedule.arrival, withheld(schedule)
     return {
         "kind": schedule.guarantee,
         "horizon": end.horizon,
@@ -245,6 +244,8 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
         },
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
         **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
+        **({"withheld": late} if late else {}),
+        **({} if schedule.powered is None else {"powered_abort": schedule.powered.told()}),
     }
 
 

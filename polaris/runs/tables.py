@@ -1,4 +1,4 @@
-"""The readable files of a run folder: tables (CSV) and strict JSON."""
+"""The readable files of a run folder, tables (CSV) and strict JSON; what a run claims besides, in words."""
 
 import csv
 import json
@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..model.system import LinearSystem
-from ..model.timing import Timing
+from ..model.timing import Observer, Timing
 from ..planning.reference import Reference
+from ..simulation.metrics import finite
 from ..synthesis.controllers import AffineController
 from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NeuralController
+from ..synthesis.recoverable import directed
 from ..synthesis.schedule import Schedule
-
-
-def finite(value: float) -> float | None:
-    """The number, or None for infinities and NaN."""
-    return float(value) if np.isfinite(value) else None
+from ..synthesis.synthesize import in_words
 
 
 def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:
@@ -52,9 +49,17 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[st
         writer.writerows(map(strict, rows))
 
 
-def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
-    """One row per step of the schedule."""
+def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
+    """Mode, name and kind of every controller."""
     return [
+        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        for mode, controller in enumerate(schedule.controllers)
+    ]
+
+
+def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
+    """Write ``schedule.csv`` and ``schedule.json``."""
+    rows = [
         {
             "step": k,
             "t_start_s": schedule.times[k],
@@ -69,19 +74,6 @@ def step_rows(schedule: Schedule) -> list[dict[str, Any]]:
         }
         for k, step in enumerate(schedule.steps)
     ]
-
-
-def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
-    """Mode, name and kind of every controller."""
-    return [
-        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
-        for mode, controller in enumerate(schedule.controllers)
-    ]
-
-
-def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
-    """Write ``schedule.csv`` and ``schedule.json``."""
-    rows = step_rows(schedule)
     write_csv(folder / "schedule.csv", rows)
     controllers = controller_rows(schedule)
     data = {
@@ -134,6 +126,12 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     return Reference(system, delta, chi, nu)
 
 
+def _observer(observer: Observer) -> dict[str, Any]:
+    """What a run folder says of an observer."""
+    told = asdict(observer)
+    return {key: x for key, x in told.items() if x is not None and key != "fading"}
+
+
 def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
@@ -144,7 +142,7 @@ def errors_of(safety: Safety) -> dict[str, Any]:
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": timing}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({} if system.observer is None else {"observer": asdict(system.observer)}),
+        **({} if system.observer is None else {"observer": _observer(system.observer)}),
     }
 
 
@@ -156,11 +154,9 @@ def gains(schedule: Schedule) -> dict[str, Any]:
     for entry, controller in zip(controllers, schedule.controllers, strict=True):
         if isinstance(controller, AffineController):
             entry |= {"gain": controller.gain, "clips": controller.clips}
-        if (
-            isinstance(controller, (AffineController, NeuralController))
-            and controller.own is not safety.reference
-        ):
-            entry |= {"own_states": controller.own.chi, "own_inputs": controller.own.nu}
+        own = getattr(controller, "own", safety.reference)
+        if own is not safety.reference:
+            entry |= {"own_states": own.chi, "own_inputs": own.nu}
     return {
         "law": "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu",
         "system": {
@@ -191,3 +187,60 @@ def gains(schedule: Schedule) -> dict[str, Any]:
             "gain_input": bounds.gain_input,
         },
     }
+
+
+def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A heading and a sentence for everything that a guarantee claims besides."""
+    found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
+    found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    powered = claim.get("powered_abort")
+    found += [("Powered abort", abort_told(powered))] if powered else []
+    return found + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
+
+
+def _withheld(claim: Mapping[str, Any]) -> str:
+    """Which steps S flies because of a fault, and which bound is short by how much."""
+    fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
+    if not steps:
+        return f"along this reference {fault} keeps no step from U."
+    worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
+    short, when = directed(worst["short"], ".4g", up=True), f"t = {worst['limit_time_s']:.6g} s"
+    return (
+        f"because of {fault} S flies {len(steps)} of the steps ({', '.join(str(x['step']) for x in steps)});"
+        f" in step {worst['step']} {worst['controller']} would leave {worst['limit']} {short} short, in step"
+        f" {worst['limit_step']} ({when})."
+    )
+
+
+def abort_told(claim: Mapping[str, Any]) -> str:
+    """From which steps S reaches the orbit of an abort, and why not from the first of the others."""
+    steps = claim["steps"]
+    found, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
+    told = f"from {len(found)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
+    if found:
+        told += f", for at most {directed(max(each['delta_v_m_s'] for each in found), '.4g', up=True)} m/s"
+    return f"{told}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{told}."
+
+
+def _upkeep(claim: Mapping[str, Any]) -> str:
+    """What holding on after T costs, and how long the tank lasts."""
+    orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
+    rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
+    cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
+    told = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    if tank is None:
+        return f"{told}."
+    if lasts is None:
+        return f"{told}: the tank of {tank:g} m/s lasts for ever."
+    return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+
+
+def drift_told(claim: Mapping[str, Any]) -> str:
+    """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
+    spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
+    most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
+    told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
+    found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
+    if claim["witness"] is None:
+        return f"{found}, all of the flight."
+    return f"{found}. Witness: {in_words(claim['witness'])}."

@@ -93,9 +93,8 @@ def tradeoff(
     """
     stages = stages or Stages()
     if black_boxes and executor is not None:
-        raise ScenarioError(
-            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
-        )
+        rule = "must be left out: black boxes are asked here"
+        raise ScenarioError("executor", type(executor).__name__, rule)
     if isinstance(scenario, ScheduleScenario):
         scenario = scenario.with_assignments(overrides)
     else:
@@ -109,7 +108,8 @@ def tradeoff(
         raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
     if PRICE in fields and scenario.model.recoverable.recourse == "none":
         raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
-    points = {name: scenario.with_assignments([f"{key}={value!r}"]) for name, (key, value) in values.items()}
+    set_to = {name: f"{key}={repr(value).removesuffix('.0')}" for name, (key, value) in values.items()}
+    points = {name: scenario.with_assignments([text]) for name, text in set_to.items()}
     if not swept:
         values["printed"] = PRICE, None
         points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])

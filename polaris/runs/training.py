@@ -31,7 +31,6 @@ Numbers = NDArray[np.float32]
 Info = dict[str, Any]
 
 FAR = 1e6  # beyond it observations, scaled to about 1, are cut off
-
 RESET = "an episode begins with reset: at first, after a shield was put on, and when the last one is over"
 
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from ..model.allocation import Allocation, axis_pairs
+from ..model.checks import MAX_STEPS
 from ..model.errors import ScenarioError
 from ..model.prediction import predicting
 from ..model.system import Array, LinearSystem
@@ -14,9 +15,11 @@ from ..model.thrusters import Thrusters as Errors
 from ..model.timing import Timing as Delays
 from ..model.transient import Transient
 from ..synthesis.passive import Abort as AbortOptions
+from ..synthesis.problem import PoweredAbort
 from . import fields as f
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit
+from .goal_tables import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
 class Thrusters(ScenarioPart):
@@ -127,21 +130,33 @@ def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
 
 
 def transients(
-    faults: Sequence[Fault], made: Allocation | None, gains: Sequence[Array]
+    faults: Sequence[Fault], made: Allocation | None, gains: Sequence[Array], networks: Sequence[Array]
 ) -> tuple[Transient, ...]:
-    """What faults do until they are isolated, where that takes time; the gains are those of the laws."""
-    found = []
+    """What faults do until they are isolated, if that takes time; gains of laws, and of networks."""
+    found, steep = [], np.max(networks, axis=0) if len(networks) else None
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
             thrust = made.directions * made.limits[:, None]
-        known = fault.name, fault.isolation, thrust, 1 - fault.left, np.max(np.abs(gains), axis=0)
+        known = fault.name, fault.isolation, thrust, 1 - fault.left, np.max(np.abs(gains), axis=0), steep
         found += [Transient(*known)] if fault.isolation > 0 else []
     return tuple(found)
 
 
+class GoalOrbit(ScenarioPart):
+    """The goal of the schedule: S flies on along the reference, as it would anyway."""
+
+    kind: Literal["goal"] = unit("-", "The goal of the schedule.")
+
+
+Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *f.BY_KIND]
+
+
 class Abort(ScenarioPart):
-    """Passive safety: what the drift must stay clear of if all thrust stops at any instant until T."""
+    """What must be possible at any instant until T: if all thrust stops, and with it.
+
+    Passive safety: the drift stays clear of the unsafe sets. Powered abort: S reaches an orbit, safely.
+    """
 
     drift_orbits: f.Real | None = unit("-", default=None, gt=0, le=100)
     """For how many orbits the drift is followed, the disturbance included. Hill's frame only."""
@@ -149,14 +164,50 @@ class Abort(ScenarioPart):
     """The same as a time, in any system. Give one of the two."""
     required: f.Flag = unit("-", default=False)
     """Whether only schedules are kept whose drift stays clear from all of their steps; exit code 3 where
-    there is none. Otherwise the run says from which steps it does."""
+    there is none. Otherwise the run says from which steps it does. The schedule that is found must also allow
+    the orbit, if one is named, from all of its steps; exit code 4 where only the budget is exceeded."""
     keep_in: f.Flag = unit("-", "Whether the drift must also stay inside the keep-in sets.", default=True)
+    orbit: Orbit | None = unit("-", default=None)
+    """Where S must be able to fly, with thrust, from every instant: the goal, or an orbit of its own."""
+    within_s: f.Positive | None = unit("s", default=None)
+    """How long that may take, from the step of the abort on. An orbit of its own needs it."""
+    delta_v_max_m_s: f.Positive | None = unit("m/s", "Budget of velocity change for it.", default=None)
 
-    def build(self, system: LinearSystem) -> AbortOptions:
+    def check(self, system: LinearSystem, step: float, late: bool) -> None:
+        """Refuse what takes too long, and what is not covered; `late`: faults are isolated late."""
+        drift, powered, within = self.build(system), self.powered(system), self.within_s
+        if drift is not None and drift.cells(step) > MAX_STEPS:
+            given = self.drift_orbits, self.drift_s
+            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {step:g} s")
+        if within is not None and not 2 * step <= within <= MAX_STEPS * step:
+            rule = f"must be at least two steps of {step:g} s, and at most {MAX_STEPS}"
+            raise ScenarioError("abort.within_s", within, rule)
+        if powered is not None and late:
+            raise ScenarioError("abort.orbit", "orbit", "is not covered with faults that are isolated late")
+        if powered is not None and powered.goal is not None and system.error_by_step is not None:
+            rule = "of its own is not covered with errors of navigation by phase, which are the schedule's"
+            raise ScenarioError("abort.orbit", powered.goal.describe(), rule)
+
+    def powered(self, system: LinearSystem) -> PoweredAbort | None:
+        """What is asked of an abort with thrust."""
+        if self.orbit is None:
+            given = self.within_s or self.delta_v_max_m_s
+            if given is not None:
+                raise ScenarioError("abort", given, "must name an orbit with within_s or delta_v_max_m_s")
+            return None
+        own = None if isinstance(self.orbit, GoalOrbit) else self.orbit
+        if own is not None and self.within_s is None:
+            raise ScenarioError("abort.within_s", None, "must be given with an orbit of its own")
+        goal, tolerance = (None, None) if own is None else (own.build(system), own.tolerance_m)
+        return PoweredAbort(goal, tolerance, self.within_s, self.delta_v_max_m_s, self.required)
+
+    def build(self, system: LinearSystem) -> AbortOptions | None:
         """What is asked of the drift."""
+        if self.drift_orbits is None and self.drift_s is None and self.orbit is not None:
+            return None
         if (self.drift_orbits is None) == (self.drift_s is None):
             given = self.drift_orbits, self.drift_s
-            raise ScenarioError("abort", given, "must give either drift_orbits or drift_s")
+            raise ScenarioError("abort", given, "must give either drift_orbits or drift_s, or an orbit")
         horizon = self.drift_s
         if self.drift_orbits is not None:
             if system.mean_motion is None:

@@ -1,18 +1,17 @@
 """The scenario file's models of navigation: bounds on errors, by phase of the flight, or an observer's."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.prediction import design, filtered
+from ..model.keep_in import INSTANT, KeepInPolytope, during
+from ..model.prediction import design, fading, observing
 from ..model.system import Array, LinearSystem
 from . import fields as f
 from .error_tables import Timing
 from .fields import ScenarioPart, unit
-
-INSTANT = 1e-9
-"""Share of a step by which instants may differ and count as one."""
 
 
 class Estimate(ScenarioPart):
@@ -42,20 +41,25 @@ class Phase(Estimate):
     """Bounds that hold from an instant on, by the schedule's clock, until the next phase begins."""
 
     from_s: f.Positive = unit("s", "When it begins, later than the phase before.")
+    within_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
+    """Half-widths of a box about the target in which these bounds hold, where accuracy depends on the range:
+    the chaser, its size included, is kept in it in all steps of this phase, as in a keep-in set."""
 
 
 class Measurement(ScenarioPart):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
-    It has long been at work when the flight starts, with a steady Kalman gain. In Hill's frame it measures
-    the position, and the velocity if that has a bound. Refused with pulses, with impulses whose rest is
-    carried, and with faults that are isolated late.
+    Its gain is the steady Kalman gain. In Hill's frame it measures the position, and the velocity if that has
+    a bound. Refused with faults that are isolated late.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
     velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured without.", default=None)
     matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
     error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
+    initial: Estimate | None = unit("-", default=None)
+    """Bounds on the errors of its first estimate, on which the first command rests. Without them it has long
+    been at work when the flight starts."""
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """What is measured, shape (r, n), and bounds on its errors, shape (r,)."""
@@ -76,8 +80,10 @@ class Measurement(ScenarioPart):
         noise = np.concatenate([f.per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
         return np.eye(6)[: len(noise)], noise
 
-    def known(self, system: LinearSystem, period: float | None, timing: Timing) -> LinearSystem:
-        """The system whose estimates are an observer's."""
+    def known(
+        self, system: LinearSystem, horizon: tuple[int, float], period: float | None, timing: Timing
+    ) -> LinearSystem:
+        """The system whose estimates are an observer's; see `Navigation.known`."""
         if period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("navigation.measurement", None, rule)
@@ -85,7 +91,14 @@ class Measurement(ScenarioPart):
             rule = "must be 0 with an observer, which measures in every period"
             raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
         observer = design(system, *self.build(system), period)
-        return replace(system, observer=observer, estimate_error=filtered(system, observer, period))
+        first = np.zeros(system.n)
+        if self.initial is not None:
+            first = self.initial.build(system, "navigation.measurement.initial")
+        if np.any(first):
+            observer, (steps, step) = replace(observer, initial=first), horizon
+            left = fading(system, observer, period, steps, max(round(step / period), 1))
+            observer = replace(observer, fading=left)
+        return observing(system, observer, period)
 
 
 class Navigation(Estimate):
@@ -112,17 +125,33 @@ class Navigation(Estimate):
             if np.any(declared) or self.phases:
                 rule = "must be left out where an observer's estimates are declared"
                 raise ScenarioError("navigation.measurement", None, rule)
-            return self.measurement.known(system, period, timing)
+            return self.measurement.known(system, horizon, period, timing)
         if not self.phases:
             return replace(system, estimate_error=declared)
         begin = [0.0, *(phase.from_s for phase in self.phases)]
         if np.any(np.diff(begin) <= 0):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
-        bounds, end, (steps, step) = np.array([declared, *later]), np.array([*begin[1:], np.inf]), horizon
-        oldest, rows = timing.delay_s + timing.missed_periods * (period or 0.0), []
-        for k in range(steps + 1):
-            begun = np.array(begin) < (k + 1) * step - INSTANT * step
-            over = end <= k * step - oldest + INSTANT * step
-            rows.append(bounds[(begun | (k == steps)) & ~over].max(axis=0))
-        return replace(system, error_by_step=np.array(rows))
+        bounds, (steps, step) = np.array([declared, *later]), horizon
+        oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
+        start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
+        met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
+        rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
+        return replace(system, error_by_step=rows)
+
+    def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
+        """Where bounds of phases hold, as sets to stay inside; `horizon` as for `known`."""
+        found, T = [], horizon[0] * horizon[1]
+        until = [*(phase.from_s for phase in self.phases[1:]), np.inf]
+        for i, (phase, end) in enumerate(zip(self.phases, until, strict=False)):
+            if phase.within_m is None:
+                continue
+            path, slack = f"navigation.phases[{i}]", INSTANT * horizon[1]
+            if phase.from_s >= T - slack:
+                rule = f"must be before the end of the schedule ({T:g} s) where within_m is given"
+                raise ScenarioError(f"{path}.from_s", phase.from_s, rule)
+            half = f.per_axis(f"{path}.within_m", phase.within_m, system.d)
+            sides = np.vstack([np.eye(system.d), -np.eye(system.d)]), np.tile(half, 2)
+            times = phase.from_s, np.inf if end > T + slack else end
+            found.append(KeepInPolytope(f"within-{i}", *sides, *times))
+        return found

@@ -138,7 +138,7 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
     """There is something to be safe from, and it is what proximity operations deal with."""
     if not unsafe:
         raise ScenarioError("obstacles", [], "give at least one obstacle or keep-in set")
-    for (path, part), item in zip(model.scene_parts(), unsafe, strict=True):
+    for (path, part), item in zip(model.scene_parts(), unsafe, strict=False):  # those of navigation come last
         moving, velocity = "velocity_m_s", getattr(part, "velocity_m_s", None) or 0.0
         if isinstance(item, SatelliteObstacle):
             moving, velocity = "state", system.velocity @ np.asarray(item.state)
@@ -164,7 +164,7 @@ def check_start_and_goal(
     an obstacle at its arrival or out of a keep-in set.
     """
     place, end = system.position @ theta, model.horizon.duration_s
-    for (path, _), item in zip(model.scene_parts(), unsafe, strict=True):
+    for (path, _), item in zip(model.scene_parts(), unsafe, strict=False):  # those of navigation hold later
         kept = isinstance(item, KeepIn)
         side, into, wrong = ("inside", "out of it", "outside") if kept else ("outside", "into it", "inside")
         named = f"{side} {path} ({item.name})"

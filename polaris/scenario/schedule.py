@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.checks import MAX_STEPS, counted
+from ..model.checks import counted
 from ..model.errors import ScenarioError
 from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
@@ -61,14 +61,15 @@ class ScheduleScenario(Scenario):
         if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
             rule = "isolated late need sampled feedback, and last no less than its period"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
-        if late and (system.timing.fired or system.timing.carried > 0):
-            rule = "isolated late are not covered with pulses, or with impulses whose rest is carried"
-            raise ScenarioError("faults", late[0].name, rule)
         if late and system.observer is not None:
             raise ScenarioError("faults", late[0].name, "isolated late are not covered with an observer")
-        if model.abort is not None and model.abort.build(system).cells(self.step) > MAX_STEPS:
-            given = model.abort.drift_orbits, model.abort.drift_s
-            raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {self.step:g} s")
+        abort, phases = model.abort, () if model.navigation is None else model.navigation.phases
+        drifts = abort is not None and abort.build(system) is not None and abort.keep_in
+        if drifts and any(phase.within_m is not None for phase in phases):
+            rule = "must be false where phases of navigation have within_m, of which a drift needs nothing"
+            raise ScenarioError("abort.keep_in", True, rule)
+        if model.abort is not None:
+            model.abort.check(system, self.step, bool(late))
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -130,7 +131,9 @@ class ScheduleScenario(Scenario):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
-        system, parts = self.system(), (part.build(path) for path, part in self.model.scene_parts())
+        system, parts = self.system(), [part.build(path) for path, part in self.model.scene_parts()]
+        if self.model.navigation is not None:
+            parts += self.model.navigation.kept_within(system, (self.steps, self.step))
         moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
         return tuple(part.blurred(system.timing.clock, moved).grown(radius) for part in parts)
 
@@ -215,7 +218,9 @@ class ScheduleScenario(Scenario):
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
         weight, gains = tracking.weight, gains_of(self.model, system)
         unsteered = np.zeros((system.m, system.n))
-        late = transients(self.model.faults, self.allocation(), (unsteered, *gains))
+        networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
+        steepest = [each.steepest(system, self.obstacles()) for each in networks]
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest)
         system = replace(system, transients=late)
         return Problem(
             system=system,
@@ -241,6 +246,7 @@ class ScheduleScenario(Scenario):
             allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,
             abort=None if self.model.abort is None else self.model.abort.build(system),
+            powered=None if self.model.abort is None else self.model.abort.powered(system),
         )
 
     def switching_rules(self) -> SwitchingRules:

@@ -59,19 +59,29 @@ class Predicting(Integrator):
             noise = np.minimum(noise, left[used])
         return np.asarray(noise)
 
+    def noted(self, w: Array, eta: Array | None) -> Array | None:
+        """As they are given: what comes of noise is worked out on the way."""
+        return eta
+
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
         if self.measured < 0:
             self.filtered, self.measured = self.seen[start], start
+            if observer.initial is not None and self.eta is not None:
+                off = np.sign(self.eta[start]) * observer.initial
+                period = np.linalg.matrix_power(Ad, self.substeps)
+                past = -(-self.lag // self.substeps)  # updates before the first that is flown
+                self.filtered = self.filtered + off @ np.linalg.matrix_power(observer.rest @ period, past).T
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
             self.measured += self.substeps
             off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
             if self.eta is not None:
-                off = off + observer.noise * np.sign(self.eta[self.measured] @ observer.measures.T)
+                used = min(self.measured + self.lag, self.steps - 1)
+                off = off + observer.noise * np.sign(self.eta[used] @ observer.measures.T)
             self.filtered = self.filtered + off @ observer.gain.T
         return self.filtered
 

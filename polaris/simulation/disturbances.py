@@ -89,8 +89,8 @@ def adjoint_worst_case(
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
-    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``; so does what
-    networks are told of bodies. A network
+    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``, or those of an
+    observer's noise (`worst_errors`); so does what networks are told of bodies. A network
     answers with its gradient at the states that it was flown through, `about` (R or 1, nodes + 1, n), by
     default those of the undisturbed flight from the middle of the initial set.
 
@@ -105,7 +105,7 @@ def adjoint_worst_case(
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
     w = np.zeros((steps, len(rows), told.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
-    bits = 2 ** np.arange(system.m)
+    bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
         adjoint[starting] = rows[starting]
@@ -123,17 +123,36 @@ def adjoint_worst_case(
             w[step, :, told.start : told.start + heard.shape[1]] = np.sign(heard)
             carried = carried + answer
             direction[:, own.stop :] += answer
+        if eta.start < eta.stop:
+            w[step, :, eta], filtering = worst_errors(flight, step, direction, filtering)
         along = direction[:, own]
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
-        if eta.start < eta.stop:
-            w[step, :, eta] = np.sign(direction[:, eta]) * flight.known[step]
         if errors.start < errors.stop:
             w[step, :, errors] = np.sign(kick)
         if free is not None:
             free[step] = np.sign(kick) * system.u_max
         adjoint = carried
     return w, free, adjoint
+
+
+def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) -> tuple[Array, Array]:
+    """Worst errors of estimates in a step along `direction` (R, p + n), in which disturbances and they count.
+
+    Of an observer its noise, as `followed` reads it: `later` (R, n) is how much its error counts at the end
+    of the step, returned with how much it does before, and counted in `direction`.
+    """
+    observer, known, (Ad, _, Dd), p = flight.system.observer, flight.known[step], flight.held, flight.system.p
+    noted = direction[:, p:]
+    if observer is None:
+        return np.sign(noted) * known, later
+    direction[:, :p] -= later @ Dd
+    before = later @ Ad + noted
+    if step % flight.substeps:
+        return 0 * before, before
+    way = np.sign(before @ observer.gain) @ np.linalg.pinv(observer.measures).T if step else before
+    size = np.maximum(np.abs(way).max(axis=1, keepdims=True), 1e-300)
+    return way / size * known.min(), before @ observer.rest
 
 
 def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array) -> tuple[Array, Array]:

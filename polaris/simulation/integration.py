@@ -13,7 +13,8 @@ from ..synthesis.black_box import BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
-from .failing import Failing
+from .firing import Firing
+from .observing import followed
 from .run_metrics import Runs
 
 
@@ -39,33 +40,25 @@ def columns(system: LinearSystem, told: int = 0) -> tuple[slice, slice, slice, s
     return slice(first), slice(first, second), slice(second, third), slice(third, third + told)
 
 
-class Integrator:
+class Integrator(Firing):
     """Time grid, references and transitions of one simulation.
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
-    Errors of the estimates that controllers act on are `eta` (steps, R, n), those of the thrusters, as shares
-    of the largest that what is commanded allows, `thrust` (steps, R, m). What networks are told of bodies is
-    off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of
-    satellites at the nodes, by name (R, N+1, n), it is the truth. Where a period has several steps, pulses of
-    the thrust `fired` (m,) are flown, each step with its mean; else as what is held in their place.
-    Whole flights make impulses in multiples of a bit where the rest is carried: `left` (R, m) [N s].
-    What fails, and is isolated late, is `failing`.
+    Errors of the estimates that controllers act on are `eta` (steps, R, n). What networks are told of bodies
+    is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of
+    satellites at the nodes, by name (R, N+1, n), it is the truth. Pulses are flown exactly from node to node;
+    where a period has several steps, each step with its mean.
     """
-
-    resolves = False  # instants within a step at which thrusters switch
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
         safety = schedule.safety
         self.free: Array | None = None
         self.eta: Array | None = None
-        self.thrust: Array | None = None
-        self.failing: Failing | None = None
-        self.left: Array | None = None
         self.shares: Array | None = None
         self.bodies: dict[str, Array] = {}
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
-        self.fired = np.array(self.system.timing.fired if self.resolves or substeps > 1 else ())
+        self.fired = np.array(self.system.timing.fired)
         self.thrusters = (self.system.prompt if len(self.fired) else self.system).thrusters
         self.q, self.sampled = self.tracking.feedback.nodes_per_cell, self.tracking.feedback.sampled
         self.dt = self.tracking.flow.h / substeps
@@ -136,6 +129,11 @@ class Integrator:
         middle, half = (part[k, law.node(passed)] for part in law.told)
         return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
+    def noted(self, w: Array, eta: Array | None) -> Array | None:
+        """Errors of estimates under disturbances w: as they are given, or an observer's by its noise."""
+        observer, times = self.system.observer, (self.substeps, round(self.system.timing.delay / self.dt))
+        return eta if eta is None or observer is None else followed(observer, self.held, times, w, eta)
+
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
         known = x if self.eta is None else x + self.eta[step]
@@ -146,26 +144,6 @@ class Integrator:
             return np.asarray(known)
         lost = self.failing.on(step) & self.failing.lost
         return np.where(lost[:, None], x + self.failing.gap, known)
-
-    def applied(self, raw: Array, step: int) -> Array:
-        """What the thrusters make of commands in a step."""
-        told = u = np.clip(raw, -self.system.u_max, self.system.u_max)
-        if self.left is not None:
-            h, bit = self.dt * self.substeps, self.system.timing.carried
-            due = told * h + self.left
-            whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
-            u = np.sign(due) * np.minimum(whole / h, self.system.u_max)
-            self.left = due - u * h
-        self.asked = u
-        u = u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
-        return u if self.failing is None else u + self.failing.added(told, step)
-
-    def pulsed(self, start: Array | float, end: Array | float) -> Array:
-        """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
-        on = np.abs(self.asked) / self.fired / 2
-        within = np.maximum(np.minimum(0.5 + on, end) - np.maximum(0.5 - on, start), 0)
-        mean = np.sign(self.asked) * self.fired * within / np.maximum(end - start, 1e-300)
-        return np.asarray(mean - self.asked)
 
     def rate(self, number: int, k: int, half: int, later: int, x: Array, force: Array) -> Array:
         """``x'`` under one controller, `later` half-steps after the half-step `half` of cell k."""
@@ -178,8 +156,9 @@ class Integrator:
         if self.sampled:
             Ad, Bd, Dd = self.held
             sub = step % self.substeps
-            u = u + self.pulsed(sub / self.substeps, (sub + 1) / self.substeps) if len(self.fired) else u
-            return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T)
+            if len(self.fired) and self.substeps > 1:
+                u = u + self.pulsed(sub / self.substeps, (sub + 1) / self.substeps)
+            return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.bow())
         force = w @ self.system.D.T
         rate = partial(self.rate, number, k, 2 * step, force=force)
         return runge_kutta(rate, x, self.dt, x @ self.system.A.T + u @ self.system.B.T + force)
@@ -222,7 +201,8 @@ class Integrator:
         q, nodes = self.q, len(self.modes) * self.q
         w, *errors = (w[..., part] for part in self.columns)
         self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
-        self.left = np.zeros((len(x0), self.system.m)) if self.system.timing.carried else None
+        self.eta = self.noted(w, self.eta)
+        self.begin(len(x0))
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))
         demanded, delta_v = np.zeros((nodes, len(x0))), np.zeros(len(x0))
@@ -264,7 +244,7 @@ class Integrator:
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
         held = self.sampled and self.substeps > 1
         inexact = any(part is not None for part in (self.thrust, self.left, self.failing))
-        if not isinstance(law, AffineController) or held or inexact:
+        if not isinstance(law, AffineController) or held or inexact or len(self.fired):
             return None
         own = self.own.get(number, self.safe)[k]  # of the law's reference, at whole and half steps
         eta = np.zeros(1) if self.eta is None else self.eta[k * count : (k + 1) * count]

@@ -48,8 +48,8 @@ def simulate(
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
-        Integration steps per node: by default 4 for continuous feedback and for pulses, 1 for inputs that
-        are held over a sampling period (which is exact).
+        Integration steps per node: by default 4 for continuous feedback, 1 for sampled feedback (which is
+        exact, for pulses too).
 
     Returns
     -------
@@ -69,8 +69,7 @@ def simulate(
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     if substeps is None:
-        tracking = schedule.safety.tracking
-        substeps = 1 if tracking.feedback.sampled and not tracking.system.timing.fired else 4
+        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
     whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
     observed = schedule.safety.problem.system.observer is not None

@@ -103,23 +103,17 @@ def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
     """
     problem, tracking, reference = safety.problem, safety.tracking, safety.reference
     goal, K, h = problem.goal.conditions, problem.K, tracking.flow.h
-    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
-    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
-    weight = _weights(problem, rows)
-    rows, sides = rows * weight[:, None], sides * weight
+    rows, sides = goal_rows(problem)
     cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
     states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
     need, centre = _needs(safety, held, rows, len(states))
     beyond = states @ rows.T - sides
     size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
-    most = _distance(goal, beyond + need + size)
-    tolerance = problem.goal_tolerance
-    if tolerance is None:
-        hold = _to_hold(tracking, rows) * (1 + GOAL_SHARE) / (1 + _spare(tracking))
-        tolerance = max(GOAL_SHARE * goal.scale, hold)
+    most = distance(goal, beyond + need + size)
+    tolerance = tolerated(safety, rows)
     within = np.flatnonzero(most <= tolerance) if safety.guarantee == "proved" else np.zeros(0, dtype=int)
     best = int(within[0]) if len(within) else int(np.argmin(most))
-    near = bool(np.min(_distance(goal, beyond + centre)) <= tolerance)
+    near = bool(np.min(distance(goal, beyond + centre)) <= tolerance)
     return Arrival(
         reached=True if len(within) else "not_proven" if near else False,
         by=K * problem.delta + best * h if len(within) else None,
@@ -128,6 +122,24 @@ def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
         drift=_drift(safety, held, states[best], best),
         delta_v=(spent * (1 + _spare(tracking)) + _correcting(safety, held, best)) * (1 + ROUNDING),
     )
+
+
+def goal_rows(problem: Problem) -> tuple[Array, Array]:
+    """Rows of the goal and their sides, those of velocities weighed as the lengths they count for."""
+    goal = problem.goal.conditions
+    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
+    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
+    weight = _weights(problem, rows)
+    return rows * weight[:, None], sides * weight
+
+
+def tolerated(safety: Safety, rows: Array) -> float:
+    """What counts as reached [m], for the rows of the goal: as given, or see `Arrival`."""
+    problem, tracking = safety.problem, safety.tracking
+    if problem.goal_tolerance is not None:
+        return problem.goal_tolerance
+    hold = _to_hold(tracking, rows) * (1 + GOAL_SHARE) / (1 + _spare(tracking))
+    return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
 
 def _weights(problem: Problem, rows: Array) -> Array:
@@ -218,7 +230,7 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     return Upkeep(settled, until, rate, orbit, tank, lasts)
 
 
-def _distance(goal: GoalConditions, over: Array) -> Array:
+def distance(goal: GoalConditions, over: Array) -> Array:
     """Largest excess over the goal's conditions [m], given that of every row, shape (nodes,)."""
     fixed = 2 * len(goal.E) + len(goal.G)
     worst = np.max(over[:, :fixed], axis=1, initial=0.0)

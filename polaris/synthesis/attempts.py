@@ -209,23 +209,6 @@ def errors_alone(tracking: Tracking, axis: int, other: LinearSystem) -> float:
     return float(beyond[0] + noise[axis])
 
 
-def naming_faults(error: SynthesisInfeasible, tracking: Tracking) -> SynthesisInfeasible:
-    """An error that says, where faults are isolated late, which of them takes most, and how much."""
-    system, found = tracking.system, []
-    rows = np.vstack([system.position, tracking.gain / system.u_max[:, None]])
-    for fault in system.transients:
-        one = replace(tracking, system=replace(system, transients=(fault,)))
-        most = one.left(rows, one.upsets)[-1].max(axis=1)
-        found.append((most[system.d :].max(), most[: system.d].max(), fault))
-    if not found:
-        return error
-    thrust, clearance, fault = max(found, key=lambda each: each[0])
-    told = f" While {fault.name} lasts, {fault.lasts:g} s, it may take {clearance:.4g} m of every clearance"
-    told += f" and {thrust:.4g} of the thrust."
-    relax = f"{error.relax} Or isolate it sooner."
-    return SynthesisInfeasible(error.condition + told, error.shortfall, relax)
-
-
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
     """Plan; if that fails in a scene about as small as what the planner books for its solver, say so."""
     try:

@@ -36,7 +36,7 @@ class BallSets:
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array, Array, list[str]]:
-        """Room of every limit in every period, gamma (l,), disturbance with round-off, and names.
+        """Room of every limit in every period, gamma (l,), disturbance, faults and round-off, and names.
 
         Room and disturbance have shape (cells * q, l).
         """
@@ -45,12 +45,12 @@ class BallSets:
         gamma, gain = np.full(len(c.unsafe), b.gamma_position), np.full(len(c.unsafe), b.gain_position)
         names = [u.name for u in c.unsafe]
         rows, index = c.obstacle_rows
-        round_off = c.round_off(rows)[index]
+        round_off = (c.round_off(rows) + c.tracking.upset(rows))[index]
         if self.kind != "paper_ball":
             room = np.hstack([room, np.repeat(np.minimum(*c.thrust), c.q, axis=0)])
             gamma, gain = np.append(gamma, b.gamma_input), np.append(gain, b.gain_input)
             names += c.tracking.system.input_names
-            inputs = c.round_off(c.tracking.gain)
+            inputs = c.round_off(c.tracking.gain) + c.tracking.upset(c.tracking.gain)
             round_off = np.hstack([round_off, np.broadcast_to(inputs, (c.cells, len(inputs)))])
         return room, gamma, gain * w + np.repeat(round_off, c.q, axis=0), names
 

@@ -112,7 +112,8 @@ def judge_end(
     exact = np.allclose(closed, reference.chi[planned], rtol=0, atol=1e-12 * max(1.0, np.max(np.abs(closed))))
     if not exact or not _stays(reference.system, closed):
         return EndCondition("one_period", until, "the reference does not end on a natural motion trajectory")
-    moving = [unsafe.name for unsafe in sets if not unsafe.static]
+    late = ((one, one.offsets[planned:] != one.offsets[-1, -1]) for one in sets)
+    moving = [one.name for one, changes in late if not one.static or changes.any()]
     if moving:
         reason = f"unsafe sets that move ({', '.join(moving)}) are covered until {until:g} s only"
         return EndCondition("one_period", until, reason)

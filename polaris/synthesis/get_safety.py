@@ -1,7 +1,7 @@
 """Algorithm 1, GetSafety: the safety controller and its recoverable sets."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.errors import ScenarioError, SynthesisInfeasible
+from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from ..model.transient import Transient
 from ..planning.problem import Plan
 from ..planning.reference import Reference
-from .attempts import Attempts, Clock, naming_faults
+from .attempts import Attempts, Clock
 from .ball_sets import BallSets
 from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
@@ -21,7 +22,7 @@ from .error_bounds import ErrorBounds, get_err_bounds
 from .passive import FreeFlight
 from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
-from .recoverable import Margin, RecoverableSet
+from .recoverable import Margin, RecoverableSet, directed
 from .tracking import Tracking, choose_feedback, lqr_gain
 
 SHARES = (0.5, 1.0)
@@ -88,6 +89,12 @@ class Safety:
         """``proved``, or ``none`` for an option labelled unsound."""
         return self.recoverable.guarantee
 
+    def under(self, faults: tuple[Transient, ...]) -> RecoverableSet:
+        """The recoverable sets along the same reference if these faults alone were isolated late."""
+        system = replace(self.problem.system, transients=faults)
+        clearance = replace(self.clearance, tracking=replace(self.tracking, system=system))
+        return get_recover(self.recoverable.kind, clearance, self.bounds)
+
 
 def get_safety(
     problem: Any,
@@ -129,16 +136,46 @@ def get_safety(
         If none was found in the time given, or what was found failed its re-check.
     """
     given = {"initial_set": initial_set, "unsafe": unsafe, "K": K, "delta": delta, "Q": Q, "R": R}
-    problem, clock = as_problem(problem, given, options), Clock()
-    gain = lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2: solveARE, Lambda
+    problem = as_problem(problem, given, options)
+    try:
+        return find_safety(problem, along)
+    except SynthesisInfeasible as error:
+        if along is not None or not problem.system.transients:
+            raise
+        raise _naming_faults(error, problem) from error
+
+
+def find_safety(problem: Problem, along: Plan | None = None) -> Safety:
+    """`get_safety`, which of the faults that are isolated late cannot be survived left open."""
+    clock, gain = Clock(), lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2: solveARE, Lambda
     feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
     tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share or SHARES[0])
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
-    attempts = Attempts(problem, tracking, clock, along)
-    try:
-        return _proven(problem, tracking, bounds, attempts)
-    except SynthesisInfeasible as error:
-        raise naming_faults(error, tracking) from error
+    return _proven(problem, tracking, bounds, Attempts(problem, tracking, clock, along))
+
+
+def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInfeasible:
+    """The error, told which faults cannot be survived, and what is short where with each of them alone."""
+
+    def under(*faults: Transient) -> Safety | None:
+        try:
+            return find_safety(replace(problem, system=replace(problem.system, transients=faults)))
+        except (SynthesisInfeasible, NotCertified):
+            return None
+
+    faults, free = problem.system.transients, under()
+    if free is None:
+        told = f"{error.condition} No safe reference is found without faults isolated late, either."
+        return SynthesisInfeasible(told, error.shortfall, error.relax)
+    told = f"{error.condition} Without faults that are isolated late there is a safe reference."
+    for fault in faults:
+        margin = free.under((fault,)).margin_at(0, free.start)
+        short, step = directed(margin.need - margin.room, ".4g", up=True), margin.time / problem.delta
+        place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
+        told += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
+        alone = under(fault) if len(faults) > 1 else None
+        told += f" {'none is' if alone is None else 'one is'} found with this fault alone."
+    return SynthesisInfeasible(told, error.shortfall, f"{error.relax} Or isolate faults sooner.")
 
 
 def _proven(problem: Problem, tracking: Tracking, bounds: ErrorBounds, attempts: Attempts) -> Safety:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach.networks.network import Network
+from reach.networks.network import Affine, Network
 
 from ..model.errors import ScenarioError
 from ..model.obstacle import RigidObstacle
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
+from ..model.tolerances import ROUNDING
 
 OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
 """What may be read of an obstacle, absolute or less the chaser's own; its name follows after a colon."""
@@ -118,6 +119,19 @@ class Policy:
         ):
             if np.shape(given) != (size,):
                 raise ScenarioError(f"{field}.{name}", np.size(given), f"must have {size} numbers")
+
+    def steepest(self, system: LinearSystem, unsafe: Iterable[object]) -> Array:
+        """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""
+        senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
+        others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
+        read = senses.parts(np.zeros(n), np.eye(n), *others)
+        M, bent = self.stack(read).T, False
+        for layer in self.network.layers:
+            if isinstance(layer, Affine):
+                M = (np.abs(layer.W) if bent else layer.W) @ M
+            else:
+                M, bent = np.abs(M), True
+        return np.asarray(self.output_scale[:, None] * np.abs(M) * (1 + ROUNDING))
 
     def stack(self, parts: dict[str, Array]) -> Array:
         """Scaled inputs, shape (..., r), from arrays by name, of broadcastable leading shapes."""

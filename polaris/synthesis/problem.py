@@ -22,6 +22,17 @@ RECOURSE = ("in_view", "none")
 
 
 @dataclass(frozen=True, eq=False)
+class PoweredAbort:
+    """What S must be able to do from whatever instant of the schedule: reach an orbit, safely."""
+
+    goal: Goal | None = None  # the orbit; None for the schedule's own goal
+    tolerance: float | None = None  # what counts as reached [m], as `Problem.goal_tolerance`
+    within: float | None = None  # time that it may take [s]; needed with an orbit of its own
+    budget: float | None = None  # velocity change that S may spend on it [m/s]
+    required: bool = False  # whether a schedule with a step from which it is not proven is refused
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """Input of Algorithm 1.
 
@@ -71,6 +82,8 @@ class Problem:
         Gains of the experimental controllers, so that the time grid is fine enough for them.
     abort : Abort or None
         What is asked of the drift should all thrust stop; None for nothing.
+    powered : PoweredAbort or None
+        What is asked of an abort with thrust; None for nothing.
     tank : float or None
         Velocity change [m/s] that there is propellant for, if that is known.
     allocation : Allocation or None
@@ -98,6 +111,7 @@ class Problem:
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     gains: tuple[Array, ...] = ()
     abort: Abort | None = None
+    powered: PoweredAbort | None = None
     tank: float | None = None
     allocation: Allocation | None = None
 
@@ -127,8 +141,8 @@ class Problem:
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
         one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
-        if not self.system.ideal and self.recoverable != "polytope":
-            rule = "must be 'polytope' with [navigation], [thrusters], [timing] or faults isolated late"
+        if not replace(self.system, transients=()).ideal and self.recoverable != "polytope":
+            rule = "must be 'polytope' with [navigation], [thrusters] or [timing]"
             raise ScenarioError("recoverable.kind", self.recoverable, rule)
         share = self.thrust_share
         if share is not None and not 0 < number("tracking.thrust_share", share) <= 1:

@@ -69,8 +69,10 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     _same_parts(f"{name}.system", getattr(controller, "system", problem.system), problem.system)
     for fault in problem.system.transients:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
+        if isinstance(controller, NeuralController) and fault.networks is not None:
+            within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
         if not within and not isinstance(controller, AnyThrust):
-            rule = f"{fault.name} isolated late needs any thrust, or an affine law whose gain the problem has"
+            rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
     own, K = getattr(controller, "own", reference), problem.K
     _same_parts(f"{name}.own.system", own.system, problem.system)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,16 +13,18 @@ from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
 from ..certificate.assumptions import Premises
+from ..model.errors import ScenarioError
 from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .arrival import Arrival, Held, Upkeep, arrival, upkeep
 from .black_box import FittedSegment
-from .controllers import AffineController, Controller, TubeSegment
+from .controllers import AffineController, Controller, TubeSegment, construct_s
 from .get_safety import Safety
 from .neural import NeuralController
 from .passive import Drift, PassiveSafety
+from .powered import PoweredSafety, powered
 from .recoverable import Margin, RecoverableSet
 
 
@@ -147,6 +149,7 @@ class Schedule:
             estimate=prompt.navigation.tolist(),
             by_step=problem.system.error_by_step is not None,
             observer=() if observer is None else observer.noise.tolist(),
+            initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
             timing=astuple(problem.system.timing)[:4],
             thrusters=astuple(prompt.thrusters),
             pulses=problem.system.timing.fired,
@@ -205,6 +208,32 @@ class Schedule:
         if flight is None:
             return None
         return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
+
+    @cached_property
+    def powered(self) -> PoweredSafety | None:
+        """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
+        return powered(self.safety, [(step.mode, step.tube) for step in self.steps])
+
+    def aborted(self, k: int) -> Schedule:
+        """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
+
+        Raises
+        ------
+        ScenarioError
+            If nothing is proven of an abort in that step.
+        """
+        way = None if self.powered is None else self.powered.ways[k]
+        if self.powered is None or way is None or way.branch is None:
+            raise ScenarioError("abort", k, "must be a step in which an abort with thrust is proven")
+        safety = self.powered.branches[way.branch].safety
+        s = construct_s(safety.tracking, safety.reference)
+        steps = [replace(step, recoverable=safety.recoverable) for step in self.steps[:k]]
+        reached = steps[-1].tube.end if steps else safety.start
+        for later in range(k, safety.problem.K):
+            steps.append(Step(0, s.fly(reached, later), later, safety.recoverable))
+            reached = steps[-1].tube.end
+        controllers = (s, *self.controllers[1:])
+        return Schedule(replace(safety, controller=s), controllers, tuple(steps), reached)
 
     @property
     def spent(self) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
-from .get_safety import SHARES, Safety, get_safety
+from .get_safety import SHARES, Safety, find_safety, get_safety
 from .in_view import views
 from .look_ahead import SAFETY
 from .neural import NeuralController
@@ -57,7 +57,8 @@ def synthesize(
     Raises
     ------
     ScenarioError, SynthesisInfeasible, NotCertified
-        See `get_safety`. `NotCertified` also where no schedule is found that keeps the budget.
+        See `get_safety`. `NotCertified` also where no schedule is found that keeps the budget, and both where
+        an abort with thrust is required, but not proven from the one that is found.
     """
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
@@ -67,7 +68,10 @@ def synthesize(
     in_view = recourse and safety.problem.recourse != "none"
     found = most_worthy(search, in_view)
     free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
-    return best_share(search, found, in_view) if free else found
+    found = best_share(search, found, in_view) if free else found
+    if found.powered is not None:
+        found.powered.require()
+    return found
 
 
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
@@ -77,7 +81,7 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     laws = [law for law in search.controllers[1:] if isinstance(law, known)]
     for share in SHARES[1:] if len(laws) == len(search.controllers) - 1 else ():
         with suppress(SynthesisInfeasible, NotCertified):
-            safety = get_safety(replace(problem, thrust_share=share))
+            safety = find_safety(replace(problem, thrust_share=share))
             turns = [law.along(safety.reference, safety.tracking) for law in laws]
             along = replace(search, safety=safety, controllers=(safety.controller, *turns))
             found.append(most_worthy(along, recourse))
@@ -120,7 +124,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
     def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
         try:
-            safety = get_safety(problem, along=plan)
+            safety = find_safety(problem, plan)
         except SynthesisInfeasible:
             return None
         turns = [law.along(safety.reference, safety.tracking) for law in laws]

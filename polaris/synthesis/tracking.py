@@ -229,6 +229,11 @@ class Tracking:
         beyond = np.linalg.norm(rows @ self.W_inverse, axis=-1)[:, None] * self.decay[-1] * size
         return np.asarray(np.maximum(reach, beyond) + self.curvature(rows)[:, None] * size)
 
+    def upset(self, rows: Array) -> Array:
+        """What faults that are isolated late need along rows at any time, shape (r,)."""
+        most = self.left(rows, self.upsets)[-1].max(axis=1) if self.system.transients else np.zeros(len(rows))
+        return np.asarray(most * (1 + ROUNDING))
+
     @cached_property
     def period_gain(self) -> float:
         """Bound on ``norm(W e)`` reached within one period from rest by the disturbance."""
@@ -297,10 +302,8 @@ class Tracking:
             np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
         )
         found = np.vstack([until, until[-1] + tail])
-        if (
-            failing and self.system.transients
-        ):  # once in a flight: the largest of all instants (Proposition 42)
-            most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)
+        if failing and self.system.transients:
+            most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)  # once in a flight
             found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
         if profile is None:
             return found

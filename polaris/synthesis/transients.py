@@ -19,16 +19,26 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Arra
     """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
 
     Every law answers with no more than its gain times the deviation, whatever clips it (Gronwall's
-    inequality). What a delay hides from it counts as if the fault lasted longer. Periods are of h [s].
+    inequality), a network also with no more than twice the limits. What a delay hides from it counts as if
+    the fault lasted longer. Periods are of h [s].
     """
+    most, pushes = np.maximum(fault.gains, np.abs(gain)), fault.pushes
+    if fault.networks is None:
+        return _spread(system, fault, h, most, pushes)
+    both = (most, pushes + 2 * system.u_max), (np.maximum(most, fault.networks), pushes)
+    return np.asarray(np.min([_spread(system, fault, h, *each) for each in both], axis=0))
+
+
+def _spread(system: LinearSystem, fault: Transient, h: float, gains: Array, wrong: Array) -> Array:
+    """The same under laws with gains up to these, inputs being off by a row of `wrong` (J, m) besides."""
     timing, thrusters, n = system.timing, system.thrusters, system.n
     late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed)
     answer = np.eye(system.m) * (1 + thrusters.along) + thrusters.across
     block = np.zeros((2 * n, 2 * n))
-    block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ np.maximum(fault.gains, np.abs(gain))
+    block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ gains
     block[:n, n:] = np.eye(n)
     spread = expm(block * (fault.lasts + late))[:n, n:] @ np.abs(system.B)
-    return np.asarray((fault.pushes + thrusters.part(fault.pushes)) @ spread.T * (1 + ROUNDING))
+    return np.asarray((wrong + thrusters.part(wrong)) @ spread.T * (1 + ROUNDING))
 
 
 def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, Array], Array]) -> Array:

@@ -156,9 +156,8 @@ def evaluate_trace(
     found = _Measurement(trace, d, velocity, drift, agent_radius, notes)
     agents = {name: found.agent(name) for name in trace.agents}
     if drift is not None:
-        notes.append(
-            f"free drift looks {drift.horizon:.6g} s ahead, from at most {MOST_SAMPLES} samples of each agent"
-        )
+        most = f"from at most {MOST_SAMPLES} samples of each agent"
+        notes.append(f"free drift looks {drift.horizon:.6g} s ahead, {most}")
     return TraceMetrics(d, agents, tuple(notes))
 
 

@@ -16,7 +16,6 @@ NEVER = 1e20  # what stands for no collision between agents there
 Each = tuple[dict[str, float], dict[str, float], dict[str, float]]
 """Least, largest and mean values by name of what is measured to."""
 
-
 Legacy = dict[str, dict[str, Any]]
 
 
@@ -84,9 +83,7 @@ class _Agent:
         N = len(self.agent.times)
         if 1 < len(times) < N:
             raise _Stop("fewer rows than the agent's")
-        return [
-            np.broadcast_to(item, (N, *item.shape[1:])) if len(item) == 1 else item[:N] for item in values
-        ]
+        return [np.broadcast_to(one, (N, *one.shape[1:])) if len(one) == 1 else one[:N] for one in values]
 
     def usage(self) -> tuple[float, float, int]:
         """Shares of samples under UNTRUSTED and otherwise, and switches (defect 6).
@@ -101,8 +98,6 @@ class _Agent:
             last = UNTRUSTED if mode == UNTRUSTED else SAFETY
         untrusted = modes.count(UNTRUSTED)
         return untrusted / len(modes), (len(modes) - untrusted) / len(modes), switches
-
-    # -- distances --------------------------------------------------------------------------------
 
     def dists(self) -> tuple[float, float, dict[str, float]]:
         """(min, max, {set: mean}) over the sets."""
@@ -150,8 +145,6 @@ class _Agent:
                 (states,) = self._paired(other.times, other.states)
                 found.append((name, states[:, : self.d] - self.agent.states[:, : self.d], other))
         return found
-
-    # -- times to collision -----------------------------------------------------------------------
 
     def _velocity(self, name: str, agent: AgentTrace) -> Array:
         wanted = guess_heading(agent, self.d) if self.wanted is None else self.wanted

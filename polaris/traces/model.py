@@ -195,9 +195,8 @@ class PolytopeTrace(UnsafeTrace):
         flat = np.argwhere(np.abs(A).max(axis=-1) < 1e-150)
         if flat.size:
             row, facet = flat[0].tolist()
-            raise ScenarioError(
-                f"{self._trace}[{row}]", A[row].tolist(), f"row {facet} of A must not be zero"
-            )
+            rule = f"row {facet} of A must not be zero"
+            raise ScenarioError(f"{self._trace}[{row}]", A[row].tolist(), rule)
         if count > 1 and np.all(A[0] == A):
             A = A[:1]
         put(self, "A", A)

@@ -19,7 +19,6 @@ from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace,
 from .rows import Odd, numbers, rows_of, set_trace, table
 
 MODE_NUMBERS = {name: number for number, name in MODE_NAMES.items()} | {"UNKNOWN": UNKNOWN}
-
 MODE_RULE = "must be 1 NORMAL, 2 UNTRUSTED, 3 SAFETY (as a number, a name or {value: number}), or null"
 
 
@@ -89,9 +88,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise Odd(f"holds the key {next(key for key in keys if keys.count(key) > 1)!r} twice in one object")
     return out
-
-
-# -- the parts --------------------------------------------------------------------------------------
 
 
 def _object(where: str, value: Any, rule: str = "must be an object") -> dict[str, Any]:

@@ -38,9 +38,8 @@ def find_dims(trace: Trace, dims: int | None) -> int | None:
     for name, agent in trace.agents.items():
         if agent.n < found:
             place = f"agents.{name}.state_trace[0]"
-            raise ScenarioError(
-                place, f"{agent.n} states", f"must begin with {found} axes of position (--dims)"
-            )
+            rule = f"must begin with {found} axes of position (--dims)"
+            raise ScenarioError(place, f"{agent.n} states", rule)
     return found
 
 

@@ -18,7 +18,6 @@ from .automaton import HybridAutomaton, Mode, Transition
 TOUCH = 1e-9  # a state this close to a face, relative to the terms of its row, counts as on it
 REPLAYED = 1e-6  # the same for a trajectory that is integrated again
 BISECTIONS = 40
-
 MOST_SAMPLES = 10_000_000
 Policy = Literal["first", "last", "random"]
 

@@ -221,9 +221,8 @@ class Worklist:
         k, j = np.nonzero(flow.times[:-1, None] <= last - first)
         sets = flow.sets(k, j)
         if segment.mode.system.U and np.any(first):
-            sets = self._responding(
-                sets, segment, first[j] + np.minimum(flow.times[k + 1], (last - first)[j])
-            )
+            until = first[j] + np.minimum(flow.times[k + 1], (last - first)[j])
+            sets = self._responding(sets, segment, until)
         low, high = a[open_][j] + first[j] + flow.times[k], b[open_][j] + first[j] + flow.times[k + 1]
         entered = np.stack([np.maximum(low, window[0]), np.minimum(high, window[1])], axis=-1)
         keep = entered[:, 0] <= np.minimum(entered[:, 1], self.horizon)

@@ -22,12 +22,9 @@ from ..tubes.flow import LinearFlow
 from ..tubes.tubes import locate
 from .network import Network
 
-ORDER = 90.0
-"""Generators per dimension of a tube: what was long ago must have decayed before it is merged."""
-OWN_ORDER = 3.0
-"""Generators per input that stand for what the bands of one enclosure leave open."""
-NOISE_ORDER = 3.0
-"""Generators per dimension for disturbance and rounding of one period."""
+ORDER = 90.0  # generators per dimension of a tube: what was long ago must have decayed before it is merged
+OWN_ORDER = 3.0  # generators per input that stand for what the bands of one enclosure leave open
+NOISE_ORDER = 3.0  # generators per dimension for disturbance and rounding of one period
 
 
 @dataclass(frozen=True, eq=False)

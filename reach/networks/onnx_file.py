@@ -32,9 +32,8 @@ def read_onnx(path: str | Path) -> Network:
     try:
         import onnx
     except ImportError as error:
-        raise ReachError(
-            "reading ONNX files needs the package onnx (pip install 'polaris[networks]')"
-        ) from error
+        rule = "reading ONNX files needs the package onnx (pip install 'polaris[networks]')"
+        raise ReachError(rule) from error
     if not isinstance(path, str | Path):
         raise ReachError(f"the path of a file is needed, got {type(path).__name__}")
     path = Path(path)

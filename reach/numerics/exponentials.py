@@ -49,7 +49,7 @@ def _series(X: Any) -> Any:
     return total
 
 
-def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
+def thin_expm(A: Any, h: float, action: Action, half: Any = None) -> Any:
     """``e^{A h}`` of a sparse matrix, sparse (from the half of h if given); None where its action is cheaper.
 
     How far waves and diffusion reach in so short a time is seen from some rows moved by the action.
@@ -60,9 +60,8 @@ def thin_exponential(A: Any, h: float, action: Action, half: Any = None) -> Any:
     some = np.zeros((PROBES, n))
     some[np.arange(PROBES), np.random.default_rng(0).integers(n, size=PROBES)] = 1.0
     fill = int(np.count_nonzero(action(some, h, 1)[-1], axis=-1).max())
-    if fill > min(FULL, THIN * n) or n * fill > _degree(min(norm, REACH)) * max(norm / REACH, 1.0) * (
-        A.nnz + OVERHEAD
-    ):
+    work = _degree(min(norm, REACH)) * max(norm / REACH, 1.0) * (A.nnz + OVERHEAD)
+    if fill > min(FULL, THIN * n) or n * fill > work:
         return None
     halvings = 1 if half is not None else max(int(np.ceil(np.log2(max(norm, 1e-300)))) + 2, 0)
     out = half if half is not None else _series(sparse.csr_matrix(A * (h / 2.0**halvings)))

@@ -23,7 +23,6 @@ Method = Literal["auto", "exact", "sufficient"]
 Settle = Callable[[NDArray[np.intp]], list[bool | None]]
 
 MOST = 20_000  # facets of an outer zonotope, or branches over an inner one, looked at by default
-
 TOUCHING = "the sets touch to within rounding"
 
 
@@ -107,10 +106,7 @@ def _in_facets(outer: Zonotope, inner: Any, normals: Whole) -> Answer:
 
 
 def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any, settle: Settle) -> Answer:
-    """Whether ``rows . x <= offsets`` (known between two bounds) over the inner set, the margin in `units`.
-
-    `settle` decides the rows that rounding leaves open.
-    """
+    """Whether ``rows . x <= offsets``, known to bounds, over the inner set; `settle` decides the rest."""
     room = (least - inner.support_up(rows)) / units
     margin = float(room.min(initial=np.inf))
     if margin >= 0:
@@ -230,9 +226,8 @@ def scale_to_hold(outer: Zonotope, inner: Zonotope) -> float:
         return np.inf
     if q == 0:
         return 0.0
-    equal = sparse.hstack(
-        [sparse.kron(sparse.eye(q), G), -sparse.kron(sparse.eye(q), G), np.zeros((n * q, 1))]
-    )
+    once = sparse.kron(sparse.eye(q), G)
+    equal = sparse.hstack([once, -once, np.zeros((n * q, 1))])
     sums = sparse.kron(np.ones((1, 2 * q)), sparse.eye(p))
     solved = linprog(
         np.r_[np.zeros(2 * p * q), 1.0],

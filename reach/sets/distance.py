@@ -94,17 +94,13 @@ def unit_sizes(half_widths: Array) -> Array:
 
 
 def _least_norm(points: Array) -> Array | None:
-    """Weights (k,) of the convex combination of least norm, at most n + 1 not zero; None if none is found.
-
-    With u >= 0 free in scale, ``norm(u P)^2 + (sum(u) - 1)^2`` is least along it.
-    """
+    """Weights (k,) of the convex combination of least norm, at most n + 1 not zero; None if none is found."""
     from scipy.optimize import nnls
 
     k, n = points.shape
+    rows, aim = np.vstack([points.T, np.ones((1, k))]), np.r_[np.zeros(n), 1.0]
     try:
-        found = nnls(np.vstack([points.T, np.ones((1, k))]), np.r_[np.zeros(n), 1.0], maxiter=100 * (k + 1))[
-            0
-        ]
+        found = nnls(rows, aim, maxiter=100 * (k + 1))[0]
     except RuntimeError:
         return None
     total = float(found.sum())

@@ -133,11 +133,7 @@ class Search:
 
     def __init__(self, parts: tuple[Any, ...]) -> None:
         self.parts, self.n = parts, parts[0].dim
-        hulls = [
-            part.interval_hull()
-            for part in parts
-            if not (isinstance(part, HPolytope) and not part.is_bounded)
-        ]
+        hulls = [part.interval_hull() for part in parts if getattr(part, "is_bounded", True)]
         lo, hi = np.max([hull.lo for hull in hulls], axis=0), np.min([hull.hi for hull in hulls], axis=0)
         smallest = np.min([unit_sizes(hull.half_widths) for hull in hulls], axis=0)
         self.middle, half = (lo + hi) / 2, (hi - lo) / 2
@@ -148,9 +144,8 @@ class Search:
         axes = np.vstack([np.eye(self.n), -np.eye(self.n)]) / self.size
         self.planes = [axes if flat is None else np.zeros((0, self.n)) for flat in self.flat]
         # Of other sets with flat faces the program itself gives the coefficients of a point.
-        self._asked = [
-            p for p, flat in zip(parts, self.flat, strict=True) if flat is None or isinstance(p, HPolytope)
-        ]
+        both = zip(parts, self.flat, strict=True)
+        self._asked = [part for part, flat in both if flat is None or isinstance(part, HPolytope)]
         self._known: dict[bytes, tuple[Array, Array]] = {}
 
     def split(self, direction: Array) -> tuple[Array, Array]:
@@ -204,9 +199,8 @@ class Search:
         if not np.isfinite(found.value):
             raise ReachError("the intersection has no point, or none that was found")
         ends = np.cumsum([len(part) for part in rows])
-        split = [
-            w @ part for w, part in zip(np.split(found.multipliers[: ends[-1]], ends[:-1]), rows, strict=True)
-        ]
+        weights = np.split(found.multipliers[: ends[-1]], ends[:-1])
+        split = [w @ part for w, part in zip(weights, rows, strict=True)]
         return self.middle + size * found.point[:n], np.array(split), float(found.point[-1])
 
     @cached_property

@@ -177,10 +177,7 @@ class HPolytope(SetOperators):
         return np.where(np.isfinite(proved), proved, values)
 
     def _booked(self, D: Array, way: int) -> Array:
-        """Up: proved by weak duality, inf where there is no proof (of a bounded set there always is one).
-
-        Down: the value at the solver's point less its tolerance, inf if unbounded.
-        """
+        """Up: proved by weak duality, inf without proof. Down: at the solver's point, less its tolerance."""
         values, points, multipliers = self._answers(D)
         if way > 0:
             return self._proved(D, values, multipliers)

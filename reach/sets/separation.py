@@ -20,7 +20,6 @@ from .polytope import HPolytope
 from .zonotope import Zonotope
 
 COMMON = 1e-9  # points of the two sets this close, in sizes of the sets, count as a common point
-
 CLOSER = "the sets are closer than rounding can tell"
 
 
@@ -43,7 +42,7 @@ def separate(X: Any, Y: Any) -> Answer:
 
 def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
     """Where polytopes are to be looked at, and sizes in which a distance of the two sets is measured."""
-    known = [one.interval_hull() for one in (X, Y) if not (isinstance(one, HPolytope) and not one.is_bounded)]
+    known = [one.interval_hull() for one in (X, Y) if getattr(one, "is_bounded", True)]
     if not known:
         sizes = np.maximum(X.frame[1], Y.frame[1])
         return np.zeros(X.dim), sizes, sizes

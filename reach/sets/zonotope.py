@@ -211,9 +211,8 @@ class Zonotope(Generated):
         """Volume, by ``comb(g, n)`` determinants (at most `most` of them), shape (...)."""
         n, g = self.G.shape[-2:]
         if comb(g, n) > checks.as_count("most", most):
-            raise ReachError(
-                f"{g} generators in dimension {n} have {comb(g, n)} determinants, more than {most}"
-            )
+            found = f"{g} generators in dimension {n} have {comb(g, n)} determinants"
+            raise ReachError(f"{found}, more than {most}")
         groups = np.array(list(combinations(range(g), n)), dtype=int).reshape(-1, n)
         minors = np.moveaxis(self.G[..., groups], -3, -2)
         return np.asarray(2.0**n * np.abs(np.linalg.det(minors)).sum(axis=-1))
@@ -235,9 +234,8 @@ def facet_normals(G: Array, most: int) -> Whole:
     n, candidates = len(G), _spanning(G)
     count = comb(candidates.shape[1], n - 1)
     if count > most:
-        raise ReachError(
-            f"{candidates.shape[1]} generators in dimension {n} span up to {count} facets, more than {most}"
-        )
+        found = f"{candidates.shape[1]} generators in dimension {n} span up to {count} facets"
+        raise ReachError(f"{found}, more than {most}")
     (whole,) = integers(candidates)
     groups = np.array(list(combinations(range(candidates.shape[1]), n - 1)), dtype=int).reshape(count, n - 1)
     normals = cross(np.transpose(whole[:, groups], (2, 0, 1)))

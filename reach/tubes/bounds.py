@@ -117,10 +117,7 @@ def collect(
 
 
 def _booked(adjoint: Adjoint, D: Array, times: Array, steps: Array, states: Array, rates: Array) -> Array:
-    """Bound on the rounding of the sum of both parts at the nodes, shape (K+1, r).
-
-    What a step gets wrong is carried on: it may grow although its row avoids the part that grows.
-    """
+    """Bound on both parts' rounding at nodes, (K+1, r); what a step gets wrong is carried on, and grows."""
     lags = adjoint.rows.lags(float(steps.min()), times[-1])
     excess, rate = adjoint.rows.amplification(D * adjoint.rows.scale, lags, adjoint.weights, times[-1])
     grown = []

@@ -142,15 +142,11 @@ class LinearFlow:
 
     @cached_property
     def _contraction(self) -> tuple[Array, float, float]:
-        """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)`` for any M.
-
-        With R the root on scaled states, products round by ``eps cond(R)^2`` of the norm.
-        """
+        """`lyapunov`, and the relative round-off of ``norm(W M W^-1, 2)``, by the scaled root's condition."""
         radius = float(np.max(np.abs(np.linalg.eigvals(self.phi))))
         if not radius < 1:
-            raise ReachError(
-                f"the closed loop is not stable: spectral radius {radius:.6g} per period of {self.h:g}"
-            )
+            found = f"spectral radius {radius:.6g} per period of {self.h:g}"
+            raise ReachError(f"the closed loop is not stable: {found}")
         rate = -np.log(radius) / self.h
         scale = state_scale(self.A_c)
         # Asking for half the slowest rate keeps the norm well conditioned.

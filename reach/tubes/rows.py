@@ -6,16 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from ..numerics.checks import Array
-from ..numerics.exponentials import (
-    CANCELLED,
-    Action,
-    dense,
-    exponential,
-    flushed,
-    scaled,
-    thin_exponential,
-    times,
-)
+from ..numerics.exponentials import CANCELLED, Action, dense, exponential, flushed, scaled, thin_expm, times
 from .systems import LinearSystem
 
 SPARSE = 0.1  # share of entries below which products with A use its sparse form
@@ -84,7 +75,7 @@ class Rows:
             half = self._maps.get(h / 2) if long else None
             with np.errstate(over="ignore", invalid="ignore"):
                 if self.action is not None:
-                    self._maps[h] = thin_exponential(self.A, h, self.action, half)
+                    self._maps[h] = thin_expm(self.A, h, self.action, half)
                 elif half is not None:
                     self._maps[h] = flushed(half @ half)
                 elif self.discrete:
@@ -111,9 +102,8 @@ class Rows:
             if reach < have and self.map(2 * reach * h) is not None:
                 reach *= 2
             more = min(reach, count + 1 - have)
-            out[have : have + more] = flushed(
-                times(out[have - reach : have - reach + more], self.map(h * reach))
-            )
+            known = out[have - reach : have - reach + more]
+            out[have : have + more] = flushed(times(known, self.map(h * reach)))
             have += more
         return out
 
@@ -183,10 +173,7 @@ class Rows:
         return np.take_along_axis(excess, good, 0)[0], np.take_along_axis(rates, good, 0)[0]
 
     def _sampled_growth(self, weights: Array, horizon: float) -> Array:
-        """Factors (q,) by which states grow, from one motion with random signs, times 10 for what it misses.
-
-        For systems too large for their exponentials, where the logarithmic norm does not tell.
-        """
+        """Factors (q,) by which states grow, from a motion with random signs, times 10 for what it misses."""
         if self.contracts:
             return np.full(weights.shape[1], 2.0)
         signs = np.random.default_rng(0).choice([-1.0, 1.0], weights.shape)

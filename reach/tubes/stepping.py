@@ -135,10 +135,7 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
 def _halved(
     adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, steps: Steps
 ) -> RowBounds:
-    """Steps of one length, halved until they meet the tolerance: for inputs known or of changing sets.
-
-    Changes of inputs are at nodes where they have a grid; nodes and bows get half of the tolerance each.
-    """
+    """Steps of one length, halved until nodes and bows each meet half of the tolerance."""
     system = adjoint.system
     changes = system.breaks if system.nominal is None else np.r_[system.breaks, system.nominal.jumps]
     near = [Fraction(t / horizon).limit_denominator(GRID) for t in changes if 0 < t < horizon]
@@ -225,10 +222,7 @@ def _allowed(adjoint: Adjoint, block: Block, horizon: float, goal: Array | None,
 
 
 def _foreseen(adjoint: Adjoint, rows: Array, horizon: float) -> Array:
-    """About what rows will come to over the horizon, from rates at a few instants, shape (r,).
-
-    Nothing but the default tolerance rests on it: from rest nothing is met in the first step.
-    """
+    """About what rows will come to, (r,), from rates at a few instants: for the default tolerance alone."""
     early = [horizon / AHEAD * 2.0**-i for i in range(AHEAD // 2, 0, -1)]
     try:
         with np.errstate(over="ignore", invalid="ignore"):

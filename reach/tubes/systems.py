@@ -64,9 +64,8 @@ class Signal:
     @property
     def jumps(self) -> Array:
         """Times at which the value jumps, shape (j,)."""
-        return np.asarray(
-            self.times[1:][(np.diff(self.times) == 0) & np.any(np.diff(self.values, axis=0), axis=1)]
-        )
+        moved = np.any(np.diff(self.values, axis=0), axis=1)
+        return np.asarray(self.times[1:][(np.diff(self.times) == 0) & moved])
 
     def slope(self, t: ArrayLike) -> Array:
         """Slopes at given times, those to the right at a knot, shape (len(t), m)."""
@@ -74,9 +73,8 @@ class Signal:
         rise = np.diff(self.values, axis=0)
         inner = np.divide(rise, length[:, None], out=np.zeros_like(rise), where=length[:, None] > 0)
         slopes = np.vstack([np.zeros((1, self.dim)), inner, np.zeros((1, self.dim))])
-        return np.asarray(
-            slopes[np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")]
-        )
+        at = np.searchsorted(self.times, np.atleast_1d(as_numbers("t", t)), side="right")
+        return np.asarray(slopes[at])
 
 
 def _require_pairs(t: Array, values: Array) -> None:
@@ -146,9 +144,8 @@ class LinearSystem:
         if B.shape[1] and not driven:
             raise ReachError("B is given without U, the set of its input, or a nominal input")
         if self.nominal is not None and self.nominal.dim != B.shape[1]:
-            raise ReachError(
-                f"nominal must have dimension {B.shape[1]}, the columns of B, got {self.nominal.dim}"
-            )
+            wanted = f"{B.shape[1]}, the columns of B"
+            raise ReachError(f"nominal must have dimension {wanted}, got {self.nominal.dim}")
         for U in pieces:
             require_single("U", U, B.shape[1])
         c = np.zeros(n) if self.c is None else as_array("c", self.c, n)

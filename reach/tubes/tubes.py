@@ -179,10 +179,8 @@ class ZonotopeTube:
     @property
     def _widths(self) -> Array:
         """Half-widths along the frame of the part that belongs to the inputs, shape (K+1, n)."""
-        n = self.nodes.dim
-        return np.asarray(
-            np.linalg.norm(self.nodes.G[..., -n:], axis=-2) / np.linalg.norm(self.frame, axis=0)
-        )
+        own = self.nodes.G[..., -self.nodes.dim :]
+        return np.asarray(np.linalg.norm(own, axis=-2) / np.linalg.norm(self.frame, axis=0))
 
 
 @checked

@@ -201,10 +201,7 @@ def _is_new(d: Array, D: Array) -> bool:
 def _try(
     motions: Motions, region: HPolytope, time: float, step: float
 ) -> tuple[Trajectory | None, Array | None]:
-    """A trajectory that ends in the region at about a time, or else what separates there.
-
-    In ``y = A x`` the region is what lies below b: a separating direction is a mixture of the rows of A.
-    """
+    """A trajectory into the region at about a time, or else the mixture of rows of A that separates there."""
     held = None if time == 0 else max(min(time / STEPS, step), time / MOST_STEPS)
     if motions.system.discrete:
         time, held = float(np.clip(round(time), *motions.window)), None

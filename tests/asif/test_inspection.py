@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polaris.inspection.constraints.catalogue import FAMILIES
+from polaris.inspection.constraints.allowable_set import FAMILIES
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.strengthening import PRESETS, Strengthening, evaluate
 from polaris.inspection.filters.explicit import Decentralized

@@ -8,9 +8,8 @@ from scipy.linalg import expm
 from scipy.optimize import differential_evolution
 
 from polaris.inspection.closest import ClosestApproach
-from polaris.inspection.constraints.allowable_set import allowable
+from polaris.inspection.constraints.allowable_set import FAMILIES, allowable
 from polaris.inspection.constraints.barriers import Braking, Radial, SunCone
-from polaris.inspection.constraints.catalogue import FAMILIES
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.constraints.passive import PassiveSegments

@@ -9,7 +9,7 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema
-from polaris.inspection.constraints.catalogue import CONSTRAINTS, FAMILIES
+from polaris.inspection.constraints.allowable_set import CONSTRAINTS, FAMILIES
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.strengthening import PRESETS
 from polaris.inspection.filters.explicit import Filtered

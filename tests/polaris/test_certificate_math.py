@@ -14,7 +14,20 @@ import flint
 from flint import arb, arb_mat
 
 from polaris.certificate.argument import Argument
-from polaris.certificate.balls import PRECISION, column, exponential_over, matrix, norms, require
+from polaris.certificate.balls import (
+    PRECISION,
+    beside,
+    column,
+    exponential_over,
+    lengths,
+    magnitude,
+    matrix,
+    norms,
+    require,
+    row_sums,
+    spans,
+    widths,
+)
 from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document, digest
 from polaris.certificate.loop import Memory, Needs
@@ -295,11 +308,37 @@ def test_reduced_sets_contain_the_set():
     small = full.reduced(12)
     assert small.G.ncols() <= 12 and small.c.entries()[0].is_exact()
     rows = matrix(rng.normal(size=(500, 3)).tolist())
-    assert all(a <= b for a, b in zip(full.support(rows), small.support(rows), strict=True))
+    assert all(a <= b for a, b in zip(full.spread(rows), small.spread(rows), strict=True))
     faded = Zonotope(full.c, matrix((G * np.where(np.arange(40) < 5, 1, 1e-12)).tolist()))
     few = faded.reduced(120)
     assert few.G.ncols() == 5 + 3  # what has faded is merged, however many generators there may be
-    assert all(a <= b for a, b in zip(faded.support(rows), few.support(rows), strict=True))
+    assert all(a <= b for a, b in zip(faded.spread(rows), few.spread(rows), strict=True))
+
+
+def test_sums_and_lengths_from_above_are_above_and_close():
+    rng = np.random.default_rng(3)
+    M = rng.normal(size=(7, 90)) * 10.0 ** rng.uniform(-9, 3, size=(7, 90))
+    balls = matrix([[arb(x, 1e-5 * abs(x)) for x in row] for row in M.tolist()])
+    sizes = matrix(rng.uniform(0, 9, size=(90, 2)).tolist())
+    pairs = [
+        *zip(row_sums(balls), widths(balls), strict=True),
+        *zip((magnitude(balls) * sizes).entries(), spans(balls, sizes).entries(), strict=True),
+        *zip(norms(balls), lengths(balls), strict=True),
+    ]
+    assert all(exact.upper() <= bound <= exact.upper() * (1 + arb(1e-6)) for exact, bound in pairs)
+    assert all(bound.is_exact() for _, bound in pairs)
+    assert lengths(matrix([[arb(10) ** -400, 0.0]]))[0] > arb(10) ** -400
+
+
+def test_a_set_that_grew_reaches_as_far_as_one_that_is_made_whole():
+    rng = np.random.default_rng(4)
+    G, more, M = (matrix(rng.normal(size=size).tolist()) for size in ((3, 8), (3, 5), (3, 3)))
+    start = Zonotope(column([1.0, 2.0, 3.0]), G)
+    start.through(M)  # what is known of the part serves the whole
+    grown, whole = start.grown(more), Zonotope(start.c, beside(G, more))
+    for z, other in ((grown, whole), (grown.through(M), whole.through(M)), (grown.image(M), whole.image(M))):
+        assert [float(x) for x in z.tops()] == pytest.approx([float(x) for x in other.tops()], rel=1e-6)
+        assert z.G.entries() == other.G.entries()
 
 
 def test_norms_of_balls_about_zero_are_not_lost():
@@ -321,9 +360,9 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     row = matrix([[1.0]])
     needs = SimpleNamespace(
         carried=[row] * 3,
-        bend=[0 * row] * 3,
-        memory=SimpleNamespace(periods=2, z=column([1.0])),
-        forgotten=[arb(0)],
+        boxed=lambda size, lag: size.entries(),
+        memory=SimpleNamespace(periods=2),
+        still=lambda size: [arb(0)],
     )
     path = SimpleNamespace(planned=0, plant=SimpleNamespace(q=1), jump=column([0.5]))
     limits = Limits(row, [[[Target(0, arb(1), "wall", arb(1))]] * 2]).less_jump(needs, path)

@@ -11,12 +11,16 @@ from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document
 from polaris.certificate.navigation import measured_errors
 from polaris.certificate.verdict import Rejected
-from polaris.model.errors import PolarisError, ScenarioError
+from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.model.keep_in import KeepInPolytope
 from polaris.runs.certificate import certificate
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.delayed import Predicting
+from polaris.simulation.disturbances import adjoint_worst_case, limit_rows
 from polaris.simulation.falsification.search import falsify
-from polaris.simulation.simulate import simulate
+from polaris.simulation.integration import Integrator
+from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis.synthesize import synthesize
 
 from ..kept import kept
@@ -36,6 +40,13 @@ PHASED = (
     "navigation.state_error=[0.01, 0.01, 0.004, 0.004]",
     "navigation.phases=[{from_s=3.0, state_error=[0.002, 0.002, 0.001, 0.001]},"
     " {from_s=8.5, state_error=[0.006, 0.0, 0.003, 0.003]}]",
+)
+FIRST = "navigation.measurement.initial={state_error=[0.03, 0.03, 0.01, 0.01]}"
+SMALL = "navigation.measurement.error=[0.002, 0.002]"
+RANGED = (
+    "navigation.state_error=[0.01, 0.01, 0.004, 0.004]",
+    "navigation.phases=[{from_s=0.5, within_m=[9.0, 7.0], state_error=[0.004, 0.004, 0.002, 0.002]},"
+    " {from_s=8.5, within_m=[8.2, 6.2], state_error=[0.002, 0.002, 0.001, 0.001]}]",
 )
 LATE = ("timing.delay_s=0.3", "thrusters.magnitude_error=0.01")
 
@@ -103,6 +114,84 @@ def test_errors_of_a_phase_count_in_its_steps_alone():
     object.__setattr__(two.safety.problem.system, "error_by_step", steps)
 
 
+@pytest.mark.parametrize(
+    "more",
+    [
+        (FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.3"),
+        ("thrusters={impulse_bit_N_s=0.001,remainder='carried'}",),
+    ],
+)
+def test_observers_go_with_pulses_and_what_is_carried(more):
+    schedule = observed("-".join(more), *more)
+    system, alone = schedule.safety.problem.system, scene(*MEASURED, *more[2:]).system()
+    assert np.all(system.navigation > alone.navigation)
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    assert np.all(fly_delayed(schedule, 50, 1)[1] <= 1 + 1e-6)
+    assert falsify(schedule, 100, 1).failure is None
+
+
+def test_first_errors_of_an_observer_fade_as_its_loop_says():
+    schedule, plain = observed("first", FIRST), scene(*MEASURED).system()
+    system, h = schedule.safety.problem.system, 0.25
+    loop, first = system.observer.rest @ expm(system.A * h), system.observer.initial
+    left = np.array([np.abs(np.linalg.matrix_power(loop, k)) @ first for k in range(200)])
+    expected = [left[4 * k : 4 * k + 4].max(axis=0) for k in range(12)] + [left[48:].max(axis=0)]
+    assert np.allclose(system.error_by_step, plain.navigation + expected, rtol=1e-6)
+    _, off = fly_delayed(schedule, 60, 1, 1)
+    assert np.all(off <= 1) and off.max() > 0.75
+    zero = scene(*MEASURED, FIRST.replace("0.03", "0").replace("0.01", "0")).system()
+    assert zero.observer.initial is None and np.array_equal(zero.navigation, plain.navigation)
+
+
+@pytest.mark.parametrize("more", [(), ("timing.delay_s=0.5",)])
+def test_an_observer_is_attacked_by_its_noise(more):
+    """What the falsifier flies is what a filter on board makes of the same noise; no other goes further."""
+    schedule, rng = observed("-".join(["noise", *more]), FIRST, *more), np.random.default_rng(0)
+    modes, rows, runs = flown_modes(schedule, False), limit_rows(schedule), 30
+    plain, filtering = Integrator(schedule, modes, 1), Predicting(schedule, modes, 1)
+    rows, targets = rows[rng.integers(0, len(rows), runs)], rng.integers(5, plain.steps + 1, runs)
+    w, _, _ = adjoint_worst_case(plain, rows, targets)
+    x0 = np.repeat(schedule.safety.problem.initial_set.c[None], runs, axis=0)
+    filtering.prepare(runs, rng)
+    flown = plain.run(x0, w)
+    assert np.all(np.abs(plain.eta) <= plain.known * (1 + 1e-9)) and plain.eta[0].any()
+    if not more:  # before the first measurement that is late a flight on board knows less
+        assert np.allclose(flown.states, filtering.run(x0, w).states, atol=1e-12)
+
+    def far(states):
+        return np.einsum("rn,rn->r", rows, states[np.arange(runs), targets])
+
+    for _ in range(3):
+        other = w.copy()
+        noise = other[..., plain.columns[1]]
+        other[..., plain.columns[1]] = noise * rng.choice([-1.0, 1.0], (*noise.shape[:2], 1))
+        assert np.all(far(plain.run(x0, other).states) <= far(flown.states) + (1e-9 if not more else 1e-3))
+
+
+def test_bounds_hold_within_a_range_that_is_kept():
+    schedule = kept("ranged", lambda: synthesize(scene(*RANGED)))
+    known = schedule.safety.problem.system.error_by_step
+    assert known[:, 0].tolist() == [0.01] + [0.004] * 8 + [0.002] * 4
+    runs = simulate(schedule, 60, 1)
+    assert not runs.metrics().collided.any() and falsify(schedule, 100, 1).failure is None
+    p, late = np.abs(runs.states[..., :2]), runs.times >= 8.0
+    assert np.all(p[:, late] < [8.2, 6.2]) and np.all(p[:, runs.times >= 0.0] < [9.0, 7.0])
+    ranges = {item.name: item for item in schedule.safety.clearance.unsafe if item.name.startswith("within")}
+    assert len(ranges) == 8 and ranges["within-1[0]"].offsets[7, 1, 0] == pytest.approx(-8200)
+    assert ranges["within-1[0]"].offsets[8, 0, 0] == pytest.approx(-8.2) and ranges["within-1[3]"].static
+    box, system = np.vstack([np.eye(2), -np.eye(2)]), scene().system()
+    for begins, ends, static in (
+        (3.0, np.inf, True),
+        (3.0, 5.0, True),
+        (12.0, np.inf, False),
+        (0.0, 20.0, False),
+    ):
+        late = KeepInPolytope("late", box, np.ones(4), begins, ends)
+        assert late.timed_polytopes(system, 1.0, 12)[0].static == static  # or nothing is claimed for ever
+    with pytest.raises(SynthesisInfeasible, match="within-1"):
+        synthesize(scene(RANGED[0], RANGED[1].replace("[8.2, 6.2]", "7.0")))
+
+
 @pytest.mark.parametrize("made", ["pulse='centred'", "impulse_bit_N_s=0.001,remainder='carried'"])
 def test_phases_go_with_pulses_and_what_is_carried(made):
     """Measurements err within the bounds of the steps that use them, and predictions within theirs."""
@@ -136,8 +225,13 @@ def test_without_phases_everything_is_as_it_was():
         (("navigation.measurement.matrix=[[1,0]]", "navigation.measurement.error=[0.1]"), "navigation"),
         (("navigation.phases=[{from_s=3.0},{from_s=3.0}]",), "navigation.phases"),
         (("navigation.phases=[{from_s=3.0,position_error_m=1.0}]",), "navigation.phases[0].position_error_m"),
-        ((*MEASURED, "thrusters.pulse='centred'"), "navigation.measurement"),
-        ((*MEASURED, "thrusters={impulse_bit_N_s=0.001,remainder='carried'}"), "navigation.measurement"),
+        (
+            (*MEASURED, "navigation.measurement.initial={position_error_m=1.0}"),
+            "navigation.measurement.initial",
+        ),
+        (("navigation.phases=[{from_s=12.0,within_m=9.0}]",), "navigation.phases[0].from_s"),
+        (("navigation.phases=[{from_s=3.0,within_m=[9.0]}]",), "navigation.phases[0].within_m"),
+        (("navigation.phases=[{from_s=3.0,within_m=9.0}]", "abort={drift_s=3.0}"), "abort.keep_in"),
         ((*MEASURED, "faults=[{kind='navigation_lost',lasts_s=1.0}]"), "faults"),
     ],
 )
@@ -147,9 +241,10 @@ def test_bad_tables_are_refused_by_name(assignments, field):
     assert error.value.field.startswith(field)
 
 
-def test_forged_observers_are_refused(tmp_path):
+@pytest.mark.parametrize("more", [(), (SMALL, FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.25")])
+def test_forged_observers_are_refused(more, tmp_path):
     """Neither another gain, nor less noise, nor smaller bounds than they give."""
-    forger = Forger(make([*SAMPLED[:2], *MEASURED], tmp_path), tmp_path)
+    forger = Forger(make([*SAMPLED[:2], *MEASURED, *more], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     data = forger.tree(CERTIFICATE)["system"]
 
@@ -159,19 +254,43 @@ def test_forged_observers_are_refused(tmp_path):
 
     half = [[(float.fromhex(x) / 2).hex() for x in row] for row in data["observer"]["gain"]]
     less = [(float.fromhex(x) * 0.999).hex() for x in data["estimate_error"]]
-    for verdict in (judged({"gain": half}), judged(estimate_error=less)):
+    if more:
+        rows = [[(float.fromhex(x) * 0.999).hex() for x in row] for row in data["error_by_step"]]
+        less = {"estimate_error": less, "error_by_step": rows}
+        for key in ("settled", "initial"):
+            smaller = [(float.fromhex(x) * 0.99).hex() for x in data["observer"][key]]
+            assert judged({key: smaller}).outcome == "REJECTED"
+    for verdict in (judged({"gain": half}), judged(**(less if more else {"estimate_error": less}))):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     assert judged({"noise": [(0.001).hex()] * 2}).outcome == "REJECTED"
     document, honest = Document(forger.honest), forger.tree("scenario.toml")
-    assert measured_errors(document, honest) == [document.measured]
-    for key, there in (("fired", [1.0]), ("carried", 0.001), ("transients", [{"name": "stuck_on"}])):
-        forged = copy(document)
-        setattr(forged, key, there)
-        with pytest.raises(Rejected, match="an observer with pulses"):
-            measured_errors(forged, honest)
+    assert len(measured_errors(document, honest)) == (13 if more else 1)
+    forged = copy(document)
+    forged.transients = [{"name": "stuck_on"}]
+    with pytest.raises(Rejected, match="an observer with faults"):
+        measured_errors(forged, honest)
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
+
+
+def test_forged_ranges_are_refused(tmp_path):
+    """The certificate keeps every box of the scenario, no larger, for as long as its phase lasts."""
+    forger = Forger(make([*SAMPLED[:2], *RANGED], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    for text in (
+        {"within_m": [8.1, 6.2]},
+        {"within_m": [8.2]},
+        {"from_s": 6.5},
+        {"from_s": 12.0},
+        {"state_error": [0.003, 0.002, 0.001, 0.001]},
+    ):
+        scenario = forger.tree("scenario.toml")
+        scenario["navigation"]["phases"][1] |= text
+        assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED", text
+    without = forger.tree("scenario.toml")
+    del without["navigation"]["phases"][1]["within_m"]
+    assert forger.judge({"scenario.toml": write_toml(without)}).outcome == "REJECTED"
 
 
 @pytest.mark.slow
@@ -203,12 +322,22 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
             more = [f"navigation.measurement.{key}={(widths[: n // 2] + 1e-9).tolist()}"]
             rows = [] if hill else [f"navigation.measurement.matrix={np.eye(n)[: n // 2].tolist()}"]
             more += [*rows, f"timing.delay_s={problem.period}", "thrusters.mass_error=0.01"]
+            if seed % 8 > 2 and not hill:
+                more.append(f"navigation.measurement.initial.state_error={(3 * widths).tolist()}")
+            more += ["thrusters.pulse='centred'"] if seed % 4 == 1 else []
+            bit = 0.01 * problem.period * problem.system.u_max.min()
+            more += (
+                [f"thrusters.impulse_bit_N_s={bit}", "thrusters.remainder='carried'"] if seed % 4 == 2 else []
+            )
         else:
             keys = ("position_error_m", "velocity_error_m_s") if hill else ("state_error",)
             parts = [np.split(widths * size, len(keys)) for size in rng.uniform(0, 1.5, 3)]
             told = [",".join(f"{k}={v.tolist()}" for k, v in zip(keys, part, strict=True)) for part in parts]
             more = [f"navigation.{k}={v.tolist()}" for k, v in zip(keys, parts[0], strict=True)]
-            later = [f"{{from_s={at * T},{each}}}" for at, each in zip((0.37, 0.8), told[1:], strict=True)]
+            far = 2 * np.abs(problem.system.position @ problem.initial_set.c).max()
+            ranged = [f"within_m={far}," if seed % 3 and far else "", ""]
+            later = zip((0.37, 0.8), ranged, told[1:], strict=True)
+            later = [f"{{from_s={at * T},{within}{each}}}" for at, within, each in later]
             more.append(f"navigation.phases=[{','.join(later)}]")
         try:
             schedule = synthesize(scenario.with_assignments(more))

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.certificate import certificate
-from polaris.runs.claims import drift_told
+from polaris.runs.tables import drift_told
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.drifting import least_distances
 from polaris.simulation.falsification.search import falsify

@@ -12,13 +12,18 @@ from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.prediction import predicting, pulse_error
 from polaris.model.timing import Timing
 from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.method_result import measure
+from polaris.rta.methods import METHODS
 from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.observer import Observer
 from polaris.rta.online.runtime_options import Limits
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import disturbances
+from polaris.simulation.falsification.claims import _pulsed
 from polaris.simulation.falsification.search import falsify
+from polaris.simulation.firing import Firing
 from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular, relative_rate
@@ -262,6 +267,51 @@ def test_flights_that_carry_keep_what_is_proven():
     assert np.all(fly_delayed(schedule, 20, 3, substeps=5)[1] <= 1)
     assert falsify(schedule, 100, 1).failure is None
     judge(0, attack(schedule, 20, 0))
+
+
+def test_every_method_flies_the_same_pulses_and_carries():
+    more = [*PULSED, *ERRORS, "thrusters.impulse_bit_N_s=0.02", "thrusters.remainder=carried"]
+    schedule = kept("pulsed and carried", lambda: synthesize(load_scenario(TINY).with_assignments(more)))
+    grid = DecisionGrid.of(schedule)
+    conditions = Conditions.draw(grid, 9, 1)
+    flown = Integrator(grid.fine_schedule, schedule.modes, 1).run(conditions.x0, conditions.w).states
+    proved = 0
+    for key, made in METHODS.items():
+        try:
+            method = made.on(grid)
+        except PolarisError:
+            continue
+        flight = fly(method.grid, method, conditions)
+        if key == "schedule":
+            assert np.allclose(flight.states, flown, atol=1e-9)
+        if method.claim.kind == "proved":
+            proved += 1
+            assert not measure(method.grid, flight, conditions, key).collided.any(), key
+    assert proved >= 5
+
+
+def test_pulses_are_followed_within_a_period():
+    """Exactly to its end, and to a hundredth of what they displace in between."""
+    scenario = load_scenario("static", ["feedback.kind=sampled", "feedback.period_s=10"])
+    system, h, steps = scenario.with_assignments(["thrusters.pulse=centred"]).system(), 10.0, 800
+    firing, rng = Firing(), np.random.default_rng(3)
+    firing.system, firing.dt, firing.substeps, firing.fired = system, h, 1, np.array(system.timing.fired)
+    firing.asked = rng.uniform(-1, 1, (6, 3)) * firing.fired
+    before = rng.normal(size=(6, 6))
+    s = (np.arange(steps) + 0.5) / steps - 0.5
+    carry, push = (part.T for part in discretize(system.A, system.B, h / steps))
+    fires = np.abs(s)[:, None, None] < np.abs(firing.asked) / firing.fired / 2
+    other, held, apart = before, before, []
+    for on in fires:
+        other = other @ carry + on * np.sign(firing.asked) * firing.fired @ push
+        held = held @ carry + firing.asked @ push
+        apart.append((other - held) @ system.position.T)
+    assert np.allclose(held + firing.bow(), other, atol=2e-3)
+    places = np.arange(1, 8)[:, None] / 8
+    found = _pulsed(system, before[:, None], (held + firing.bow())[:, None], h, places)
+    true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
+    assert np.abs(found - true).max() < 0.03 * np.abs(true).max()
+    assert np.abs(true).max() > 0.3 * np.linalg.norm(np.array(system.timing.pulsed)[:3])
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import csv
 import itertools
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,10 @@ from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
 from polaris.runs.folder import RunFolder
 from polaris.runs.points import needed, non_dominated
 from polaris.runs.schedule import DATA_FILES
+from polaris.scenario.error_tables import Chaser, Thrusters, Timing
+from polaris.scenario.fault_tables import Loss, NavigationLost
+from polaris.scenario.navigation_tables import Estimate, Measurement, Phase
+from polaris.scenario.scenario import load_scenario
 from tests.leftovers import left_by_a_dead_process
 
 from .tiny import TINY
@@ -72,7 +77,7 @@ def contents(path, names=(*TABLES, *(f"{name}/{file}" for name in NAMES for file
 def test_points_are_run_folders_of_their_price(folder, tmp_path):
     rows = folder.summary["points"]
     assert [(row["folder"], row["value"]) for row in rows] == list(zip(NAMES, [0, 3, None], strict=True))
-    alone = polaris.run(TINY, tmp_path / "alone", overrides=[*SET, "schedule.delta_v_price=3.0"])
+    alone = polaris.run(TINY, tmp_path / "alone", overrides=[*SET, "schedule.delta_v_price=3"])
     assert contents(alone.path, DATA_FILES) == contents(folder.path / "price-3", DATA_FILES)
     opened = {row["folder"]: polaris.read_run(folder.path / row["folder"]) for row in rows}
     assert opened["price-0"].scenario.switching_rules().delta_v_price == 0
@@ -249,7 +254,7 @@ def test_a_value_without_a_schedule_is_a_result_and_the_rest_is_as_run_alone(swe
     rows = swept.summary["points"]
     assert [(row["field"], row["value"]) for row in rows] == [(KEY, 0.05), (KEY, 1), (KEY, 2)]
     assert rows[0]["guarantee"] == "infeasible" and "tracker" in rows[0]["reason"] and not rows[0]["share"]
-    alone = polaris.run(TINY, tmp_path / "alone", overrides=[*FEW, f"{KEY}=2.0"])
+    alone = polaris.run(TINY, tmp_path / "alone", overrides=[*FEW, f"{KEY}=2"])
     assert contents(alone.path, DATA_FILES) == contents(swept.path / f"{KEY}-2", DATA_FILES)
     assert rows[1]["share"] < 0.2 < rows[2]["share"] and rows[2]["reason"] is None
     (asked,) = swept.summary["needed"]
@@ -421,3 +426,38 @@ def test_labels_lie_beside_one_another_and_say_price_and_switches(folder):
     assert len(boxes) == 10 and texts > {"price 0.1, 1 switch", "price 1 to 3, printed, 2 switches"}
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
     assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 for box in boxes)
+
+
+def test_every_error_source_can_be_swept():
+    """Each number of its tables is a key of its own, and another value another problem."""
+    tables = {
+        "navigation": (Estimate, ["state_error"]),
+        "navigation.measurement": (Measurement, ["matrix", "error"]),
+        "navigation.phases[0]": (Phase, ["state_error"]),
+        "thrusters": (Thrusters, ["remainder", "pulse", "directions", "thrust_max_N"]),
+        "timing": (Timing, []),
+        "chaser": (Chaser, []),
+        "faults[0]": (Loss, ["kind"]),
+        "faults[1]": (NavigationLost, ["kind"]),
+    }
+    more = {
+        "navigation.measurement": ["navigation.measurement.position_error_m=0.05"],
+        "navigation.phases[0]": ["navigation.phases=[{from_s=600, position_error_m=0.1}]"],
+        "thrusters": ["thrusters.remainder=carried", "thrusters.pulse=centred"],
+        "faults[0]": ["faults=[{kind='loss', share=0.1, isolation_s=2}]"],
+        "faults[1]": [
+            "faults=[{kind='loss', share=0.1, isolation_s=2}, {kind='navigation_lost', lasts_s=2}]"
+        ],
+    }
+    for table, (kind, others) in tables.items():
+        sampled = ["feedback.kind=sampled", "feedback.period_s=2", *more.get(table, [])]
+        scenario = load_scenario("static", sampled)
+        for name in set(kind.model_fields) - set(others):
+            key, problems = f"{table}.{name}", set()
+            values = {"missed_periods": [0, 1]}.get(name, [0.01, 0.02])
+            values = [30, 60] if name in ("from_s", "isolation_s", "lasts_s") else values
+            for field, value in module._named({key: values}).values():
+                assert field == key
+                text = f"{key}={repr(value).removesuffix('.0')}"
+                problems.add(pickle.dumps(scenario.with_assignments([text]).problem()))
+            assert len(problems) == 2, key

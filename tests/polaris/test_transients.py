@@ -1,6 +1,7 @@
 """Faults that are isolated late: in sets, certificates, and flown where they are worst."""
 
 import copy
+import dataclasses
 import json
 from functools import cache
 
@@ -11,16 +12,21 @@ import pytest
 from polaris.certificate.argument import Argument
 from polaris.certificate.balls import PRECISION
 from polaris.certificate.document import Document
-from polaris.certificate.verdict import Record
+from polaris.certificate.repeated import limit_names
+from polaris.certificate.transients import check_withheld
+from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
-from polaris.scenario.scenario import load_scenario
+from polaris.runs.schedule import guarantee
+from polaris.runs.tables import besides
+from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.transients import moved
 
 from .forging import CERTIFICATE, Forger, make
 from .test_error_sources import exact, tables
@@ -82,6 +88,80 @@ def test_many_proofs_hold_with_a_fault_in_every_flight():
             assert falsify(schedule, 600, seed).failure is None, seed
             proved[seed % 4] += 1
     assert sum(proved) >= 20 and min(proved) >= 3
+
+
+def pulsing(scenario, kind):
+    """Assignments of pulses, of impulses whose rest is carried, and of a fault that is isolated late."""
+    period, least = scenario.problem().period or scenario.step / 4, scenario.system().u_max.min()
+    given = ["thrusters.pulse=centred", "thrusters.remainder=carried"]
+    given += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}", "feedback.kind=sampled"]
+    told = "share=0.1,isolation_s" if kind == "loss" else "lasts_s"
+    return [*given, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{told}={1.3 * period!r}}}]']
+
+
+@pytest.mark.parametrize("kind", ["loss", pytest.param("navigation_lost", marks=pytest.mark.slow)])
+def test_late_faults_go_with_pulses_and_impulses_that_are_carried(kind):
+    scenario = load_scenario(TINY).with_assignments(SOFT)
+    schedule = synthesize(scenario.with_assignments(pulsing(scenario, kind)))
+    assert checked(schedule) and falsify(schedule, 300, 0).failure is None
+
+
+@pytest.mark.slow
+def test_so_they_do_in_random_scenes():
+    proved = 0
+    for seed in range(5003, 5040, 3):
+        scenario = exact(seed)
+        try:
+            kind = "loss" if seed % 2 else "navigation_lost"
+            schedule = synthesize(scenario.with_assignments(pulsing(scenario, kind)))
+        except PolarisError:
+            continue
+        assert checked(schedule), seed
+        assert falsify(schedule, 300, seed).failure is None, seed
+        proved += 1
+    assert proved >= 5
+
+
+NETWORK = (
+    f'experimental=[{{kind="neural",name="hasty",path="{scenario_folder()}/policies/hasty.onnx",'
+    'inputs=["error"],output_scale_N=1.0,reference={kind="shared"}}]'
+)
+
+
+@pytest.mark.parametrize("fault", [LATE, pytest.param(LOST, marks=pytest.mark.slow)])
+def test_networks_fly_where_a_fault_may_be_isolated_late(fault):
+    given = [*SOFT, NETWORK, fault, "recoverable.recourse=none"]
+    schedule = synthesize(load_scenario(TINY).with_assignments(given))
+    system, law = schedule.safety.problem.system, schedule.controllers[1]
+    (transient,) = system.transients
+    assert schedule.share() > 0.1 and checked(schedule)
+    assert fault == LATE or falsify(schedule, 300, 0).failure is None
+    pair = np.random.default_rng(0).normal(size=(2, 400, 4))
+    one, other = (law.command(0, law.reference.chi[0], law.own.chi[0], law.own.chi[0] + x) for x in pair)
+    assert np.all(np.abs(one - other) <= np.abs(pair[0] - pair[1]) @ transient.networks.T)
+    steeper = dataclasses.replace(transient, networks=100 * transient.networks)
+    calm = dataclasses.replace(transient, networks=None)
+    gain = schedule.safety.tracking.gain
+    least, found, most = (moved(system, each, gain, 0.25) for each in (calm, transient, steeper))
+    free = dataclasses.replace(calm, share=1.0, thrust=transient.pushes + 2 * system.u_max)
+    limit = moved(system, free, gain, 0.25)
+    assert np.all(least <= found) and np.all(found <= most) and np.allclose(most, limit)
+
+
+@pytest.mark.slow
+def test_balls_keep_what_faults_need_in_random_scenes():
+    proved = flown = 0
+    for seed in range(5000, 5020):
+        kind, scenario = ("loss", "navigation_lost")[seed % 2], exact(seed)
+        late = [x for x in pulsing(scenario, kind) if not x.startswith("thrusters")]
+        try:
+            schedule = synthesize(scenario.with_assignments([*late, "recoverable.kind=time_varying_ball"]))
+        except PolarisError:
+            continue
+        assert checked(schedule), seed
+        assert falsify(schedule, 300, seed).failure is None, seed
+        proved, flown = proved + 1, flown + (schedule.share() > 0)
+    assert proved >= 4 and flown >= 1
 
 
 @pytest.mark.parametrize("given", [LATE, LOST])
@@ -158,15 +238,51 @@ def test_bad_tables_are_refused_by_name(fault):
 
 def test_what_cannot_be_survived_or_is_not_covered_is_named():
     scenario = load_scenario(TINY).with_assignments(SOFT)
-    with pytest.raises(
-        SynthesisInfeasible, match=r"While loss lasts, 0.8 s, it may take .* m of every clearance"
-    ):
-        synthesize(scenario.with_assignments(['faults=[{kind="loss",share=0.3,isolation_s=0.8}]']))
+    faults = 'faults=[{kind="loss",share=0.3,isolation_s=0.8},{kind="navigation_lost",lasts_s=1.0}]'
+    short = r"loss \(0.8 s\) leaves input . [0-9.]+ short in step \d+ \(t = .* none is found with this fault"
+    with pytest.raises(SynthesisInfeasible, match=short) as error:
+        synthesize(scenario.with_assignments([faults]))
+    assert "navigation_lost (1 s) leaves enough; one is found" in str(error.value)
+    with pytest.raises(SynthesisInfeasible, match="without faults isolated late, either"):
+        synthesize(scenario.with_assignments([LOST, "system.input_max=0.1"]))
     schedule = synthesize(scenario.with_assignments([LOST]))
     with pytest.raises(ScenarioError, match="run-time methods know no faults"):
         DecisionGrid.of(schedule)
-    with pytest.raises(ScenarioError, match="polytope"):
-        synthesize(scenario.with_assignments([LOST, "recoverable.kind=ball"]))
+
+
+def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():
+    """They are those that U could fly without the fault, and could not with it: by other proofs of each."""
+    scenario = load_scenario(TINY).with_assignments([*SOFT, "recoverable.recourse=none"])
+    faults = 'faults=[{kind="loss",share=0.1,isolation_s=0.3},{kind="navigation_lost",lasts_s=1.0}]'
+    schedule = synthesize(scenario.with_assignments([faults]))
+    told, named = guarantee(schedule)["withheld"], set()
+    safety, law, starts = schedule.safety, schedule.controllers[1], [schedule.safety.start]
+    starts += [step.tube.end for step in schedule.steps]
+    for fault, transient in zip(told, safety.problem.system.transients, strict=True):
+        assert (
+            f"because of {fault['fault']} "
+            in dict(besides({"upkeep": None, "withheld": [fault]}))["Isolated late"]
+        )
+        for step in fault["steps"]:
+            k, tube = step["step"], law.fly(starts[step["step"]], step["step"])
+            named.add(k)
+            assert (
+                schedule.modes[k] == 0
+                and step["short"] > 0
+                and not safety.recoverable.holds(k, tube.nodes, tube.bow)
+            )
+            assert safety.under(()).holds(k, tube.nodes, tube.bow)
+            least = safety.under((transient,)).margin(k, tube.nodes, tube.bow)
+            assert (step["limit"], step["need"]) == (least.limit, least.need) and not least.inside
+    for k in set(np.flatnonzero(schedule.modes == 0).tolist()) - named:
+        tube = law.fly(starts[k], k)
+        held = [sets.holds(k, tube.nodes, tube.bow) for sets in (safety.recoverable, safety.under(()))]
+        assert held != [False, True]
+    assert named and "withheld" not in guarantee(synthesize(scenario))
+
+
+WRONG = {"step": 12, "short": 0.0, "limit": "nothing", "controller": "S", "limit_step": 12, "t_s": -1.0}
+"""Of a step that S flies because of a fault."""
 
 
 def test_forged_transients_are_refused(tmp_path):
@@ -193,6 +309,18 @@ def test_forged_transients_are_refused(tmp_path):
     for change in (shorter, weaker, fewer, other):
         verdict = forged(change)
         assert verdict.outcome == "REJECTED", change.__name__
+    document, told = Document(forger.honest), forger.tree("schedule.json")["guarantee"]["withheld"]
+    limits = limit_names(document)
+    assert check_withheld(document, told, limits) == told and told[0]["steps"]
+    for part, lie in (
+        (None, {"lasts_s": 0.2}),
+        (None, {"fault": "stuck_off"}),
+        *((0, {key: value}) for key, value in WRONG.items()),
+    ):
+        other = copy.deepcopy(told)
+        (other[0] if part is None else other[0]["steps"][part]).update(lie)
+        with pytest.raises(Rejected):
+            check_withheld(document, other, limits)
     without = copy.deepcopy(forger.honest)
     del without["system"]["transients"]
     assert forger.judge({CERTIFICATE: json.dumps(without)}).outcome == "REJECTED"

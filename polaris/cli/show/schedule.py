@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.claims import besides
+from ...runs.tables import besides
 from ...synthesis.recoverable import directed
 from . import RED, Printout, alarming, table
 
@@ -106,9 +106,8 @@ def _claim(claim: Mapping[str, Any]) -> str:
 def _goal(claim: Mapping[str, Any]) -> str:
     """Whether the goal is reached, how nearly, and at what cost."""
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
-    off = f"within {near} m" + (
-        "" if drift is None else f", drift up to {directed(drift, '.3g', up=True)} m per orbit"
-    )
+    drifts = "" if drift is None else f", drift up to {directed(drift, '.3g', up=True)} m per orbit"
+    off = f"within {near} m{drifts}"
     spent = f"velocity change at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s"
     if claim["reached"] is True:
         return f"reached by {claim['by_s']:.6g} s ({off}; {spent})."
@@ -128,17 +127,8 @@ def _metrics(summary: Mapping[str, Any]) -> Table:
     return found
 
 
-COLUMNS = (
-    "mode",
-    "guarantee",
-    "runs",
-    "violations",
-    "probability, 95 %",
-    "least distance",
-    "its mean, 95 %",
-    "share of U",
-    "velocity change, 95 %",
-)
+COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "least distance")
+COLUMNS += ("its mean, 95 %", "share of U", "velocity change, 95 %")
 
 
 def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
@@ -172,15 +162,11 @@ def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:
         Text(f"{told['runs']:,}"),
         alarming(f"{told['violations']:,}", bad),
         alarming(f"{chance['low']:.2g} to {chance['high']:.2g}", bad),
-        Text(_one(worst["min_distance_m"], "m")),
+        Text("-" if worst["min_distance_m"] is None else f"{worst['min_distance_m']:.4g} m"),
         Text(_interval(mean["min_distance_m"], "m")),
         Text(f"{mean['experimental_share']['mean']:.1%}"),
         Text(_interval(mean["delta_v_m_s"], "m/s")),
     ]
-
-
-def _one(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.4g} {unit}"
 
 
 def _interval(told: Mapping[str, float | None], unit: str) -> str:

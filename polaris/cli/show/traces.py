@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...traces.evaluation import AgentMetrics, Separation, Spread, TraceMetrics
+from ...traces.evaluation import Separation, Spread, TraceMetrics
 from ...traces.legacy import Legacy, Raises
 from . import Printout, alarming, table
 
@@ -25,17 +25,13 @@ def show_metrics(found: TraceMetrics, console: Console | None = None) -> None:
             out.say(f"velocity: {agent.velocity}")
         else:
             out.say("no unsafe set, no other agent")
-        out.say(_controllers(agent))
+        shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
+        out.say(f"share of time: {shares}; switches: {agent.switches}")
         if agent.running_times is not None:
             mean, most, least = agent.running_times
             out.say(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s")
     for note in found.notes:
         out.say(f"note: {note}")
-
-
-def _controllers(agent: AgentMetrics) -> str:
-    shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
-    return f"share of time: {shares}; switches: {agent.switches}"
 
 
 QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drift_ttc", "TTC, drift [s]"))

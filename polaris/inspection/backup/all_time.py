@@ -9,14 +9,12 @@ import numpy as np
 
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
-from ..constraints.catalogue import KINDS
+from ..constraints.allowable_set import KINDS
 from ..vectors import dot, length
 from .brake import Brake, turned
 from .tube import TOLERANCE
 
 SUPPORTS = 16  # most steps towards the nearest point of a patch of free flights; each gives a valid bound
-
-
 NEAR = 5.0  # bounds of free flights [m] up to which they are looked at closely
 
 
@@ -76,7 +74,9 @@ class AllTime:
         r, closest = _convex(at, length(at), _units(at), bow)
         clear = (closest - wide[..., 0]).min(axis=0) - radius
         sun = q.sun_angle(t, self.sun_start)
-        cones = [(self._cone(at, float(sun), side, bow) - wide[..., 0]).min(axis=0) for side in (1.0, -1.0)]
+        # Signed distances from both cones about the sun's line, over every period, (L+1, N + P) [m].
+        beyond = (_convex(at, *self._normal(at, float(sun), side), bow)[1] for side in (1.0, -1.0))
+        cones = [(part - wide[..., 0]).min(axis=0) for part in beyond]
         inside = q.distance_max - (_over_periods(r[:, :N]) + astray).max(axis=0) - bow[:N]
         fastest = _over_periods(length(x[..., 3:])) + jolt[:N] + slip
         allowed = q.docking_speed + q.nu_1 * (closest[:, :N] - astray)
@@ -98,14 +98,10 @@ class AllTime:
         return np.asarray(np.concatenate([*alone, *of_pairs])[self._counted])
 
     def _bows(self, z: Array) -> tuple[Array, Array, Array]:
-        """Lemma D: how far flights leave the chords between samples, shape (N + P,) each.
-
-        Positions in axes that keep their direction and in Hill's frame [m], velocities in Hill's frame [m/s].
-        """
+        """Lemma D: how far flights leave chords, (N + P,): in fixed axes, in Hill's [m], speeds [m/s]."""
         q, D, n = self.inspection, self.brake.period, self.inspection.mean_motion
-        push = (
-            np.repeat([1.0, 2.0], [q.deputies, z.shape[1] - q.deputies]) * np.sqrt(3) * q.thrust_max / q.mass
-        )
+        several = np.repeat([1.0, 2.0], [q.deputies, z.shape[1] - q.deputies])
+        push = several * np.sqrt(3) * q.thrust_max / q.mass
         speed, far = length(z[..., 3:]).max(axis=0), length(z[..., :3]).max(axis=0)
         grow = np.exp((2 + np.sqrt(3)) * n * D)
         speed = (speed + np.sqrt(3) * n * far + push * D) * grow  # also between the samples
@@ -133,12 +129,6 @@ class AllTime:
         across = at - along[..., None] * axis
         value = np.cos(half) * length(across) - np.sin(half) * along
         return value, np.cos(half) * _units(across) - np.sin(half) * axis
-
-    def _cone(self, at: Array, sun: float, side: float, bow: Array) -> Array:
-        """Signed distance from a cone about the sun's line, over every period, shape (L+1, N + P) [m]."""
-        return _convex(at, *self._normal(at, sun, side), bow)[1]
-
-    # -- free flights -----------------------------------------------------------------------------
 
     def _passive(self, z: Array, wide: Array, bow: Array, jolt: Array, radius: Array) -> Array:
         """Lower bounds of phi7 and phi8, (N + P,), at every instant of the plans and ever after."""
@@ -197,11 +187,7 @@ def _over_periods(values: Array) -> Array:
 
 
 def _convex(at: Array, value: Array, slope: Array, bow: Array) -> tuple[Array, Array]:
-    """Lower bounds of a convex function of slope at most 1 over every period, and its last value for ever.
-
-    From the values (L+1, K) and the subgradients (L+1, K, 3) at samples (L+1, K, 3): between two of them a
-    convex function is nowhere below its tangents on the chord, nor by more than the bow (K,) off it.
-    """
+    """Values (L+1, K) of a convex function, and bounds over each period: tangents on chords, less bows."""
     chord = at[1:] - at[:-1]
     falls, rises = dot(slope[:-1], chord), dot(slope[1:], chord)
     first, last = value[:-1], value[1:]
@@ -212,11 +198,7 @@ def _convex(at: Array, value: Array, slope: Array, bow: Array) -> tuple[Array, A
 
 
 def _nearest(corners: Array, start: Array) -> Array:
-    """Lower bounds (K,) of the distances from the origin of the hulls of corners (K, 4, 3).
-
-    Every direction gives one, the least of the corners along it; the directions are those of points that
-    walk towards the nearest (Gilbert's steps).
-    """
+    """Lower bounds (K,) of distances from the origin to hulls of corners (K, 4, 3), by Gilbert's steps."""
     point, best = start, np.full(len(start), -np.inf)
     every = np.arange(len(start))
     for _ in range(SUPPORTS):

@@ -16,7 +16,6 @@ from ..vectors import length
 from .tube import Held, Tube, Uncertainty
 
 MOST = 2000  # most samples of a plan: what would take longer is not proven
-
 RESPONSES = (10.0, 20.0, 40.0)
 """Time constants [s] of the feedback that holds a plan, of which the one with the thinnest tube is taken."""
 
@@ -76,11 +75,7 @@ class Brake:
         self.drifting = self._free_flight()
 
     def _free_flight(self) -> tuple[float, float]:
-        """Lemma F: what is left, after up to T without thrust, of a distance held in the plane and across it.
-
-        Least share of the distance over the times of free flight from rest, lowered by what may happen
-        between the instants that are looked at.
-        """
+        """Lemma F: least shares left, up to T without thrust, of distances held in the plane, across it."""
         n, T = self.inspection.mean_motion, self.inspection.passive_time
         step = T / (LOOKS - 1)
         flights = free_flight(n, np.linspace(0.0, T, LOOKS)) @ self.resting
@@ -94,8 +89,6 @@ class Brake:
         plane = np.linalg.svd(places[:, :2, :2], compute_uv=False)[:, -1].min()
         across = np.abs(places[:, 2, 2]).min()
         return max(float(plane - lost), 0.0), max(float(across - lost), 0.0)
-
-    # -- plans ------------------------------------------------------------------------------------
 
     def steps(self, change: Array) -> Array:
         """Periods that changes of V (..., 3) [m/s] take, about: at most a quarter of `MOST`."""

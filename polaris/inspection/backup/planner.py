@@ -10,7 +10,6 @@ from ..vectors import length
 from .all_time import AllTime
 
 ATTEMPTS = 4  # most plans that are tried from one state
-
 ROOM = 0.5
 """How much farther in than need be a deputy is moved that could not be held where it would stop [m]."""
 

@@ -18,8 +18,6 @@ from .settled import Decay
 
 LONGEST = 20_000  # most periods of one predicted flight
 LOOK = 4  # every so many periods it is asked whether the flight has settled
-
-
 BRAKING = 0.5  # share of the thrust with which the stopping point of the reference is estimated
 
 
@@ -99,9 +97,15 @@ class Tracker:
     ) -> None:
         q, self.period = inspection, positive("period", period, "s")
         self.inspection, self.motion = q, q.held(period)
-        self.ellipses = Ellipses.fitting(q, ellipses)
+        self.ellipses = ellipses or Ellipses.of(q)
+        if self.ellipses.mean_motion != q.mean_motion:  # there they are no flights
+            rule = f"must be for {q.mean_motion:g} rad/s"
+            raise ScenarioError("ellipses", self.ellipses.mean_motion, rule)
         A, B = augmented(q)
-        stiffness, weights = lqr_weights(q, response)
+        # Without gravity, a velocity error decays with the response, a position error with twice that.
+        damping = q.mass / positive("response", response, "s")
+        stiffness = damping / (4 * response)
+        weights = [stiffness**2] * 3 + [damping**2 - 2 * q.mass * stiffness] * 3
         weights += [(stiffness / (8 * response)) ** 2] * 3
         self.gain = solve_are(A, B, np.diag(weights), np.eye(3))[1]
         loop = np.zeros((9, 9))
@@ -149,17 +153,6 @@ class Tracker:
         spent = self._thrusts.total(s).sum(axis=1) * D / q.mass
         distance = semi_axes(memory, q.mean_motion)[0] - strays
         return Outlook(settled, spent, distance)
-
-
-def lqr_weights(inspection: Inspection, response: float) -> tuple[float, list[float]]:
-    """Stiffness [N/m] and weights of the six states for a time constant [s] of the velocity error.
-
-    The weights are such that, without gravity, a velocity error decays with it and a position error with
-    twice that.
-    """
-    damping = inspection.mass / positive("response", response, "s")
-    stiffness = damping / (4 * response)
-    return stiffness, [stiffness**2] * 3 + [damping**2 - 2 * inspection.mass * stiffness] * 3
 
 
 def _errors(x: Array, memory: Array) -> Array:

@@ -100,9 +100,8 @@ class Tube:
         kick = self._grow * np.array([D**2 / 2, D])
         missed = np.array([np.linalg.norm(held.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max
         gains, by_slip = _pushed(powers, *kick), _pushed(powers, *missed)
-        axes = np.cumsum(np.abs(powers @ Gamma @ self.gain) @ eta, axis=0) + np.abs(powers @ (Phi * eta)).sum(
-            -1
-        )
+        axes = np.cumsum(np.abs(powers @ Gamma @ self.gain) @ eta, axis=0)
+        axes = axes + np.abs(powers @ (Phi * eta)).sum(-1)
         axes = np.vstack([np.abs(powers[0]) @ eta, axes])
         known = np.stack([length(axes[:, :3]), length(axes[:, 3:6]), axes[:, 6:].max(axis=1)], axis=1)
         known[1:] += np.cumsum(by_slip, axis=0)

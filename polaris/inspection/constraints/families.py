@@ -4,8 +4,6 @@ Row by row ``G (u_i - u_j) >= bound`` is the barrier condition BC >= 0 of eq. 7,
 concerns one deputy only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +17,8 @@ from ...model.system import Array
 from ..closest import ClosestApproach, map_norms
 from ..inspection import Inspection
 from ..vectors import CENTRE, STANDSTILL, dot
+from .allowable_set import FAMILIES, KINDS
 from .barriers import Radial, SunCone
-from .catalogue import FAMILIES, KINDS
 from .motion import Motion, SampledData
 from .passive import Passive, PassiveSegments
 from .speeds import Velocity

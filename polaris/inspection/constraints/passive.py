@@ -12,8 +12,7 @@ from ..vectors import dot, rounded_length
 from .barriers import Barrier, Evaluation
 from .motion import Motion
 
-BOW = 0.01
-"""Least distance [m] by which a free flight is assumed to stray from its chords."""
+BOW = 0.01  # least distance [m] by which a free flight is assumed to stray from its chords
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from ...model.checks import number
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from .catalogue import FAMILIES
+from .allowable_set import FAMILIES
 
 
 @dataclass(frozen=True)

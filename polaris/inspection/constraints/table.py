@@ -12,8 +12,8 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach
 from ..inspection import Inspection
+from .allowable_set import FAMILIES
 from .barriers import Barrier, Braking, Radial, SunCone
-from .catalogue import FAMILIES
 from .passive import Passive, PassiveSegments
 from .speeds import Speed, SpeedInSquares, Velocity, VelocitySide
 

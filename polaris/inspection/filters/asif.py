@@ -90,16 +90,11 @@ class ActiveSetFilter(CallByCall):
         if worst > DESIRED or True in changed.tolist():
             answer.active = self._active(rows, u)
         if worst >= SHORT:
-            answer.missed = self._missed(rows, u)
+            gap = np.maximum.reduceat(self.families.missed(rows, u[None])[0], self._starts)
+            answer.missed = {self._names[k]: float(gap[k]) for k in np.flatnonzero(gap > TIGHT).tolist()}
         if answer.short:
             notes.append(f"no input satisfies all conditions: least violation, misses {_told(answer.missed)}")
         return answer
-
-    def _missed(self, rows: Rows, u: Array) -> dict[str, float]:
-        """Constraints whose condition is not met, and by how much [N]."""
-        gap = np.maximum.reduceat(self.families.missed(rows, u[None])[0], self._starts)
-        short = np.flatnonzero(gap > TIGHT)
-        return {self._names[k]: float(gap[k]) for k in short.tolist()}
 
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""
@@ -115,7 +110,7 @@ class ActiveSetFilter(CallByCall):
 def _told(missed: dict[str, float], most: int = 5) -> str:
     """The conditions missed by most, in words."""
     worst = sorted(missed.items(), key=lambda item: -item[1])
-    told = ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:most])
-    return (
-        f"{told} and {len(worst) - most} more" if len(worst) > most else told or "none by more than rounding"
+    told = (
+        ", ".join(f"{name} by {value:.3g} N" for name, value in worst[:most]) or "none by more than rounding"
     )
+    return f"{told} and {len(worst) - most} more" if len(worst) > most else told

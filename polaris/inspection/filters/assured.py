@@ -24,8 +24,6 @@ from .explicit import Centralized, Decentralized
 Some = NDArray[np.bool_]
 
 HALVINGS = 6  # halvings of the way from the backup's thrust to the wanted one
-
-
 FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s
 
 

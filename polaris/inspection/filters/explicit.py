@@ -69,11 +69,7 @@ class Centralized:
         return Filtered(u, status, rows)
 
     def _tighten(self, found: Filtered, runs: NDArray[np.intp], x: Array, sun: Array, desired: Array) -> None:
-        """Solve again for some runs: bound the curvature by the thrust chosen, not by all there is.
-
-        Begun with no thrust's curvature; an answer stands if it satisfies the rows of its own, otherwise
-        these are added. Those for which that does not do stay as they are.
-        """
+        """Solve some runs again, curvature bounded by the thrust chosen, until answers meet their rows."""
         families, held = self.families, np.zeros_like(desired[runs])
         bound: Array = np.full(found.rows.bound[runs].shape, -np.inf)
         for _ in range(TRIES):
@@ -86,12 +82,8 @@ class Centralized:
             own = families(x[runs], sun[runs], np.where(np.isfinite(held), held, 0.0))
             met = np.einsum("rmv,rmv->rm", own.G, families.relative(held)) >= own.bound - MET
             good = solved & met.all(axis=1)
-            done = runs[good]
-            found.u[done], found.status[done], found.rows.bound[done] = (
-                held[good],
-                status[good],
-                bound[good],
-            )
+            for whole, part in ((found.u, held), (found.status, status), (found.rows.bound, bound)):
+                whole[runs[good]] = part[good]
             left = solved & ~good
             runs, bound, held = runs[left], bound[left], held[left]
             if not len(runs):

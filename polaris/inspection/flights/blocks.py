@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...rta.projection import SHORT
-from ..constraints.allowable_set import allowable
-from ..constraints.catalogue import CONSTRAINTS
+from ..constraints.allowable_set import CONSTRAINTS, allowable
 from ..constraints.families import Families
 from .judge import keepers
 from .simulation import BatchFilter, Flights, Observer, Step, fly
 
 BETWEEN = 1  # instants inside each period at which the constraints are looked at too
-
 NEAR = 60.0
 """Closest approaches in free flight [m] up to which they are told exactly; beyond, a lower bound is told."""
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.system import Array
-from ..constraints.allowable_set import allowable
-from ..constraints.catalogue import KINDS, PASSIVE
+from ..constraints.allowable_set import KINDS, PASSIVE, allowable
 from ..constraints.families import Families
 from ..constraints.table import Index
 from .simulation import InspectionRun
@@ -74,11 +73,9 @@ class Keeper:
 
 def keepers(families: Families, runs: int = 1) -> dict[str, Keeper]:
     """One for each constraint that the families keep."""
-    N, everyone = families.inspection.deputies, families.everyone
+    alone, pairs = np.split(families.everyone, [families.inspection.deputies])
     kept = [kind for family, kind in KINDS.items() if family in families.family]
-    return {
-        name: Keeper(everyone[N:] if kind.pair else everyone[:N], runs) for kind in kept for name in kind.phi
-    }
+    return {name: Keeper(pairs if kind.pair else alone, runs) for kind in kept for name in kind.phi}
 
 
 def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:

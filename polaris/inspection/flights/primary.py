@@ -18,7 +18,6 @@ class Primary(Protocol):
 
     def __call__(self, t: float, x: Array) -> Array:
         """Desired thrust [N], shape (R, N, 3), not necessarily within the limits, at states (R, N, 6)."""
-        ...
 
 
 class NoInput:
@@ -51,9 +50,8 @@ class LQR:
     ) -> None:
         weights = [positive("position_weight", position_weight, "1/m^2")] * 3
         weights += [non_negative("velocity_weight", velocity_weight, "s^2/m^2")] * 3
-        self.gain = lqr_gain(
-            inspection.system, weights, [positive("thrust_weight", thrust_weight, "1/N^2")] * 3
-        )
+        thrust = [positive("thrust_weight", thrust_weight, "1/N^2")] * 3
+        self.gain = lqr_gain(inspection.system, weights, thrust)
         self.distance = distance
 
     def __call__(self, t: float, x: Array) -> Array:

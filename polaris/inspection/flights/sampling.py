@@ -24,8 +24,6 @@ class InitialConditions:
     families : Families
         ``h >= 0`` and ``phi >= 0`` are asked for all of them.
     seed : int
-    position, speed : float, optional
-        Half-widths of the sampled cube [m], [m/s]; default r_max and v_max.
     block : int
         Samples per Latin hypercube.
 
@@ -35,19 +33,10 @@ class InitialConditions:
         All accepted so far, of the `drawn`; angles of the sun in rad.
     """
 
-    def __init__(
-        self,
-        families: Families,
-        seed: int = 0,
-        position: float | None = None,
-        speed: float | None = None,
-        block: int = 4096,
-    ) -> None:
+    def __init__(self, families: Families, seed: int = 0, block: int = 4096) -> None:
         q = families.inspection
-        half = [q.distance_max if position is None else position] * 3
-        half += [q.speed_max if speed is None else speed] * 3
         self.families, self.block = families, block
-        self.wide = np.tile(half, q.deputies)
+        self.wide = np.tile(np.repeat([q.distance_max, q.speed_max], 3), q.deputies)
         self.sampler = qmc.LatinHypercube(6 * q.deputies + 1, rng=np.random.default_rng(seed))
         self.x = np.empty((0, q.deputies, 6))
         self.sun = np.empty(0)
@@ -66,9 +55,9 @@ class InitialConditions:
         with self._lock:
             while len(self.x) < count:
                 if self.drawn >= PATIENCE and len(self.x) * PATIENCE < self.drawn:
-                    rule = f"none or hardly any of {self.drawn} samples satisfied every constraint; fewer"
+                    rule = f"none or hardly any of {self.drawn} samples satisfied every constraint"
                     raise ScenarioError(
-                        "count", count, f"{rule} deputies, a slower or smaller cube have room"
+                        "count", count, f"{rule}; fewer deputies, a slower or smaller cube have room"
                     )
                 self._draw()
             return self.x[:count], self.sun[:count]

@@ -28,14 +28,10 @@ and not even that is known to keep the constraints."""
 class BatchFilter(Protocol):
     """A filter of R runs at once, as `Centralized` or `Decentralized`, and the constraints that it keeps."""
 
-    @property
-    def families(self) -> Families:
-        """The constraints."""
-        ...
+    families: Families
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
-        ...
 
 
 class OneFlight:

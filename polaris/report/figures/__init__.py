@@ -1,7 +1,5 @@
 """Figures for print: the scene with its modes, distance and thrust, timeline, containment margin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

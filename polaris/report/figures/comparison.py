@@ -15,7 +15,7 @@ from ..scene.items import under_mode
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
 from .scene import draw_unsafe
-from .style import ABOVE, DOTS, WIDTH, new_figure, printing, shortened
+from .style import ABOVE, DOTS, WIDTH, dot, new_figure, printing, shortened
 from .view import View
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
@@ -121,7 +121,6 @@ def _paths(found: ComparisonPicture) -> Any:
 GAP = 0.14  # height of a label [in]
 SPREAD = 4.0  # ratio of the largest velocity change to the least from which on the axis is logarithmic
 
-
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 """Points by velocity change [m/s], share [%] and switches."""
 
@@ -153,14 +152,8 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     ax.set_ylabel(f"{'Weighted share' if weighted else 'Share'} of time under U (%)")
     ax.set_xlabel("Velocity change, mean over runs (m/s)")
     ax.grid(True)
-    handles = [
-        Line2D([], [], ls="none", marker=marker, color=colour, mfc=fill, ms=4, label=name)
-        for marker, colour, fill, name in (
-            ("o", BLACK, BLACK, "no other outdoes it"),
-            ("o", GREY, GREY, "outdone"),
-            ("D", PURPLE, "none", "printed algorithms"),
-        )
-    ]
+    handles = [dot("o", BLACK, 4, "no other outdoes it"), dot("o", GREY, 4, "outdone")]
+    handles.append(dot("D", PURPLE, 4, "printed algorithms", mfc="none"))
     ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
     return figure
 
@@ -197,6 +190,13 @@ def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
 FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
 """Figures of a comparison."""
 
+LINES = {
+    "share": (ORANGE, 100, "share"),
+    "delta_v_m_s": (BLUE, 1, "mean m/s"),
+    "delta_v_most_m_s": (GREY, 1, "proven m/s"),
+}
+"""Lines against a field's values: colour, factor and name."""
+
 
 def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
     """Share of U and velocity change against the values of every field; what is infeasible at the foot."""
@@ -207,12 +207,9 @@ def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
         values, beside = np.array([one["value"] for one in mine], dtype=float), ax.twinx()
         if values.min() > 0 and values.max() > SPREAD * values.min():
             ax.set_xscale("log")
-        for one, key, colour, scale in (
-            (ax, "share", ORANGE, 100),
-            (beside, "delta_v_m_s", BLUE, 1),
-            (beside, "delta_v_most_m_s", GREY, 1),
-        ):
+        for key, (colour, scale, _) in LINES.items():
             told = np.array([np.nan if row[key] is None else scale * row[key] for row in mine])
+            one = ax if key == "share" else beside
             one.plot(values, told, "o-", color=colour, ms=3, lw=0.9)
         none = values[[row["guarantee"] == "infeasible" for row in mine]]
         if len(none):
@@ -220,22 +217,13 @@ def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
         ax.set(ylim=(0, 105), xlabel=field, ylabel="Share of U (%)")
         beside.set(ylim=(0, None), ylabel="Delta-v (m/s)")
         ax.grid(True)
-    names = (
-        (ORANGE, "o", "share"),
-        (BLUE, "o", "mean m/s"),
-        (GREY, "o", "proven m/s"),
-        (RED, "x", "infeasible"),
-    )
-    handles = [
-        Line2D([], [], ls="none", marker=m, color=colour, ms=4, label=name) for colour, m, name in names
-    ]
+    handles = [dot("o", colour, 4, name) for colour, _, name in LINES.values()]
+    handles.append(dot("x", RED, 4, "infeasible"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=7)
     return figure
 
 
-def _points(points: Sequence[Mapping[str, Any]]) -> Any:
-    """Points without a front are those of fields."""
-    return _sensitivity(points) if points[0]["non_dominated"] is None else _front(points)
-
-
-TRADEOFF = {"tradeoff": _points}  # figures of a trade-off
+TRADEOFF = {
+    "tradeoff": lambda points: (_sensitivity if points[0]["non_dominated"] is None else _front)(points)
+}
+"""Figures of a trade-off; points without a front are those of fields."""

@@ -18,14 +18,9 @@ from .scene3d import frame_axes
 from .style import ABOVE, WIDTH, new_figure, step_edges
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)))
-
-
 SHOWN_FLIGHTS = 16  # free flights that are drawn
 FINE = 101  # instants of a free flight that are drawn
 MOST_NAMED = 10  # most lines that a legend names
-
-
-# -- figures ----------------------------------------------------------------------------------------
 
 
 def _of_pairs(draw: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -76,9 +71,6 @@ def _paths_3d(run: InspectionRun) -> Any:
     return figure
 
 
-# -- free flights -----------------------------------------------------------------------------------
-
-
 def free_flights(run: InspectionRun, deputy: int) -> tuple[Array, Array, Array]:
     """Instants, times of flight, and positions of free flights of shape (instants, times, 3)."""
     q = run.inspection
@@ -92,9 +84,6 @@ def nearest_deputy(run: InspectionRun) -> int:
     """The deputy whose free flights come nearest to the chief, of those that are drawn."""
     least = [np.linalg.norm(free_flights(run, i)[2], axis=2).min() for i in range(run.inspection.deputies)]
     return int(np.argmin(least))
-
-
-# -- panels over time -------------------------------------------------------------------------------
 
 
 def _lines(ax: Any, run: InspectionRun, label: str, values: Array, pairs: bool = False, **look: Any) -> None:
@@ -161,9 +150,6 @@ def _spent(ax: Any, run: InspectionRun) -> None:
     _lines(ax, run, "Velocity change (m/s)", run.delta_v, lw=1.2)
 
 
-# -- other panels -----------------------------------------------------------------------------------
-
-
 def _speed(ax: Any, run: InspectionRun) -> None:
     """The speed of each deputy against its distance from the chief, among phi1, phi3 and phi6."""
     q = run.inspection
@@ -216,9 +202,6 @@ def _passive(ax: Any, run: InspectionRun) -> None:
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
     ax.legend(handles=handles, handlelength=1.2, columnspacing=0.9, **ABOVE)
-
-
-# -- parts ------------------------------------------------------------------------------------------
 
 
 def _ends(path: Any, ax: Any, deputy: int) -> None:

@@ -13,7 +13,7 @@ from ...inspection.inspection import Inspection
 from ...runs.monte_carlo import CampaignPicture
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, ORANGE, PURPLE, RED, SKY, VERMILION, tint
 from ..scene.unsafe import AXES, ORDER
-from .style import ABOVE, WIDTH, new_figure, step_edges
+from .style import ABOVE, WIDTH, dot, new_figure, step_edges
 
 BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
 
@@ -94,14 +94,8 @@ def initial_conditions(picture: CampaignPicture) -> Any:
         ax.grid(True)
     for ax in axes[len(picture.studies) :]:
         ax.set_axis_off()
-    handles = [
-        Line2D([], [], ls="none", marker=marker, color=colour, ms=size, label=told)
-        for marker, colour, size, told in (
-            ("*", tint(SKY, 0.75), 5, "not concerned"),
-            ("*", RED, 5, "failed"),
-            ("o", BLACK, 3, "chief"),
-        )
-    ]
+    handles = [dot("*", tint(SKY, 0.75), 5, "not concerned"), dot("*", RED, 5, "failed")]
+    handles.append(dot("o", BLACK, 3, "chief"))
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
     figure.supxlabel("Along-track at the start (m)", fontsize=8)
     figure.supylabel("Radial at the start (m)", fontsize=8)

@@ -79,9 +79,6 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
     return style.legend_above(ax, handles, 2)
 
 
-# -- sets that are drawn lightly --------------------------------------------------------------------
-
-
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Recoverable sets at the hand-overs, with the chaser in them, rimmed in the colour of who takes over."""
     look, slices, printed = LOOKS["slice"], scene.picture.slices, list(scene.picture.printed_slices())
@@ -155,9 +152,6 @@ def _outline(
     ax.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=width, ls=dashes, zorder=order))
 
 
-# -- paths ------------------------------------------------------------------------------------------
-
-
 def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
     handles = []
@@ -180,9 +174,6 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
         ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
         ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
     return handles
-
-
-# -- unsafe sets ------------------------------------------------------------------------------------
 
 
 def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> None:

@@ -15,6 +15,7 @@ from fontTools import subset
 from matplotlib import font_manager, get_data_path
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from matplotlib.ticker import AutoLocator
 
@@ -74,10 +75,7 @@ def printing() -> Iterator[None]:
 
 @cache
 def _light_font() -> str:
-    """Name of a copy of DejaVu Sans with Latin and Greek letters, digits and punctuation only.
-
-    Searching all of the font for the glyphs that each PDF embeds takes longer than drawing.
-    """
+    """Name of a copy of DejaVu Sans with few letters: to search all of it takes longer than to draw."""
     options = subset.Options(legacy_kern=True, glyph_names=True, notdef_outline=True)
     options.drop_tables += ["FFTM", "GDEF", "GPOS", "GSUB", "MATH"]
     font = subset.load_font(str(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")), options)
@@ -177,6 +175,11 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
     columns, names = legend_rows(handles, width, columns)
     ax.legend(handles, names, loc="lower left", bbox_to_anchor=(0.0, 1.01), ncols=columns, labelspacing=0.3)
     return 0.145 * -(-len(names) // columns)
+
+
+def dot(marker: str, colour: Any, size: float, name: str, **look: Any) -> Any:
+    """A handle of a legend: a marker alone."""
+    return Line2D([], [], ls="none", marker=marker, color=colour, ms=size, label=name, **look)
 
 
 def step_edges(values: Any) -> Any:

@@ -15,20 +15,7 @@ from ...runs.comparison import ComparisonPicture
 from ...runs.folder import RunFolder
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
-from .page import (
-    Cell,
-    Measure,
-    Page,
-    badge,
-    details,
-    items,
-    macros,
-    number_cell,
-    reading,
-    shown,
-    table,
-    text_cell,
-)
+from .page import Cell, Measure, Page, badge, details, macros, number_cell, reading, shown, table, text_cell
 from .run_report import NOTE, guarantee, loud
 from .timelines import Flown, flight_data
 
@@ -89,10 +76,6 @@ def _tradeoffs(methods: Methods) -> Markup:
     return Markup(macros().picture(base64.b64encode(tradeoffs_png(methods)).decode(), told))
 
 
-def _name_cell(name: str) -> Cell:
-    return Cell(name, name)
-
-
 def _claim_cell(method: Mapping[str, Any], told: str) -> Cell:
     return Cell(told, str(method["guarantee"]), text=True)
 
@@ -101,7 +84,7 @@ def _methods(methods: Methods) -> Markup:
     measures = Measure.known(*(method.get("metrics") or {} for method in methods))
     rows = []
     for method in methods:
-        values, name = method.get("metrics") or {}, _name_cell(str(method["name"]))
+        values, name = method.get("metrics") or {}, Cell(str(method["name"]), str(method["name"]))
         if not method.get("available", True):
             name = replace(name, html=macros().not_available(name.html))
         told = macros().titled(badge(method["guarantee"]), method.get("reach") or "")
@@ -145,7 +128,7 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
         known = dict.fromkeys(key for cells in others.values() for key in cells)
         measures = [Measure.of(key) for key in known]
         rows = [
-            [_name_cell(names.get(key, key)), *(cells.get(one.key, Cell("")) for one in measures)]
+            [Cell(name := names.get(key, key), name), *(cells.get(one.key, Cell("")) for one in measures)]
             for key, cells in others.items()
         ]
         caption = (
@@ -210,4 +193,5 @@ def _log(own: Sequence[Decisions]) -> Markup:
     total, changes = sum(map(len, own)), len(own)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
     body = table(f"{total} decisions in {changes} stretches of the same reason", heads, rows)
-    return body + (items([f"and {changes - MOST_STRETCHES} more"]) if changes > MOST_STRETCHES else "")
+    more = [f"and {changes - MOST_STRETCHES} more"] if changes > MOST_STRETCHES else []
+    return body + (Markup(macros().items(more)) if more else "")

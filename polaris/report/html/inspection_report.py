@@ -1,13 +1,13 @@
 """The page of the inspection problem: a flight, a fuel limit, or a campaign (tables alone)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from ...inspection.constraints.allowable_set import allowable
-from ...inspection.constraints.catalogue import PASSIVE
+from ...inspection.constraints.allowable_set import PASSIVE, allowable
 from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.inspection import Inspection
 from ...model.checks import counted
@@ -64,11 +64,7 @@ def _constraints(summary: Mapping[str, Any]) -> Markup:
         [
             Cell(str(row["constraint"])),
             text_cell(MEANING.get(row["constraint"], (row["meaning"], ""))[0]),
-            Cell(
-                number_cell(row["least"], unit=row["unit"]).html,
-                row["least"],
-                bad=row["least"] is not None and row["least"] < 0,
-            ),
+            replace(number_cell(row["least"], unit=row["unit"]), bad=(row["least"] or 0) < 0),
             number_cell(row["time_s"], unit="s"),
             text_cell(", ".join(map(str, row["deputies"]))),
             _share(row["violated_share"], bad=bool(row["violated_share"])),

@@ -59,7 +59,6 @@ TITLES = {
 """What metrics are called, in the order of tables."""
 
 SUFFIXES = {"_m_s2": "m/s²", "_m_s": "m/s", "_us": "µs", "_ms": "ms", "_s": "s", "_m": "m", "_N": "N"}
-
 BAD = ("collided", "collided_runs", "violations", "min_distance_m")
 """Metrics that tell of a collision: any that is true or above 0, and a distance that is negative."""
 
@@ -88,27 +87,22 @@ def macros(name: str = "parts.html") -> Any:
     return template(name).module
 
 
-def escaped(text: Any) -> Markup:
-    """Text from a file as HTML, in elements and in attributes."""
-    return escape(str(text))
-
-
 def shown(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> Markup:
     """A value of a file as HTML, numbers in a form with a unit; `ABSENT` says by key what null means."""
     after = f" {unit}" if unit else ""
     if value is None:
         return _without_number(*ABSENT.get(key, ("none", "no value")))
     if isinstance(value, bool):
-        return escaped("yes" if value else "no")
+        return escape("yes" if value else "no")
     if isinstance(value, (list, tuple)):
         return Markup(", ").join(shown(item, key, form) for item in value) + (after if value else "")
     if not isinstance(value, (int, float)):
-        return escaped(value)
+        return escape(str(value))
     if np.isnan(value):
         return _without_number("none", "no value")
     if np.isinf(value):
         return _without_number(*(("∞", "infinite") if value > 0 else ("−∞", "minus infinite")))
-    return escaped((f"{value:d}" if isinstance(value, int) and form == ".4g" else f"{value:{form}}") + after)
+    return escape((f"{value:d}" if isinstance(value, int) and form == ".4g" else f"{value:{form}}") + after)
 
 
 def _without_number(text: str, why: str) -> Markup:
@@ -131,7 +125,7 @@ class Cell:
 
 def text_cell(text: Any) -> Cell:
     """A cell with text from a file."""
-    return Cell(escaped(text), str(text), text=True)
+    return Cell(escape(str(text)), str(text), text=True)
 
 
 def number_cell(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> Cell:
@@ -206,11 +200,6 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], so
 def badge(kind: Any) -> Markup:
     """The kind of a guarantee, by colour, sign and word."""
     return Markup(macros().badge(*BADGES.get(str(kind), ("limited", str(kind)))))
-
-
-def items(texts: Iterable[Any]) -> Markup:
-    """A list of texts."""
-    return Markup(macros().items(texts))
 
 
 def details(summary: str, inner: str) -> Markup:

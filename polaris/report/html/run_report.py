@@ -7,9 +7,9 @@ from typing import Any
 from markupsafe import Markup
 
 from ...model.checks import counted
-from ...runs.claims import besides
 from ...runs.folder import RunFolder
 from ...runs.picture import Picture
+from ...runs.tables import besides
 from ...synthesis.recoverable import directed
 from ..scene.geometry import stretches
 from ..scene.palette import PILOTS, mode_colour
@@ -45,7 +45,7 @@ def run_page(folder: RunFolder) -> Page:
         (loud(recoverable) if claim["kind"] == "none" else Markup()) + answers(summary, picture),
         (
             ("numbers", "Metrics", metrics(summary)),
-            ("guarantee", "The guarantee", guarantee(claim, recoverable)),
+            ("guarantee", "The guarantee", guarantee(claim, recoverable) + aborts(claim)),
             ("synthesis", "Synthesis", synthesis(summary)),
             reading(summary, f"{NOTE} {SLICE}"),
         ),
@@ -148,6 +148,23 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> Markup:
         arrives["by"] = _time(goal["by_s"])
     told = claim, recoverable, badge(claim["kind"]), reach(claim), arrives, besides(claim)
     return Markup(macros("run.html").guarantee(*told))
+
+
+def aborts(claim: Mapping[str, Any]) -> Markup:
+    """What is proven of aborts with thrust, by steps that end on one branch at one time, or fail alike."""
+
+    def alike(step: Mapping[str, Any]) -> tuple[Any, ...]:
+        return step["leaves_s"], step["by_s"], step["why"]
+
+    rows = []
+    for (leaves, by, why), group in groupby(claim.get("powered_abort", {}).get("steps", ()), alike):
+        steps = list(group)
+        most = max((each["delta_v_m_s"] for each in steps if why is None), default=0.0)
+        told = why or f"{directed(most, '.4g', up=True)} m/s"
+        cells = f"{steps[0]['step']} to {steps[-1]['step']}", *(("", "") if why else map(_time, (leaves, by)))
+        rows.append([Cell(text) for text in (*cells, told)])
+    heads = ["in steps", "leaves the reference", "on the orbit by", "velocity change at most, or why not"]
+    return table("Abort with thrust", heads, rows) if rows else Markup()
 
 
 def loud(recoverable: str) -> Markup:

@@ -22,7 +22,6 @@ from ..scene.palette import LOOKS, mode_colour
 Layer = dict[str, Any]
 
 DIGITS = 6  # significant digits of what is drawn; tables show the folder's numbers with four
-
 AREAS = {"unsafe": 0.5, "cover": 0.16, "keep_in": 0.16, "goal": 0.2, "ring": 0.12, "initial": 0.4}
 AREAS |= {"slice": 0.45, "tube": 0.35, "chief": 0.6}
 """Opacity of areas and surfaces, by role."""

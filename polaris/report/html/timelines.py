@@ -31,7 +31,6 @@ from ..scene.scene import describe, shown_axes
 from .scene import plain, scene_data
 
 MOST = 400  # most samples of a run that are drawn, besides changes of controller
-
 WHO = "Who flies"
 
 Drawn = tuple[str, Array, Array | None]

@@ -30,7 +30,6 @@ METHOD_COLOURS = (
 )
 """Of the methods of a comparison: S alone and U alone come first, in the colours of S and U."""
 METHOD_DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-
 DEPUTY_COLOURS = (BLUE, VERMILION, PURPLE, BLACK, ORANGE, SKY, "#8C6D1F", "#5B5B5B")
 """One for each deputy; green and red stand for safe and unsafe."""
 

@@ -152,8 +152,6 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
 
 
 INSTANTS = 121
-
-
 WIDEN = 2.5  # sets are shown that are no further from the path than so many times its extent
 
 
@@ -175,9 +173,8 @@ class Stretch:
         shown = [start.c - reach, start.c + reach, picture.path()[0][:, 0], picture.safe_path()[1][:, 0]]
         points = np.concatenate(shown)
         size = float(np.ptp(points))
-        near = [
-            path[:, 0] for path in paths if np.ptp(np.append(path[:, 0], points)) < (1 + 2 * WIDEN) * size
-        ]
+        flown = (path[:, 0] for path in paths)
+        near = [one for one in flown if np.ptp(np.append(one, points)) < (1 + 2 * WIDEN) * size]
         points = np.concatenate([*shown, *near])
         low, high = float(points.min()) - WIDEN * size, float(points.max()) + WIDEN * size
         whole = cls(picture, -np.inf, np.inf)

@@ -125,9 +125,8 @@ class Space:
             return []
         G = np.vstack([asked.G, eye[free] @ C, -eye[free] @ C])
         g = np.concatenate([asked.g, self.high[free], -self.low[free]])
-        corners = np.array(
-            [outermost(np.array(ray), G, g) for ray in product((-1.0, 0.0, 1.0), repeat=len(C))]
-        )
+        rays = np.array(list(product((-1.0, 0.0, 1.0), repeat=len(C))))
+        corners = np.array([outermost(ray, G, g) for ray in rays])
         size = np.ptp(corners, axis=0)
         flat = size <= 1e-9 * np.max(self.high - self.low)
         if np.all(flat):

@@ -21,7 +21,6 @@ from .space import Space, moves
 AXES = ("Radial", "Along-track", "Cross-track")
 ORDER = [1, 0, 2]  # Hill's coordinates in the order of the axes of a scene: along-track, radial, cross-track
 PATH = 121  # instants between which a moving set is carried evenly
-
 APART = 2.2
 """A moving set is marked before and after the closest approach where it has moved so many times its width."""
 
@@ -150,10 +149,7 @@ def _edges(corners: Array) -> Array:
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:
-    """The timed cover within which another satellite is known to be, as the proof uses it.
-
-    Seen from its nominal place, the larger offsets of either end hold for all of a step.
-    """
+    """Another satellite's timed cover, as in the proof: larger offsets of either end all through a step."""
     picture = space.picture
     system, K = picture.system, picture.planned
     times = np.asarray(np.arange(K + 1) * picture.reference.delta)

@@ -59,9 +59,8 @@ class ExplicitASIF(Method):
         self.push, self.kick, self.drift = rate @ system.B, rate @ system.D, rate @ A
         self.off = system.thrusters.error(system.u_max)
         if not np.any(self.push):
-            raise ScenarioError(
-                "method", self.key, "the input moves the position only by its third derivative"
-            )
+            rule = "the input moves the position only by its third derivative"
+            raise ScenarioError("method", self.key, rule)
         self.balls = [o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)]
         span = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
         parts = np.split(grid.facets[1], grid.facets[2][1:], axis=1)
@@ -160,11 +159,7 @@ class ExplicitASIF(Method):
         return h, normal @ self.push, -self.alpha * h - (known + change)
 
     def _allowed(self, d: Array, brake: Array) -> tuple[Array, Array]:
-        """Closing speed from which braking ends in time, and its slope; linear in a layer about d = 0.
-
-        The layer is what the brake makes good within about three decision periods from rest. Half of it is
-        kept as a distance, for what happens between the instants at which the conditions hold.
-        """
+        """Closing speed from which braking ends in time, and its slope; half a linear layer is spare."""
         depth = 4 * np.maximum(brake, 1e-300) * self.grid.period**2
         d = d - depth / 2
         root = np.sqrt(2 * brake * np.maximum(d - depth / 2, depth / 2))

@@ -7,8 +7,6 @@ decision. Estimate error, disturbance and the path between nodes are booked as i
 and where no input satisfies all rows S itself flies. That makes it a proof, by the same argument.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...model.checks import positive
@@ -23,8 +21,6 @@ from ..prospect import Leg, Prospect
 from ..recovery import Recovery, extended
 
 SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
-
-
 UNLIMITED = 1e200  # room of a row that nothing limits
 
 
@@ -67,9 +63,8 @@ class ImplicitASIF(Method):
         for _ in range(grid.nodes - 1):
             moves.append(phi @ moves[-1] + moves[0])
         facets = self.recovery.matrix[: len(self.recovery.bow), :-1]
-        self.inner_moves = np.vstack(
-            [np.zeros((0, grid.system.m)), *(facets @ moved for moved in moves[:-1])]
-        )
+        none = np.zeros((0, grid.system.m))
+        self.inner_moves = np.vstack([none, *(facets @ moved for moved in moves[:-1])])
         demand = self.prospect.demand
         self.rows = demand.tall[: demand.near, :-2] @ moves[-1]
         self.most = np.abs(self.rows).sum(axis=1)
@@ -117,10 +112,7 @@ class ImplicitASIF(Method):
         return Choice(mode, margin, why, u * grid.system.u_max)
 
     def _kept(self, k: int, e: Array, limit: Array) -> Array | float:
-        """Room that this decision must leave at every limit, shape (R, rows).
-
-        A share of what would be left there if S took over now: S's own flight keeps all of it.
-        """
+        """Room that this decision must leave, (R, rows): a share of what S, taking over now, leaves."""
         if self.slope == 1:
             return 0.0
         demand, r = self.prospect.demand, len(self.recovery.rows)

@@ -9,11 +9,16 @@ from ..method import Choice, Claim, Method, Seen
 
 
 class Alone(Method):
-    """A controller that nothing relieves."""
+    """What looks at nothing: a controller that nothing relieves, unless a class says otherwise."""
 
     reasons = ("flies alone",)
     delayed = False
     mode: ClassVar[int]
+
+    @property
+    def reach(self) -> str:
+        """What happens at the end."""
+        return self.grid.schedule.safety.end.reason
 
     def decide(self, seen: Seen) -> Choice:
         """Always the same."""
@@ -26,11 +31,6 @@ class SafetyAlone(Alone):
 
     key, name, place, mode, proven = "safety", "S alone", 0, 0, True
     how = "S flies throughout"
-
-    @property
-    def reach(self) -> str:
-        """What happens at the end."""
-        return self.grid.schedule.safety.end.reason
 
     @property
     def claim(self) -> Claim:
@@ -50,18 +50,12 @@ class ExperimentalAlone(Alone):
         self.name = f"U alone ({grid.controllers[1].name})"
 
 
-class Precomputed(Method):
+class Precomputed(Alone):
     """Who flies when was decided, and proven, before the flight."""
 
     key, name, place, proven = "schedule", "Polaris schedule", 2, True
     how = "decided before the flight, looks at nothing"
     reasons = ("scheduled",)
-    delayed = False
-
-    @property
-    def reach(self) -> str:
-        """What happens at the end."""
-        return self.grid.schedule.safety.end.reason
 
     @property
     def claim(self) -> Claim:

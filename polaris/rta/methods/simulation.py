@@ -14,8 +14,7 @@ from ...synthesis.controllers import AffineController
 from ..decision_grid import DecisionGrid
 from ..method import Choice, Method, Option, Seen
 
-LEAST = 20
-"""Decisions that are looked ahead at least."""
+LEAST = 20  # decisions that are looked ahead at least
 
 HORIZON = Option(
     "horizon",

@@ -75,8 +75,6 @@ class DecisionLog:
         self.close()
 
 
-# -- values that may be anything ---------------------------------------------------------------------
-
 PARTS = tuple(field.name for field in fields(Measurement))
 
 

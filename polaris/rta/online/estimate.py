@@ -25,8 +25,7 @@ from ...model.tolerances import ROUNDING, TIME
 FARTHEST_MOTION = 20.0
 """Largest ``norm(A, 1)`` times duration over which boxes are moved: beyond it they bound nothing."""
 
-KEPT = 32
-"""Motions over so many different durations are kept."""
+KEPT = 32  # motions over so many different durations are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +72,8 @@ class BoxMotion:
         self.most = system.u_max + system.thrusters.error(system.u_max)
         size = float(np.linalg.norm(system.A, 1)) * longest
         if not size <= FARTHEST_MOTION:
-            rule = (
-                f"must be at most {FARTHEST_MOTION * longest / size:.3g} s, the motion is too fast for more"
-            )
+            most = FARTHEST_MOTION * longest / size
+            rule = f"must be at most {most:.3g} s, the motion is too fast for more"
             raise ScenarioError("memory", longest, rule)
         terms = [np.eye(system.n)]
         while len(terms) < 100 and np.abs(terms[-1]).max() * longest ** len(terms) > 1e-30:

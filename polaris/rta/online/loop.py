@@ -1,7 +1,5 @@
 """The flight loop around the monitor: answers take effect in time, permissions end, S is always there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import inf, isfinite
 from typing import NamedTuple

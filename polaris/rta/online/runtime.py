@@ -6,8 +6,6 @@ monitor itself are checked, and whatever is wrong with one of them, S flies. The
 documentation says why the proof survives, and what cannot be caught.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from math import inf, isfinite
@@ -140,18 +138,15 @@ class OnlineMonitor:
             k, mode, margin, reason = self._decide(told, faults)
         except Exception as error:  # whatever is wrong with the monitor itself, S flies
             self._own_fault(f"raised {type(error).__name__}", faults)
-        if self._timer() - begun > self._left(k, told.now):
+        left = self.limits.deadline
+        if self.grid.latency and k >= 0:  # nor beyond the moment of effect
+            left = min(left, k * self.grid.period + self.grid.latency - float(told.now))
+        if self._timer() - begun > left:
             self._own_fault("deadline missed", faults)
         answer = self._answer(k, mode, margin, reason, faults)
         if self._log is not None:
             self._record(self._log, answer, noted, told)
         return answer
-
-    def _left(self, k: int, now: Any) -> float:
-        """Wall time [s] for a call at this reading: the deadline, but not beyond the moment of effect."""
-        if not self.grid.latency or k < 0:
-            return self.limits.deadline
-        return min(self.limits.deadline, k * self.grid.period + self.grid.latency - float(now))
 
     def _own_fault(self, text: str, faults: list[Fault]) -> None:
         self._strikes += 1

@@ -149,9 +149,8 @@ def find_worst(
         try:
             table = folder.read(number, ["batch", "run", "mode", ranking])
         except OSError as error:
-            raise ScenarioError(
-                "campaign", str(folder.path), "is not finished; run it again first"
-            ) from error
+            rule = "is not finished; run it again first"
+            raise ScenarioError("campaign", str(folder.path), rule) from error
         flown = table["mode"] == mode
         least, batches, runs = (table[name][flown] for name in (ranking, "batch", "run"))
         order = np.lexsort((runs, batches, least))[:rank]

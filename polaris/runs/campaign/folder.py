@@ -58,8 +58,6 @@ class CampaignFolder:
         results = Results(plan.cases, plan.runs, plan.seed, plan.batch, self.failures(), self.read)
         write_whole(self.path / "summary.json", json_text(plan.kind.summarise(results, worst)))
 
-    # -- parts: one table per batch, written beside and renamed into place ---------------------------
-
     def part(self, task: Task) -> Path:
         """Where a batch goes: ``runs/case-0000-batch-00000.parquet`` and so on."""
         return self.path / "runs" / f"case-{task.case:04d}-batch-{task.batch:05d}.{self.table}"
@@ -102,8 +100,6 @@ class CampaignFolder:
 
     def _who(self, task: Task) -> dict[str, Any]:
         return {"campaign": self.plan.digest, "case": task.case, "batch": task.batch}
-
-    # -- cases that cannot be flown -------------------------------------------------------------------
 
     def failures(self) -> dict[int, dict[str, Any]]:
         """Cases that cannot be flown, by number, with ``message`` and ``exit_code``."""
@@ -150,7 +146,10 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         return CampaignFolder(path, plan, table)
     check_file(path / "summary.json")
     if known.get("digest") != plan.digest:
-        rule = f"holds another campaign ({_difference(known, plan)}); --fresh replaces it"
+        data = plan.data()
+        names = [name for name in data if name != "runs" and known.get(name) != data[name]]
+        differs = "other " + ", ".join(names) if names else "its manifest was changed"
+        rule = f"holds another campaign ({differs}); --fresh replaces it"
         raise ScenarioError("--out", str(out), rule)
     if known["runs"] > plan.runs:
         rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
@@ -211,13 +210,6 @@ def _manifest(folder: Path) -> dict[str, Any]:
     if not isinstance(known.get("runs"), int):
         raise ScenarioError("campaign", str(folder), "its manifest is damaged (no number of runs)")
     return known
-
-
-def _difference(known: dict[str, Any], plan: CampaignPlan) -> str:
-    """What two campaigns differ in."""
-    data = plan.data()
-    names = [name for name in data if name != "runs" and known.get(name) != data[name]]
-    return "other " + ", ".join(names) if names else "its manifest was changed"
 
 
 KEY = "polaris"  # where a part says which campaign, case, batch and schedule it belongs to

@@ -21,7 +21,6 @@ from ..inspection import ARRAYS
 from .batch import Batch, Case, Kind, Replayed, Results, Task, of_mode
 
 BLOCK = 100  # runs flown together: what fits into fast memory
-
 STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
 
 DEFINITIONS = {
@@ -87,9 +86,8 @@ class InspectionRuns(Kind):
         told["acceptance"] = drawn.acceptance
         found = outcomes(case, results.read(0, None))
         told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
-        return summary_of(
-            scenario, scenario.kind, told | {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
-        )
+        told |= {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
+        return summary_of(scenario, scenario.kind, told)
 
 
 def case_of(scenario: MonteCarloScenario) -> Case:

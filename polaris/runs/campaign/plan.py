@@ -110,7 +110,11 @@ class CampaignPlan:
         for case in self.cases:
             for key, value in case.parameters:
                 values.setdefault(key, set()).add(type(value))
-        return {key: _column_type(found) for key, found in values.items()}
+        whole = ({bool}, {int})
+        return {
+            key: found.pop() if found in whole else float if found <= {int, float} else str
+            for key, found in values.items()
+        }
 
     def data(self) -> dict[str, Any]:
         """Plain data, from which `from_data` makes the same plan."""
@@ -141,12 +145,6 @@ class CampaignPlan:
         )
         kind = KINDS[data["kind"]].from_data(data)
         return cls(cases, data["runs"], data["seed"], data["batch"], kind)
-
-
-def _column_type(found: set[type]) -> type:
-    if found in ({bool}, {int}):
-        return found.pop()
-    return float if found <= {int, float} else str
 
 
 def make_cases(

@@ -159,6 +159,7 @@ class ScheduleRuns(Kind):
         schedule, known = schedule_of(task.text, self.boxes)
         number = MODES[mode]
         name = mode if number is None else schedule.controllers[number].name
+        claim = schedule.guarantee if number is None else "none" if number else schedule.safety.guarantee
         seed, seed_truth = batch_seeds(task)
         busy: Any = self.boxes.busy if self.boxes else nullcontext()
         with busy:
@@ -171,7 +172,7 @@ class ScheduleRuns(Kind):
             "run": np.arange(task.runs, dtype=np.int64),
             "mode": np.repeat(mode, task.runs),
             "controller": np.repeat(name, task.runs),
-            "guarantee": np.repeat(_guarantee(schedule, number), task.runs),
+            "guarantee": np.repeat(claim, task.runs),
             **evaluate(runs, seed_truth, name).columns(),
         }
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
@@ -208,11 +209,6 @@ class ScheduleRuns(Kind):
             "assumptions": [ASSUMPTIONS[name] for name in (kind, "independent", "normal")],
             "definitions": DEFINITIONS,
         }
-
-
-def _guarantee(schedule: Schedule, number: int | None) -> str:
-    """What is claimed of who flies: the schedule, S alone, or U alone."""
-    return schedule.guarantee if number is None else "none" if number else schedule.safety.guarantee
 
 
 def batch_seeds(task: Task) -> tuple[int, int]:

@@ -6,6 +6,7 @@ from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from ...model.system import Array, LinearSystem
 from ...model.timed_polytope import TimedPolytope
@@ -198,14 +199,18 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
 def _look_closer(
     claims: Claims, runs: Runs, o: int, run: NDArray[np.intp], period: NDArray[np.intp], out: Attained
 ) -> None:
-    """Margins within some periods, along cubics through positions and velocities."""
+    """Margins within some periods, along cubics through positions and velocities, and pulses about them."""
     system, h, u = claims.system, claims.h, claims.unsafe[o]
     s = np.linspace(0, 1, PARTS + 1)[1:-1, None]
     ends = [runs.states[run, period + side][:, None] for side in (0, 1)]
     (a, b), (da, db) = ([part @ x.T for part in ends] for x in (system.position, h * system.velocity))
-    p = cubic(a, b, da, db, s)
+    p, grown = cubic(a, b, da, db, s), 0.0
+    if system.timing.fired:  # not, then, what the polytopes are grown by because of them
+        p = p + _pulsed(system, ends[0], ends[1], h, s)
+        sizes = claims.moved, claims.moved + np.array(system.timing.pulsed)
+        grown = float(np.diff([np.linalg.norm(np.abs(system.position) @ size) for size in sizes])[0])
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
-    margin = np.max(p @ u.normals.T - ((1 - s) * left + s * right), axis=-1)
+    margin = np.max(p @ u.normals.T - ((1 - s) * left + s * right), axis=-1) + grown
     best = np.argmin(margin, axis=1)
     least = margin[np.arange(len(margin)), best]
     order = np.argsort(-least)  # the least comes last and stays
@@ -213,6 +218,19 @@ def _look_closer(
     out.when[run[closer], o] = runs.times[period[closer]] + s[best[closer], 0] * h
     out.margin[run[closer], o] = least[closer]
     np.maximum.at(out.below[:, o], run, claims.floor[period, o] - least)
+
+
+def _pulsed(system: LinearSystem, before: Array, after: Array, h: float, s: Array) -> Array:
+    """How far pulses take positions from where held inputs have them, at shares s of a period, (R, S, d).
+
+    To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.
+    """
+    fired, half = np.array(system.timing.fired), expm(system.A * h / 2)
+    mean = (after - before @ (half @ half).T) @ np.linalg.pinv(half @ system.B * h).T
+    on = np.minimum(np.abs(mean) / fired, 1.0)
+    moved = np.clip(s - (1 - on) / 2, 0.0, on) ** 2 + 2 * on * np.maximum(s - (1 + on) / 2, 0.0)
+    force = np.sign(mean) * fired * (moved - on * s**2) / 2
+    return np.asarray(force @ (system.velocity @ system.B).T * h**2)
 
 
 def _measure_thrust(

@@ -9,13 +9,13 @@ import numpy as np
 
 from ...model.checks import of_kind, whole
 from ...model.system import Array
-from ...synthesis.recoverable import directed
 from ...synthesis.schedule import Schedule
-from ..integration import Integrator
 from ..run_metrics import Runs
+from .aborting import Aborted
 from .attacks import Attack, Attacker
-from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
+from .claims import EXACT_M, Attained, Claims, attained
 from .drifting import least_distances
+from .violations import Failure, Found, broken, confirm
 
 BATCH = 100_000
 """States of all runs flown at a time: few enough that they stay near the processor."""
@@ -26,55 +26,17 @@ ELITES = 12
 FAILING_EVERY = 3
 """Every so many batches something fails in every flight, where faults are isolated late."""
 
+ABORT_EVERY = 4
+"""Every so many batches the flight is aborted, at the start of one of the steps from which that is proven."""
+
 TAIL_EVERY = 8
 """Every so many batches S flies on after T, and in the last one if it has not before."""
 
 SMALLEST = 50
 """Fewest runs in a batch, but for the last."""
 
-KINDS = ("unsafe set", "saturation", "margin")
-"""Kinds of violation while it is flown, the gravest first; besides, that of the drift."""
-
 ROUND = ("worst", "again", "again", "mutate", "mutate", "random")
 """One round of the search, a batch each."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """One violation.
-
-    Attributes
-    ----------
-    kind : {"unsafe set", "saturation", "margin", "drift"}
-        A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven; so
-        did the drift of one in which all thrust stopped.
-    limit : str
-        Which unsafe set or input.
-    time_s : float
-        When [s].
-    margin : float
-        Margin there [m or N]; below zero for the first two kinds.
-    proven : float
-        What was proven for that period (-inf: nothing).
-    """
-
-    kind: str
-    limit: str
-    time_s: float
-    margin: float
-    proven: float
-
-    def __str__(self) -> str:
-        claimed = (
-            f"{directed(self.proven, '.4g')} is proven" if np.isfinite(self.proven) else "nothing is proven"
-        )
-        what = {
-            "unsafe set": f"{self.limit} is entered",
-            "saturation": f"S asks for more {self.limit} than there is",
-            "margin": f"the margin to {self.limit} is below the proven one",
-            "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
-        }[self.kind]
-        return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +61,8 @@ class Falsification:
         The worst violation.
     case : tuple or None
         The attack behind it (one run), whether the tail was flown, and the integration steps per node.
+    abort : int or None
+        The step at whose start that flight was aborted with thrust, if it was.
     """
 
     schedule: Schedule
@@ -110,6 +74,7 @@ class Falsification:
     seconds: float
     failure: Failure | None
     case: tuple[Attack, bool, int] | None
+    abort: int | None = None
 
     @property
     def ratio(self) -> Array:
@@ -175,6 +140,9 @@ class _Search:
         self.proven = np.where(np.isneginf(claimed), np.inf, claimed).min(axis=0)
         self.elites: dict[int, tuple[Attack, Array]] = {}
         self.last: tuple[Runs, Attained] | None = None
+        ways = () if schedule.powered is None else schedule.powered.ways
+        self.aborts = [k for k, way in enumerate(ways) if way.branch is not None]
+        self.abort: int | None = None
 
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
         begun = time.perf_counter()
@@ -188,6 +156,9 @@ class _Search:
             attacker = self.failing if self.failing is not None and batch % FAILING_EVERY == 1 else attacker
             beyond = beyond or attacker is self.tail
             count = min(max(min(usual, BATCH // attacker.flight.steps), SMALLEST), left)
+            if self.aborts and batch % ABORT_EVERY == ABORT_EVERY - 2:
+                found, self.flown, batch = self._aborted(count), self.flown + count, batch + 1
+                continue
             attack = self._attack(attacker, ROUND[batch % len(ROUND)], count)
             flown = attack.fly(attacker.flight)
             measured = attained(attacker.claims, flown, attack.failing)
@@ -202,7 +173,7 @@ class _Search:
         failure, case = found or (None, None)
         names, spent = self.main.claims.names, time.perf_counter() - begun
         limits = names, self.least, self.proven, self.at
-        return Falsification(self.schedule, *limits, self.flown, spent, failure, case)
+        return Falsification(self.schedule, *limits, self.flown, spent, failure, case, self.abort)
 
     def _attack(self, attacker: Attacker, kind: str, count: int) -> Attack:
         if attacker is self.main:
@@ -214,14 +185,16 @@ class _Search:
                 return attacker.random(count)
         return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
 
-    def _record(
-        self, claims: Claims, attack: Attack, measured: Attained
-    ) -> tuple[Failure, tuple[Attack, bool, int]] | None:
-        """Note the least margins; the worst violation, flown again with finer steps to be sure of it."""
+    def _record(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
+        """Note the least margins; the worst violation."""
         every, best = np.arange(len(self.least)), np.argmin(measured.margin, axis=0)
         least, when = measured.margin[best, every], measured.when[best, every]
         less = (least < self.least) & (not claims.failing)
         self.least[less], self.at[less] = least[less], when[less]
+        return self._confirmed(claims, attack, measured)
+
+    def _confirmed(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
+        """The worst violation, flown again with finer steps to be sure of it."""
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
             confirmed = confirm(claims, attack.pick(np.array([run])))
@@ -230,7 +203,18 @@ class _Search:
                 return failure, (finer, claims.tail, substeps)
         return None
 
-    def _stopped(self, attack: Attack, flown: Runs) -> tuple[Failure, tuple[Attack, bool, int]] | None:
+    def _aborted(self, count: int) -> Found | None:
+        """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
+        tried = Aborted(self.schedule, int(self.main.rng.choice(self.aborts)), count, self.main.rng)
+        claims = tried.attacker.claims
+        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs))
+        limit, when, margin, attack = tried.exceeded()
+        if found is None and margin < -EXACT_M:
+            found = Failure("abort", limit, when, margin, 0.0), (attack, True, 1)
+        self.abort = tried.step if found else None
+        return found
+
+    def _stopped(self, attack: Attack, flown: Runs) -> Found | None:
         """The worst violation of what is claimed of the drift after all thrust stops."""
         passive = self.schedule.passive
         if passive is None or passive.least is None:
@@ -256,39 +240,3 @@ class _Search:
                 pool, value = Attack.join([older, pool]), np.concatenate([worth, value])
             best = np.argsort(value, kind="stable")[:ELITES]
             self.elites[limit] = pool.pick(best), value[best]
-
-
-def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
-    """Which limits each run violates: by entering, by asking for too much, by coming closer than proven."""
-    obstacles = len(claims.unsafe)
-    exact = np.full(len(claims.names), EXACT_M)
-    exact[obstacles:] = EXACT_INPUT * claims.system.u_max
-    entered, beyond = measured.margin < 0, measured.margin < -exact
-    entered[:, obstacles:] = beyond[:, :obstacles] = False
-    return entered, beyond, measured.below > exact
-
-
-def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | None:
-    """What one run violates, the gravest first; None if nothing."""
-    sizes = measured.margin[run], measured.margin[run], -measured.below[run]
-    for kind, mask, size in zip(KINDS, broken(claims, measured), sizes, strict=True):
-        which = np.flatnonzero(mask[run])
-        if len(which):
-            limit = int(which[np.argmin(size[which])])
-            when, margin = float(measured.when[run, limit]), float(measured.margin[run, limit])
-            floor = float(claims.floor[claims.period_at(when), limit])
-            return Failure(kind, claims.names[limit], when, margin, floor)
-    return None
-
-
-def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
-    """Fly one attack again with four times as many integration steps, its disturbance the same.
-
-    Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
-    """
-    substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
-    free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
-    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
-    flight = Integrator(claims.schedule, claims.modes, substeps)
-    failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
-    return None if failure is None else (failure, finer, substeps)

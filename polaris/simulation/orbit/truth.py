@@ -119,7 +119,6 @@ class _TrueMotion(Integrator):
     axis: Array  # about which the last runs' thrusters are turned, (r, 3)
     strength: Array  # of each of them, as a share of the error, (r, 3)
     errors = Thrusters()  # of thrusters alone, jitter left out
-    resolves = True
 
     def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
         return super().command(number, k, half, x[:, :6], later)

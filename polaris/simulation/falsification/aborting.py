@@ -1,0 +1,37 @@
+"""Attacks on powered abort: S takes over in some step and flies along the branch to the orbit."""
+
+import numpy as np
+
+from ...synthesis.arrival import distance
+from ...synthesis.schedule import Schedule
+from ..run_metrics import Runs
+from .attacks import Attack, Attacker
+
+
+class Aborted:
+    """A flight that is aborted at the start of a step, under the worst that is known against its limits."""
+
+    def __init__(self, schedule: Schedule, step: int, count: int, rng: np.random.Generator) -> None:
+        self.schedule, self.step = schedule, step
+        self.attacker = Attacker.of(schedule.aborted(step), True, rng)
+        self.attack: Attack = self.attacker.worst(count)
+        self.runs: Runs = self.attack.fly(self.attacker.flight)
+
+    def exceeded(self) -> tuple[str, float, float, Attack]:
+        """What it exceeds most of what is claimed of its arrival, when [s], by how much; and that run.
+
+        Velocity change counts with what is commanded.
+        """
+        powered, runs = self.schedule.powered, self.runs
+        assert powered is not None
+        way = powered.ways[self.step]
+        assert way.branch is not None
+        safety, (rows, sides, tolerance) = runs.schedule.safety, powered.branches[way.branch].goal
+        q, h, mass = safety.clearance.q, safety.tracking.flow.h, safety.problem.system.mass
+        off = distance(safety.problem.goal.conditions, runs.states[:, way.cell * q] @ rows.T - sides)
+        pushed = np.abs(runs.inputs[:, self.step * q : way.cell * q]).sum(axis=(1, 2)) * h / mass
+        parts = {"orbit": tolerance - off, "velocity change": way.delta_v - pushed}
+        limit = min(parts, key=lambda name: float(parts[name].min()))
+        run = int(np.argmin(parts[limit]))
+        found = self.attack.pick(np.array([run]))
+        return limit, way.cell * safety.problem.delta, float(parts[limit][run]), found

@@ -1,0 +1,93 @@
+"""Violations of what a schedule claims: which, when, by how much, and whether finer steps confirm them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...synthesis.recoverable import directed
+from ..integration import Integrator
+from .attacks import Attack
+from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
+
+KINDS = ("unsafe set", "saturation", "margin")
+"""Kinds of violation while it is flown, the gravest first; besides, those of the drift and of an abort."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One violation.
+
+    Attributes
+    ----------
+    kind : {"unsafe set", "saturation", "margin", "drift", "abort"}
+        A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven; so
+        did the drift of one in which all thrust stopped; an aborted one missed its orbit, or spent more.
+    limit : str
+        Which unsafe set or input.
+    time_s : float
+        When [s].
+    margin : float
+        Margin there [m or N]; below zero for the first two kinds.
+    proven : float
+        What was proven for that period (-inf: nothing).
+    """
+
+    kind: str
+    limit: str
+    time_s: float
+    margin: float
+    proven: float
+
+    def __str__(self) -> str:
+        claimed = (
+            f"{directed(self.proven, '.4g')} is proven" if np.isfinite(self.proven) else "nothing is proven"
+        )
+        what = {
+            "unsafe set": f"{self.limit} is entered",
+            "saturation": f"S asks for more {self.limit} than there is",
+            "margin": f"the margin to {self.limit} is below the proven one",
+            "abort": f"an aborted flight exceeds its {self.limit}",
+            "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
+        }[self.kind]
+        return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
+
+
+Found = tuple[Failure, tuple[Attack, bool, int]]
+"""A violation and its case."""
+
+
+def broken(claims: Claims, measured: Attained) -> tuple[Any, Any, Any]:
+    """Which limits each run violates: by entering, by asking for too much, by coming closer than proven."""
+    obstacles = len(claims.unsafe)
+    exact = np.full(len(claims.names), EXACT_M)
+    exact[obstacles:] = EXACT_INPUT * claims.system.u_max
+    entered, beyond = measured.margin < 0, measured.margin < -exact
+    entered[:, obstacles:] = beyond[:, :obstacles] = False
+    return entered, beyond, measured.below > exact
+
+
+def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | None:
+    """What one run violates, the gravest first; None if nothing."""
+    sizes = measured.margin[run], measured.margin[run], -measured.below[run]
+    for kind, mask, size in zip(KINDS, broken(claims, measured), sizes, strict=True):
+        which = np.flatnonzero(mask[run])
+        if len(which):
+            limit = int(which[np.argmin(size[which])])
+            when, margin = float(measured.when[run, limit]), float(measured.margin[run, limit])
+            floor = float(claims.floor[claims.period_at(when), limit])
+            return Failure(kind, claims.names[limit], when, margin, floor)
+    return None
+
+
+def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
+    """Fly one attack again with four times as many integration steps, its disturbance the same.
+
+    Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
+    """
+    substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
+    free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
+    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
+    flight = Integrator(claims.schedule, claims.modes, substeps)
+    failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
+    return None if failure is None else (failure, finer, substeps)

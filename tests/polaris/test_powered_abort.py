@@ -1,0 +1,262 @@
+"""Powered abort: flown at its worst, forged claims, and what is required of a schedule."""
+
+import copy
+import json
+import tomllib
+from dataclasses import replace
+
+import flint
+import numpy as np
+import pytest
+
+from polaris.certificate.document import Document
+from polaris.certificate.lemma import Stated
+from polaris.certificate.plants import precision_for
+from polaris.certificate.powered import WithAborts
+from polaris.certificate.verdict import Record
+from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.report.html.run_report import aborts
+from polaris.runs.certificate import certificate
+from polaris.runs.tables import abort_told
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.aborting import Aborted
+from polaris.simulation.falsification.search import falsify
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.synthesize import synthesize
+
+from .closed_loops import attack
+from .forging import CERTIFICATE, COARSE, Forger, make
+from .test_error_sources import exact, tables
+from .tiny import TINY
+
+ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
+OWN = f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    return synthesize(load_scenario(TINY).with_assignments([OWN]))
+
+
+def proven(schedule):
+    return [k for k, way in enumerate(schedule.powered.ways) if way.branch is not None]
+
+
+def attacked(schedule, runs, seed, steps):
+    """Attack aborted flights by two integrators; the largest share of the claimed velocity change spent."""
+    tight = 0.0
+    for k in steps:
+        way, flown = schedule.powered.ways[k], schedule.aborted(k)
+        tried = Aborted(schedule, k, runs, np.random.default_rng(seed))
+        limit, _, margin, _ = tried.exceeded()
+        assert margin >= -1e-6, (seed, k, limit)
+        q, problem = flown.safety.clearance.q, flown.safety.problem
+        spent = np.abs(tried.runs.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
+        tight = max(tight, spent / problem.system.mass / way.delta_v)
+        if min(flown.margins[flown.modes > 0], default=0) >= 0:  # else other branches serve the steps before
+            found = attack(flown, runs, seed)
+            assert found.left.min() >= -1e-3 and found.over <= 1e-6, (seed, k)
+    return tight
+
+
+def test_aborted_flights_reach_their_orbit(tiny):
+    steps = proven(tiny)
+    assert len(steps) == 12 and len(tiny.powered.branches) >= 3
+    assert attacked(tiny, 8, 0, (0, 11)) > 0.5
+    for k in (3, 10):
+        way, runs = tiny.powered.ways[k], simulate(tiny.aborted(k), 40, k, tail=True)
+        at = way.cell * tiny.safety.clearance.q
+        assert np.abs(runs.positions[:, at] - [0.0, 6.0]).max() < 0.5
+        assert way.cell - k <= 10 and not runs.metrics().summary()["collided"]
+    assert falsify(tiny, 300, 0).failure is None
+    assert "0 to 1" in aborts({"powered_abort": tiny.powered.told()})
+
+
+def test_a_claim_that_is_too_bold_is_refuted(tiny):
+    ways = tuple(replace(way, delta_v=0.4 * way.delta_v) for way in tiny.powered.ways)
+    bold = replace(tiny)
+    vars(bold)["powered"] = replace(tiny.powered, ways=ways)
+    found = falsify(bold, 2000, 0)
+    assert found.failure.kind == "abort" and found.abort is not None
+    sooner = tuple(replace(way, cell=max(way.cell - 4, k + 1)) for k, way in enumerate(tiny.powered.ways))
+    vars(bold)["powered"] = replace(tiny.powered, ways=sooner)
+    assert falsify(bold, 2000, 0).failure.limit == "orbit"
+
+
+def test_the_goal_is_the_schedule_s_own(tiny):
+    schedule = synthesize(load_scenario(TINY).with_assignments(['abort.orbit={kind="goal"}']))
+    (branch,), ways = schedule.powered.branches, schedule.powered.ways
+    assert branch.safety is schedule.safety and proven(schedule) == list(range(12))
+    assert ways[0].cell * 1.0 >= schedule.arrival.by and ways[0].delta_v > ways[8].delta_v
+    assert attacked(schedule, 8, 0, (9,)) > 0.5
+
+
+def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
+    plain = synthesize(load_scenario(TINY))
+    before, after = certificate(plain, "tiny"), certificate(tiny, "tiny")
+    assert "powered" not in before and plain.powered is None
+    changed = {k for k in after if k not in before or after[k] != before[k]}
+    assert changed <= {"powered", "digest", "unsafe_sets"}
+    with pytest.raises(ScenarioError):
+        plain.aborted(3)
+
+
+def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
+    def asked(within, budget):
+        table = f"abort={{{ORBIT},within_s={within},delta_v_max_m_s={budget},required=true}}"
+        return synthesize(load_scenario(TINY).with_assignments([table]))
+
+    assert abort_told(asked(10.0, 20.0).powered.told()).startswith("from 12 of 12 steps")
+    with pytest.raises(NotCertified, match=r"in step \d+ .* raise abort.delta_v_max_m_s by") as scarce:
+        asked(10.0, 4.5)
+    with pytest.raises(SynthesisInfeasible, match=r"in step \d+ .*no branch is found") as late:
+        asked(3.0, 20.0)
+    assert (scarce.value.exit_code, late.value.exit_code) == (4, 3)
+
+
+@pytest.mark.parametrize(
+    ("table", "field"),
+    [
+        ("within_s=5.0", "abort"),
+        (ORBIT, "abort.within_s"),
+        (f"{ORBIT},within_s=1.5", "abort.within_s"),
+        ('orbit={kind="linear_nmt",amplitude_max_m=5.0},within_s=5.0', "goal.kind"),
+        ('orbit={kind="stationary",state=[0.0,6.0,1.0,0.0]},within_s=5.0', "goal.state"),
+        ('orbit={kind="box"},within_s=5.0', "abort.orbit"),
+    ],
+)
+def test_bad_tables_are_refused_by_name(table, field):
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(TINY).with_assignments([f"abort={{{table}}}"])
+    assert error.value.field.startswith(field)
+
+
+@pytest.fixture(scope="module")
+def forger(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("powered")
+    return Forger(make([COARSE, OWN], folder), folder)
+
+
+def scaled(text, times):
+    return (float.fromhex(text) * times).hex()
+
+
+def of_branch(key, change):
+    """Change a field of the second branch."""
+
+    def forged(powered, _):
+        powered["branches"][1][key] = change(powered["branches"][1][key])
+
+    return forged
+
+
+def cheaper(powered, told):
+    powered["steps"][2]["delta_v"] = scaled(powered["steps"][2]["delta_v"], 0.9)
+    told[2]["delta_v_m_s"] = float.fromhex(powered["steps"][2]["delta_v"])
+
+
+def sooner(powered, told):
+    powered["steps"][2]["cell"] -= 1
+    told[2]["by_s"] -= 1.0
+
+
+def bolder(powered, told):
+    """A step whose branch has left already."""
+    powered["steps"][9] = powered["steps"][0]
+
+
+def longer(powered, told):
+    powered["within"] = (20.0).hex()
+
+
+FORGED = {
+    "inputs": of_branch("inputs", lambda rows: [[scaled(x, 0.9) for x in u] for u in rows]),
+    "cheaper": cheaper,
+    "facets": of_branch("facets", lambda rows: [[(f + 1) % 4 for f in row] for row in rows]),
+    "tail": of_branch("tail", lambda x: [scaled(x[0], 1.2) if float.fromhex(x[0]) else (0.5).hex(), *x[1:]]),
+    "tolerance": of_branch("tolerance", lambda x: scaled(x, 2.0)),
+    "horizon": of_branch("horizon", lambda _: "infinite"),
+    "until": of_branch("until", lambda x: scaled(x, 1.5)),
+    "leaves later": of_branch("step", lambda step: step + 1),
+    "sooner": sooner,
+    "bolder": bolder,
+    "longer": longer,
+}
+
+
+FEW = "inputs", "cheaper", "sooner", "bolder"
+KINDS = [pytest.param(name, marks=[] if name in FEW else pytest.mark.slow) for name in FORGED]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_forged_aborts_are_refused(forger, name):
+    powered = copy.deepcopy(forger.honest["powered"])
+    files = {}
+    for file in ("schedule.json", "summary.json"):
+        data = forger.tree(file)
+        changed = copy.deepcopy(powered)
+        FORGED[name](changed, data["guarantee"]["powered_abort"]["steps"])
+        files[file] = json.dumps(data)
+    files[CERTIFICATE] = json.dumps(forger.honest | {"powered": changed})
+    verdict = forger.judge(files)
+    assert verdict.outcome == "REJECTED"
+    if name in ("cheaper", "sooner", "longer"):
+        assert verdict.claim == "powered_abort"
+
+
+def test_an_honest_abort_is_verified_and_none_may_be_left_out(forger):
+    verdict = forger.judge({})
+    assert verdict.outcome == "VERIFIED" and "powered_abort" in dict(verdict.checked)
+    missing = {k: v for k, v in forger.honest.items() if k != "powered"}
+    assert forger.judge({CERTIFICATE: json.dumps(missing)}).outcome == "REJECTED"
+
+
+def random_orbit(scenario, seed):
+    """A table that asks for an orbit near the start of a random scene."""
+    rng, step, system = np.random.default_rng(seed), scenario.model.horizon.step_s, scenario.system()
+    at, time = scenario.initial_set().c, float(step * rng.integers(8, 20))
+    size = np.linalg.norm(at[: system.d]) + 1.0
+    if system.mean_motion is None:  # a state at rest
+        _, values, rows = np.linalg.svd(system.A)
+        rest = rows[values <= 1e-12 * max(values.max(), 1.0)]
+        state = (rest.T @ (rest @ (at * rng.uniform(0.5, 1.5, system.n)))).tolist()
+        orbit = f'kind="stationary",state={state},tolerance_m={0.2 * size}'
+    else:
+        orbit = f'kind="elliptical_nmt",inner_semi_minor_m={0.1 * size},outer_semi_minor_m={size}'
+    return f"abort={{orbit={{{orbit}}},within_s={time}}}"
+
+
+def verified(scenario, schedule):
+    """The checker derives every abort that is claimed of a scene, its arrival and its velocity change."""
+    table = tomllib.loads(scenario.text_elsewhere())
+    orbit, document = table["abort"]["orbit"], Document(certificate(schedule, "random"))
+    known = Stated(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
+    before, flint.ctx.prec, record = flint.ctx.prec, precision_for(document), Record()
+    try:
+        WithAborts(document, record, known).run()
+    finally:
+        flint.ctx.prec = before
+    return "powered_abort" in dict(record.checked)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("errors", [False, True])
+def test_many_aborted_flights_reach_their_orbit(errors):
+    scenes, flights, tight = 0, 0, []
+    for seed in range(5000, 5060):
+        scenario = exact(seed)
+        table = random_orbit(scenario, seed) if seed % 3 else 'abort.orbit={kind="goal"}'
+        try:
+            more = tables(scenario, seed, 0.05) if errors else []
+            scenario = scenario.with_assignments([table, *more])
+            schedule = synthesize(scenario)
+        except PolarisError:
+            continue
+        steps = proven(schedule)
+        if steps:
+            chosen = np.random.default_rng(seed).choice(steps, min(3, len(steps)), replace=False)
+            tight.append(attacked(schedule, 30, seed, chosen.tolist()))
+            scenes, flights = scenes + 1, flights + len(chosen)
+            assert falsify(schedule, 300, seed).failure is None
+            assert verified(scenario, schedule), seed
+    assert scenes >= 20 and np.median(tight) > 0.3
