@@ -119,7 +119,7 @@ class Argument:
         self.flown = flown
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
-        memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
+        memory = Memory.of(self.loop, widest(sets, self.upsets), self.document.q, profile)
         prolonged, chosen = self.prolonged(path, memory)
         scheduled = None
         if profile or self.document.error_by_step:
