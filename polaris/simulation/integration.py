@@ -83,9 +83,16 @@ class Integrator(Firing):
 
     @cached_property
     def known(self) -> Array:
-        """Bounds on the errors of estimates in every step of the integration, (steps, 1, n)."""
-        cells = [self.system.at_step(k).navigation for k in range(len(self.modes))]
+        """Bounds on the errors of estimates in every step of the integration, (steps, 1, n).
+
+        Of a prediction those that there may be whatever was commanded before.
+        """
+        cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
+
+    def known_to(self, system: LinearSystem) -> Array:
+        """The same in a step, shape (n,)."""
+        return system.estimate_off(0 * system.u_max)
 
     @property
     def may_do_anything(self) -> bool:

@@ -145,7 +145,7 @@ class Branch:
         if last < K or safety.guarantee != "proved":
             return None, np.inf
         states = reference.chi[K : last + 1]
-        need = taken.over(tracking, rows, last + 1)[1][K:] + safety.clearance.tail_need(rows)
+        need = taken.over(tracking, rows, last + 1)[1][K:] + safety.clearance.tail_need(rows)[0]
         need = (need + np.abs(rows) @ tracking.system.displaced_at_nodes) * (1 + SPARE)
         size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
         most = distance(safety.problem.goal.conditions, states @ rows.T - sides + need + size)
@@ -286,7 +286,7 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
                 at = tube.need[np.minimum(lags, last)]
                 parts.append(np.maximum(at[:-1].reshape(asked.K - b, q, -1).max(axis=1), at[q::q]))
         most: Array = np.max(parts, axis=0) * (1 + SPARE)
-        return most + safety.clearance.scheduled(rows).max(axis=(0, 1))
+        return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 
     margins = [
         np.maximum(known[b:], needed(-body.normals @ system.position))
