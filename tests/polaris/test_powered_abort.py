@@ -204,6 +204,27 @@ def test_forged_aborts_are_refused(forger, name):
         assert verdict.claim == "powered_abort"
 
 
+def test_no_branch_is_safe_for_ever_past_a_set_that_moves(forger):
+    """Though the certificate has it rest where all of its way is covered, and all files agree."""
+    forged, rests = copy.deepcopy(forger.honest), "the reference does not end on a natural motion trajectory"
+    forged["end"]["reason"] = rests
+    for item in forged["unsafe_sets"]:
+        rows = [row for pair in item["offsets"] for row in pair]
+        most = [max(each, key=float.fromhex) for each in zip(*rows, strict=True)]
+        item["offsets"] = [[most, most] for _ in item["offsets"]]
+    for branch in forged["powered"]["branches"]:
+        branch |= {"horizon": "infinite", "until": None}
+    files = {CERTIFICATE: json.dumps(forged)}
+    for file in ("schedule.json", "summary.json"):
+        data = forger.tree(file)
+        data["guarantee"]["reason"] = rests
+        for step in data["guarantee"]["powered_abort"]["steps"]:
+            step["safe_until_s"] = None
+        files[file] = json.dumps(data)
+    verdict = forger.judge(files)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "end") and "trolley" in verdict.witness
+
+
 def test_an_honest_abort_is_verified_and_none_may_be_left_out(forger):
     verdict = forger.judge({})
     assert verdict.outcome == "VERIFIED" and "powered_abort" in dict(verdict.checked)
