@@ -20,6 +20,7 @@ from .plants import plant_of, within_limits
 from .recovery import Barrier, Limits, Recovery, levels_of
 from .samples import check_statement
 from .scheduled import Scheduled
+from .timing import measured_error
 from .transients import lost, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Imprecise, Record, Rejected
@@ -69,11 +70,14 @@ class Argument:
         self.document, self.record, self.stated = document, record, stated or Stated()
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        known = self.plant, document.slopes, document.fits
-        self.pilots = [Pilot(law, *known, Whereabouts.of(document, law, self.plant)) for law in document.laws]
+        given = self.plant, document.slopes, document.fits
+        self.pilots = [Pilot(law, *given, Whereabouts.of(document, law, self.plant)) for law in document.laws]
         self.gain = self.pilots[0].gain
-        self.noise = replace(self.plant, estimate=tuple(document.calmest)).command_error(self.gain)
-        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in self.noise])
+        known = replace(self.plant, estimate=tuple(document.calmest))
+        self.noise = known.command_error(self.gain)
+        # Where there is a profile, what commands cause is booked with it.
+        always = measured_error(known, self.gain) if document.profile else self.noise
+        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in always])
         networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
         self.upsets = moved(document, self.plant, networks)
 
@@ -115,7 +119,7 @@ class Argument:
         self.flown = flown
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
-        memory = Memory.of(self.loop, widest(sets), self.document.q, profile)
+        memory = Memory.of(self.loop, widest(sets, self.upsets), self.document.q, profile)
         prolonged, chosen = self.prolonged(path, memory)
         scheduled = None
         if profile or self.document.error_by_step:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 from flint import arb, arb_mat
@@ -18,8 +19,8 @@ from .zonotopes import Zonotope
 
 SHARE, SOON = 0.05, 0.25
 """Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
-HOLDING = 0.1
-"""By how much more what counts as reached may be than what S needs for ever: it is claimed with half of that,
+HOLDING = 0.21
+"""By how much more what counts as reached may be than what S needs for ever: it is claimed with less,
 but of a number that others derive a little differently."""
 SLACK = 1e-6
 """By how much a claim may fall short of what is derived, relative to it."""
@@ -44,7 +45,7 @@ class Arrival:
     scheduled: Scheduled | None = None
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
-    _caused: dict[int, tuple[arb_mat, list[arb]]] = field(default_factory=dict, repr=False)
+    _caused: dict[int, tuple[arb_mat, list[list[arb]]]] = field(default_factory=dict, repr=False)
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
         """Refuse a claim that does not hold; returns what was confirmed.
@@ -59,7 +60,7 @@ class Arrival:
             )
         rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self.soon, self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
-        self.tolerated(claim, spec, rows.scale, largest(needs.settled))
+        self.tolerated(claim, spec, rows.scale, self.holding(needs))
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -81,6 +82,11 @@ class Arrival:
     def soon(self) -> arb:
         """Time in which a velocity is a length [s]."""
         return arb(SOON) * self.document.steps * self.document.delta
+
+    def holding(self, needs: Needs) -> arb:
+        """What S needs along rows for ever, the jump into the tail apart."""
+        most = sums(needs.settled, (magnitude(needs.rows) * column(self.document.at_nodes)).entries())
+        return largest(sums(most, self._from_thrust(needs.rows, self._last)) if self.scheduled else most)
 
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
@@ -145,7 +151,7 @@ class Arrival:
                 parts += [needs.booked(z, lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
-        least = sums(least, self._from_thrust(needs.rows)) if self.scheduled else least
+        least = sums(least, self._from_thrust(needs.rows, node)) if self.scheduled else least
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
@@ -153,14 +159,20 @@ class Arrival:
         carried = magnitude(needs.carried[node])
         return sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
 
-    def _from_thrust(self, rows: arb_mat) -> list[arb]:
-        """What errors of scheduled commands add along rows at any time of the tail."""
+    def _from_thrust(self, rows: arb_mat, node: int) -> list[arb]:
+        """What errors of scheduled commands add along rows from a node of the tail on."""
         if id(rows) not in self._caused:
             assert self.scheduled is not None
             tail = self.scheduled.along(rows)[min(self.document.steps, self.document.cells - 1) :]
-            every = (node for nodes in tail for node in nodes)
-            self._caused[id(rows)] = rows, [largest(each) for each in zip(*every, strict=True)]
-        return self._caused[id(rows)][1]
+            q = self.document.q
+            later = [tail[-1][-1]] * (len(tail) * q + 1)
+            most = later[-1]
+            for cell, place in product(reversed(range(len(tail))), reversed(range(q + 1))):
+                most = [largest(pair) for pair in zip(most, tail[cell][place], strict=True)]
+                later[cell * q + place] = most
+            self._caused[id(rows)] = rows, later
+        later = self._caused[id(rows)][1]
+        return later[min(node, len(later) - 1)]
 
     def _state(self, node: int) -> arb_mat:
         """State of the reference at a node of the tail."""

@@ -29,11 +29,14 @@ from .networks import Policy
 from .parts import Law, Matrix
 from .periods import Period, around, clip, command_ranges, secant
 from .recovery import Barrier
+from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
 GUESSES = 3
 """How often it is guessed how much is commanded in a period before all that there is is taken for it."""
+GUESSED = "safety", "affine", "saturated_affine"
+"""Kinds of laws of which that is guessed."""
 ROUNDS = 5
 """How often the range of a clipped command is narrowed by the thrust that it allows."""
 
@@ -53,6 +56,8 @@ class Pilot:
     """By step and period, the affine functions that samples of a black box say its commands are near."""
     told: Whereabouts | None = None
     """Of the bodies that a network reads."""
+    before: list[arb] | None = None
+    """Bounds on the commands whose errors are not measured yet, if they are known."""
     _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -84,7 +89,16 @@ class Pilot:
     @cached_property
     def noise(self) -> list[arb]:
         """Bounds on what errors of the estimate add to its command."""
-        return self.plant.command_error(self.gain)
+        if self.before is None:
+            return self.plant.command_error(self.gain)
+        return sums(measured_error(self.plant, self.gain), late(self.plant, self.gain, self.before))
+
+    def after(self, told: Sequence[Sequence[arb]]) -> Pilot:
+        """The same after periods of a step with bounds on their commands, those of the last one last."""
+        hidden = self.plant.hidden
+        if not 0 < hidden <= len(told) or self.law.kind not in GUESSED:
+            return self
+        return replace(self, before=[largest(each) for each in zip(*told[-hidden:], strict=True)])
 
     @cached_property
     def commands(self) -> arb_mat:
@@ -148,8 +162,8 @@ class Pilot:
             ]
             period, found = self._under(guess, d, u, k, i)
             if all(x < y or y == top for x, y, top in zip(found, guess, plant.u_max, strict=True)):
-                return period
-        return self._under(plant.u_max, d, u, k, i)[0]
+                return replace(period, commands=guess)
+        return replace(self._under(plant.u_max, d, u, k, i)[0], commands=plant.u_max)
 
     def _under(self, most: list[arb], d: Zonotope, u: arb_mat, k: int, i: int) -> tuple[Period, list[arb]]:
         """Motion over a period under errors of the thrusters for commands up to `most`, and its commands."""
@@ -212,10 +226,12 @@ def fly(
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent, nodes = arb(0), []
+    spent, nodes, since = arb(0), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
-        period = pilot.period(d, base, k, i)
-        spent += pilot.spent(period, d, base.u)
+        knowing = pilot.after(since)
+        period = knowing.period(d, base, k, i)
+        since.append(period.commands or pilot.plant.u_max)
+        spent += knowing.spent(period, d, base.u)
         end, extra = period.ends(d), period.extra(rows, d)
         if departures is not None:
             moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
@@ -235,12 +251,12 @@ def fly(
                     needs = sums(middle[n:], z.spread(barrier.rows), more[n:])  # to the last digits
                 for name, need, there in zip(barrier.names, needs, room[place], strict=True):
                     if not need <= there:
-                        told = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
-                        require("separation", there - need, f"{told} of {plain(there)} m")
+                        where = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
+                        require("separation", there - need, f"{where} of {plain(there)} m")
         d = period.after(end)
         if d.G.ncols() > 2 * merging.order * n:
             d = merging.reduced(d)
-        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
+        nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
     return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
 

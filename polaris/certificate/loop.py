@@ -11,6 +11,7 @@ from flint import arb, arb_mat, arb_poly
 
 from .balls import above, column, identity, largest, magnitude, norms, sums
 from .motion import Motion, Push
+from .timing import late
 from .verdict import Imprecise, Undecided
 from .zonotopes import Zonotope
 
@@ -59,13 +60,26 @@ class Memory:
             z = magnitude(z0 + last * z0 + last * (last * z0))
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < FORGOTTEN:
-                parts = [motion.plant.thruster_part(most) for most in profile]
-                errors = [parts[min(lag, len(parts) - 1)] for lag in range(len(powers) + 1) if parts]
+                errors = _caused(motion, profile, len(powers) + 1) if profile else []
                 return cls([*powers, powers[-1] * motion.phi], z, c, errors)
             radii = arb_mat(*(len(z0.entries()),) * 2, [x.rad() for x in powers[-1].entries()]) * z
             if not largest(a / b for a, b in zip(radii.entries(), z.entries(), strict=True)) < FORGOTTEN:
                 raise Imprecise("recoverable", f"precision is lost within {len(powers)} periods of the loop")
         raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
+
+
+def _caused(motion: Motion, profile: Sequence[list[arb]], count: int) -> list[list[arb]]:
+    """Errors of inputs by commands within a profile, and by those before them that are not measured yet."""
+    plant, last = motion.plant, len(profile) - 1
+    parts = [plant.thruster_part(most) for most in profile]
+    gain, since = motion.held, (plant.u_max, *profile)
+    known = [late(plant, gain, most) for most in since] if plant.hidden and gain is not None else []
+    errors = []
+    for lag in range(count):
+        at = lag - plant.hidden + 1  # what is commanded before a hand-over is limited by the thrusters alone
+        more = known[min(max(at, 0), last + 1)] if known else [arb(0)] * len(parts[0])
+        errors.append(sums(parts[min(lag, last)], more))
+    return errors
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from .balls import (
     dot,
     exponential,
     exponential_over,
+    identity,
     lengths,
     magnitude,
     root,
@@ -29,6 +30,9 @@ from .balls import (
     widths,
 )
 from .zonotopes import Zonotope, ball_cover
+
+PARTS = 32
+"""Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,22 @@ class Plant:
     prompt: tuple[float, ...] = ()  # the same without jitter
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
+    unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
+    hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
+
+    @cached_property
+    def unseen(self) -> arb_mat:
+        """What a unit of an input's error adds to a prediction's at most until it is measured, (n, m)."""
+        n, m = self.B.nrows(), self.B.ncols()
+        if not self.unmeasured > 0:
+            return arb_mat(n, m)
+        part, rows = replace(self, h=self.unmeasured / PARTS).open, identity(n)
+        pushes = [Push.in_box(column(each), [arb(1)]) for each in self.B.transpose().tolist()]
+        found = [[arb(0)] * n for _ in pushes]
+        for _ in range(PARTS):
+            found = [sums(x, part.push_gain(rows, push)) for x, push in zip(found, pushes, strict=True)]
+            rows = rows * part.phi
+        return arb_mat(m, n, [x for each in found for x in each]).transpose()
 
     @cached_property
     def carry(self) -> list[Push]:

@@ -18,6 +18,7 @@ class Period:
     push: Push | None = None
     error: Push | None = None
     most: list[arb] | None = None  # bounds on the thrust, where they are known already
+    commands: list[arb] | None = None  # bounds on what is commanded, where errors are booked for them
 
     def ends(self, d: Zonotope) -> Zonotope:
         """Where the motion without disturbance and without v ends."""

@@ -1,6 +1,8 @@
 """The plant that a certificate speaks about, with exact entries."""
 
 import math
+from dataclasses import replace
+from math import ceil
 
 from flint import arb, arb_mat
 
@@ -8,6 +10,9 @@ from .balls import PRECISION, exponential, largest, magnitude, matrix, require
 from .document import Document
 from .motion import Plant
 from .verdict import Rejected, Undecided
+
+WHOLE = 1e-9
+"""Share by which a delay may exceed a whole number of periods and count as one."""
 
 MOST_BITS = 4096
 """Most bits that are added to follow a reference."""
@@ -29,8 +34,13 @@ def plant_of(document: Document) -> Plant:
     C, w_max = matrix(document.C), arb(document.w_max)
     errors = tuple(document.estimate), tuple(document.thrusters), tuple(document.prompt_thrusters)
     jitter = document.timing.get("jitter", 0.0)
-    late = jitter, document.carried
-    return Plant(A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, *late)
+    delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
+    hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
+    told_apart = document.sampled and not document.transients
+    plant = Plant(
+        A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, jitter, document.carried
+    )
+    return replace(plant, unmeasured=delay + missed * h, hidden=hidden if told_apart else 0)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

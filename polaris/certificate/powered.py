@@ -181,7 +181,7 @@ class Along:
         rows = Weighted.of(GOALS[spec["kind"]](doc, spec), arrival.soon, doc)
         needs = self._needs(("orbit", doc.steps), rows.rows)
         claim = {"tolerance_m": self.branch.tolerance, "reached": False}
-        arrival.tolerated(claim, spec, rows.scale, largest(needs.settled))
+        arrival.tolerated(claim, spec, rows.scale, arrival.holding(needs))
         more = sums(self._jump(needs), (absolute(rows.rows) * column(doc.at_nodes)).entries())
         if self.scheduled is None:
             return rows, needs, more

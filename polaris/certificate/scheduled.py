@@ -1,6 +1,7 @@
 """Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
 from dataclasses import replace
+from math import ceil
 
 from flint import arb, arb_mat
 
@@ -9,6 +10,7 @@ from .balls import column, largest, magnitude, sums
 from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Push
+from .timing import late
 from .verdict import Undecided
 
 ROUNDS, SPARE = 60, 1e-3
@@ -23,11 +25,12 @@ class Scheduled:
 
     So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
 
-    Over the tail, which is flown again and again, commands are bounded by one number for every input.
+    The tail is flown again and again: bounds on commands do not grow over it, and are constant over the end
+    of it that later turns remember.
     """
 
     def __init__(self, document: Document, loop: Motion, memory: Memory, path: Path, gain: arb_mat) -> None:
-        self.loop, self.memory, self.path = loop, memory, path
+        self.loop, self.memory, self.path, self.gain = loop, memory, path, gain
         least, at = replace(loop.plant, estimate=tuple(document.calmest)).command_error(gain), loop.plant
         known = [replace(at, estimate=tuple(document.known_to(k))) for k in range(len(path.arcs))]
         parts = [zip(plant.command_error(gain), least, strict=True) for plant in known]
@@ -39,8 +42,10 @@ class Scheduled:
         self._rates = needs.rates
         for _ in range(ROUNDS):
             more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in self._along(needs)]
-            if tail := more[self.planned :]:
-                more[self.planned :] = [[largest(each) for each in zip(*tail, strict=True)]] * len(tail)
+            end = max(len(more) - ceil((memory.periods + 2) / loop.plant.q), self.planned)
+            for k in range(len(more) - 2, self.planned - 1, -1):
+                more[k] = [largest(pair) for pair in zip(more[k], more[k + 1], strict=True)]
+            more[end:] = [more[end]] * (len(more) - end) if end < len(more) else []
             if self._holds([sums(*pair) for pair in zip(nu, more, strict=True)]):
                 return
             grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
@@ -57,16 +62,18 @@ class Scheduled:
 
     def _along(self, needs: Needs) -> Along:
         plant, q = self.loop.plant, self.loop.plant.q
-        caused = [
-            sums(plant.thruster_part(most), n) for most, n in zip(self.commanded, self.noise, strict=True)
-        ]
+        back, caused = ceil(plant.hidden / q), []
+        for k, (most, noise) in enumerate(zip(self.commanded, self.noise, strict=True)):
+            since = self.commanded[max(k - back, 0) : k + 1]
+            before = [largest(each) for each in zip(*since, strict=True)]
+            caused.append(sums(plant.thruster_part(most), late(plant, self.gain, before), noise))
         errors = [[x.upper() for x in each] for each in caused]
         worst = [largest(each) for each in zip(*errors, strict=True)]
         box = self.loop.box_of(Push.in_box(plant.B, worst))
         rates = (magnitude(column(sums(rate.always(worst), rate.late(box)))) for rate in self._rates)
         booked = sums(needs.late(box), self.loop.lesser_bow(needs.rows, *rates))
         sums_at = needs.summed([error for error in errors for _ in range(q)])
-        for_ever, found = needs.always(errors[-1]), []  # as if the tail's commands had always been
+        for_ever, found = needs.always(errors[-1]), []  # as if the tail's last commands had always been
         for cell, error in enumerate(errors):
             first, parts = needs.within(error), []
             repeated = [sums(for_ever, first)] if cell >= self.planned else []

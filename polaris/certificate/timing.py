@@ -1,19 +1,29 @@
 """What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from flint import arb, arb_mat
 
 from .allocation import per_axis
-from .balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
+from .balls import (
+    above,
+    absolute,
+    beside,
+    column,
+    identity,
+    largest,
+    matrix,
+    require,
+    row_sums,
+    smallest,
+    sums,
+)
 from .document import Document
-from .motion import Plant
+from .motion import PARTS, Plant
 from .plants import plant_of
 from .verdict import Rejected
-
-PARTS = 32
-"""Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
 
 ROUNDED = 1e-12
 """Rounding of a difference of stored numbers, relative to the larger."""
@@ -37,7 +47,8 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         if found != given:
             raise Rejected("system", f"{name} is {found} in the certificate, {given} in the scenario")
     delay, jitter, missed = (spec.get(keys[key], 0) for key in ("delay", "jitter", "missed"))
-    plant, stored = plant_of(document), document.estimate or [0.0] * len(document.A)
+    plant, nothing = plant_of(document), [arb(0)] * len(document.u_max)
+    stored = document.estimate or [0.0] * len(document.A)
     if (missed or jitter) and not (document.sampled and 2 * arb(jitter) <= plant.h):
         raise Rejected("system", "missed periods and jitter need a control period, at least twice the jitter")
     pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
@@ -59,11 +70,12 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     if (len(measured) > 1) != bool(document.error_by_step):
         raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
     away = displaced(document, delay)
-    carried = [_carried(plant, delay + plant.h * i) for i in range(missed + 1)]
+    carried = [_carried(plant, delay + plant.h * i, nothing) for i in range(missed + 1)]
+    unseen = (plant.unseen * column(plant.thruster_part(plant.u_max))).entries()
     for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
         known = column(sums(map(arb, row), away))
         ages = [sums((over * known).entries(), more) for over, more in carried]
-        least = map(largest, zip(*ages, strict=True))
+        least = sums(list(map(largest, zip(*ages, strict=True))), unseen)
         for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
             spare = bound * arb(1 + ROUNDED) - needed
             require("system", spare, f"error of the prediction of state {i}: {bound}")
@@ -79,16 +91,30 @@ def displaced(document: Document, delay: float) -> list[arb]:
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     """Bounds on the errors of states predicted over a time from known ones."""
-    over, more = _carried(plant, age)
+    over, more = _carried(plant, age, plant.u_max)
     return sums((over * column(known)).entries(), more)
 
 
-def _carried(plant: Plant, age: arb) -> tuple[arb_mat, list[arb]]:
-    """What a prediction over a time makes of errors of the states it starts from, and what it adds."""
+def late(plant: Plant, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
+    """What errors of commands up to `most` that are not measured yet add to a command (Lemma 44)."""
+    if not plant.hidden:
+        return [arb(0)] * gain.nrows()
+    clipped = [smallest(pair) for pair in zip(most, plant.u_max, strict=True)]
+    return (absolute(gain) * plant.unseen * column(plant.thruster_part(clipped))).entries()
+
+
+def measured_error(plant: Plant, gain: arb_mat) -> list[arb]:
+    """Error of a command without `late`, of which it holds what all the thrust that there is would add."""
+    pairs = zip(plant.command_error(gain), late(plant, gain, plant.u_max), strict=True)
+    return [(x - y).abs_upper() for x, y in pairs]
+
+
+def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb]]:
+    """What a prediction under commands up to `most` makes of errors of the states, and what it adds."""
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n
-    part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(plant.u_max))
+    part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(most))
     pushes = [plant.disturbance, *plant.carry, *([thrusters] if thrusters else [])]
     rows, found = identity(n), [arb(0)] * n
     for _ in range(PARTS):

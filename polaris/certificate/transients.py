@@ -10,14 +10,12 @@ from .document import Document
 from .loop import Memory, Needs
 from .motion import Motion, Plant
 from .networks import Policy
+from .plants import WHOLE
 from .timing import predicted
 from .verdict import Rejected, Undecided
 
 ROUNDED = 1e-12
 """Rounding of products of numbers of the scenario, relative to them."""
-
-WHOLE = 1e-9
-"""Share by which a delay may exceed a whole number of periods and count as one."""
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -190,7 +191,7 @@ def ball_cover(p: int, radius: arb) -> arb_mat:
     return rays * (radius / inner_radius(rays))
 
 
-def widest(sets: list[Zonotope]) -> arb_mat:
-    """Exact upper bound on ``|x_i|`` over several sets, shape (n, 1)."""
-    sizes = [z.size().entries() for z in sets]
+def widest(sets: list[Zonotope], boxes: Sequence[arb_mat] = ()) -> arb_mat:
+    """Exact upper bound on ``|x_i|`` over several sets, and boxes about zero, shape (n, 1)."""
+    sizes = [*(z.size().entries() for z in sets), *(box.entries() for box in boxes)]
     return column([largest(values) for values in zip(*sizes, strict=True)])

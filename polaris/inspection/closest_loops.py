@@ -10,6 +10,7 @@ from ..model.compiled import compiled
 from ..model.system import Array
 
 TOLERANCE, NEWTON, HALVINGS = 1e-6, 40, 40  # as in `polaris.inspection.closest`
+Two = tuple[float, float]
 
 
 @compiled
@@ -93,7 +94,7 @@ def _ends(parts: Array, n: float, t: float) -> tuple[float, float, float, float]
 
 
 @compiled
-def closest(z: Array, beyond: float, flight: Array) -> tuple[float, float]:
+def closest(z: Array, beyond: float, flight: Array) -> Two:
     """Distance and time of the closest approach of one flight; beyond a distance only a bound on it.
 
     `flight` (S + 2, 3) has n and the gains of speed, then of each instant t, 1 - cos(n t) and sin(n t).
@@ -133,9 +134,7 @@ def closest(z: Array, beyond: float, flight: Array) -> tuple[float, float]:
 
 
 @compiled
-def _searched(
-    parts: Array, n: float, quartic: float, span: tuple[float, float], distance: float, when: float
-) -> tuple[float, float]:
+def _searched(parts: Array, n: float, quartic: float, span: Two, distance: float, when: float) -> Two:
     """The least distance on a segment and its time, if it is less than the one found so far."""
     starts, ends, depths = np.empty(HALVINGS + 2), np.empty(HALVINGS + 2), np.zeros(HALVINGS + 2, np.int64)
     starts[0], ends[0], left = span[0], span[1], 1

@@ -51,6 +51,15 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     return np.asarray((carried + pushed) * (1 + ROUNDED))
 
 
+def _unseen(system: LinearSystem, tau: float) -> Array:
+    """What a unit of errors of every input may add to a prediction over tau [s], shape (n, m)."""
+    if not tau > 0:
+        return np.zeros((system.n, system.m))
+    flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)
+    gains = flow.input_gains(np.eye(system.n), system.B, PARTS).sum(axis=0)
+    return np.asarray(gains * (1 + 10 * ROUNDED))
+
+
 def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
     """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
 
@@ -207,14 +216,16 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     if system.observer is not None:  # of the motion under inputs that are held
         system = observing(system, system.observer, h, away)
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
-    system = replace(system, timing=replace(timing, measured=tuple(np.max(steps, axis=0).tolist())))
-    worst, ages = system.thrusters.error(system.u_max), timing.delay + h * np.arange(timing.missed + 1)
+    timing = replace(timing, measured=tuple(np.max(steps, axis=0).tolist()))
+    least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:
-        errors = [[prediction_error(system, each, worst, age) for each in known] for age in ages.tolist()]
+        errors = [[prediction_error(system, each, least, age) for each in known] for age in ages.tolist()]
+        unseen = _unseen(system, ages[-1])
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error
-    found = np.max(errors, axis=0)
+    found = np.max(errors, axis=0) + unseen @ system.thrusters.part(system.u_max)
+    system = replace(system, timing=replace(timing, unseen=tuple(map(tuple, unseen.tolist()))))
     by_step = None if len(steps) == 1 else found[of_step.ravel()]
     return replace(system, estimate_error=np.max(found, axis=0), error_by_step=by_step)

@@ -210,9 +210,20 @@ class LinearSystem:
     def _known_to(self, error: Array) -> LinearSystem:
         return replace(self, estimate_error=error, error_by_step=None)
 
-    def command_error(self, gain: Array) -> Array:
-        """By how much a command may differ from what it would be on the exact state, shape (m,)."""
-        return np.asarray(np.abs(gain) @ self.navigation)
+    def estimate_off(self, most: Array | None = None) -> Array:
+        """Bounds on the errors of the estimate, shape (..., n).
+
+        `most` (..., m) bounds the commands of the periods before whose errors are not measured yet, if known
+        (docs/theory.md, Lemma 44).
+        """
+        if most is None or not self.timing.hidden or self.transients:
+            return self.navigation if most is None else self.navigation + np.zeros((*most.shape[:-1], 1))
+        spare = self.thrusters.part(self.u_max) - self.thrusters.part(np.minimum(most, self.u_max))
+        return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
+
+    def command_error(self, gain: Array, most: Array | None = None) -> Array:
+        """By how much a command may differ from what it would be on the exact state, shape (..., m)."""
+        return np.asarray(self.estimate_off(most) @ np.abs(gain).T)
 
     def input_error(self, gain: Array, most: Array) -> Array:
         """By how much what is applied may differ from what a law, clipped, would command on the exact state.

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+WHOLE = 1e-9
+"""Share by which a delay may exceed a whole number of periods and count as one."""
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -33,6 +36,8 @@ class Timing:
         of what is displaced, which is nothing at nodes (n,); empty where commands are held.
     carried, period : float
         Impulse of an input, at most, that is left to the next period [N s]; the period [s], if any is.
+    unseen : tuple of tuple of float
+        What a unit of errors of the inputs may add to those of predictions until it is measured, (n, m).
     """
 
     delay: float = 0.0
@@ -47,6 +52,14 @@ class Timing:
     pulsed: tuple[float, ...] = ()
     carried: float = 0.0
     period: float = 0.0
+    unseen: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def hidden(self) -> int:
+        """Periods before a command whose errors it may not know of."""
+        if not (self.unseen and self.period > 0):
+            return 0
+        return int(np.ceil((self.delay / self.period + self.missed) * (1 - WHOLE)))
 
     @property
     def instant(self) -> bool:

@@ -17,6 +17,7 @@ DESIRED, FILTERED, LEFT = 0, 1, -1
 
 Index = NDArray[np.int64]
 Statuses = NDArray[np.int8]
+Found = tuple[Array, Statuses, int]  # inputs, how they came about, and how many were left
 Program = tuple[Array, Index, Array]
 """Rows by their entries that may be other than zero (T, w), the columns of these, and least values (T,)."""
 
@@ -24,9 +25,7 @@ MET = 1e-13  # violation of a row of length 1 at which the method stops
 
 
 @compiled
-def alone(
-    G: Array, bounds: Array, mine: Index, sign: Array, desired: Array, limit: float
-) -> tuple[Array, Statuses, int]:
+def alone(G: Array, bounds: Array, mine: Index, sign: Array, desired: Array, limit: float) -> Found:
     """Project each deputy's input (R, N, 3), clipped, on its own rows: `mine` (N, m) of G (R, M, 3).
 
     `bounds` (2, R, M) are for a row's first deputy and for its second, whose `sign` (N, m) is negative; or
@@ -58,9 +57,7 @@ def alone(
 
 
 @compiled
-def coupled(
-    G: Array, bound: Array, first: Index, second: Index, desired: Array, limit: float
-) -> tuple[Array, Statuses, int]:
+def coupled(G: Array, bound: Array, first: Index, second: Index, desired: Array, limit: float) -> Found:
     """Project the inputs of all deputies together: ``G (u_first - u_second) >= bound``; as `alone`."""
     runs, deputies, count = desired.shape[0], desired.shape[1], len(first)
     u, status, left, size = np.empty_like(desired), np.zeros((runs, deputies), np.int8), 0, 3 * deputies

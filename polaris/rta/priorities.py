@@ -105,7 +105,7 @@ def _settled(G: Array, need: Array, rank: NDArray[np.intp], exact: bool) -> tupl
 def _largest_shortage(G: Array, need: Array, free: Flags, exact: bool) -> _Least | None:
     """Least s with ``G u >= need - s`` on free rows, 0 on others; multipliers prove how near solvers are."""
     if not exact:
-        for solver in (_by_active_set, partial(lowest, exact=False)):
+        for solver in (_by_active_set, _by_vertices):
             answer = solver(G, need, free)
             if answer is None or not np.isfinite(answer[0]).all():
                 continue
@@ -127,6 +127,9 @@ def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | 
     how = {"primal_tol": 1e-10, "eps_prox": 1.0, "eta_prox": 1e-9, "iter_limit": STEPS * (v + 1)}
     x, _, flag, info = daqp.solve(quadratic, cost, rows, upper, lower, **how)
     return (x, -info["lam"][v + 1 :]) if flag > 0 else None
+
+
+_by_vertices = partial(lowest, exact=False)
 
 
 def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _Least:

@@ -29,7 +29,8 @@ class Thrusters(ScenarioPart):
         "-", "Share by which thrust may be too large or small.", default=0.0, ge=0, lt=0.5
     )
     misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
-    """Angle by which the direction of the thrust may be off. Hill's frame only."""
+    """Angle by which the thrust as a whole may be turned. If nozzles along the axes are misaligned one by
+    one, 1.42 times their angle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)

@@ -30,10 +30,7 @@ def runge_kutta(rate: Callable[[int, Array], Array], x: Array, dt: float | Array
 
 
 def columns(system: LinearSystem, told: int = 0) -> tuple[slice, slice, slice, slice]:
-    """Columns of what disturbs: w, the error of every estimate, that of every thruster; none where exact.
-
-    Last, what networks are told of bodies, as shares of what is not known of them.
-    """
+    """Columns of w, errors of estimates and thrusters where not exact, and shares of what networks hear."""
     first = system.p
     second = first + system.n * bool(np.any(system.navigation))
     third = second + system.m * (not system.thrusters.exact)
@@ -45,9 +42,8 @@ class Integrator(Firing):
 
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n). What networks are told of bodies
-    is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of
-    satellites at the nodes, by name (R, N+1, n), it is the truth. Pulses are flown exactly from node to node;
-    where a period has several steps, each step with its mean.
+    is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of satellites at
+    the nodes, by name (R, N+1, n), it is the truth. Pulses are flown exactly, in several steps by means.
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -83,16 +79,19 @@ class Integrator(Firing):
 
     @cached_property
     def known(self) -> Array:
-        """Bounds on the errors of estimates in every step of the integration, (steps, 1, n)."""
-        cells = [self.system.at_step(k).navigation for k in range(len(self.modes))]
+        """Bounds on errors of estimates in every step, (steps, 1, n), whatever was commanded before."""
+        cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
+
+    def known_to(self, system: LinearSystem) -> Array:
+        """The same in a step, shape (n,)."""
+        return system.estimate_off(0 * system.u_max)
 
     @property
     def may_do_anything(self) -> bool:
         """Whether a controller flies of which nothing but the thrust limits is known."""
-        return any(
-            isinstance(self.schedule.controllers[i], AnyThrust) for i in np.unique(self.modes).tolist()
-        )
+        flying = (self.schedule.controllers[i] for i in np.unique(self.modes).tolist())
+        return any(isinstance(law, AnyThrust) for law in flying)
 
     @property
     def steps(self) -> int:

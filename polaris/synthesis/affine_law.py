@@ -17,6 +17,9 @@ from ..planning.reference import Reference
 from .demand import taken_over
 from .tracking import Feedback, Tracking
 
+TOGETHER = 5
+"""Periods whose errors are merged in a tube."""
+
 
 @dataclass(frozen=True, eq=False)
 class AffineLaw:
@@ -82,8 +85,22 @@ class AffineLaw:
 
     @cached_property
     def disturbance(self) -> Zonotope:
-        """What the disturbance adds by every node of a cell."""
-        return self.flow.disturbance_nodes(self.feedback.nodes_per_cell)
+        """What the disturbance adds by every node of a cell.
+
+        Until the cell's own commands are all that is not measured yet, estimates may be off by more.
+        """
+        q, system, hidden = self.feedback.nodes_per_cell, self.system, self.system.timing.hidden
+        least = 0 * self.error if self.most is None else system.command_error(self.gain, self.most)
+        more = system.command_error(self.gain) - least
+        together = 1 if system.ideal else TOGETHER
+        if self.most is None or hidden >= q or not np.any(more > 0):
+            return self.flow.disturbance_nodes(q, together=together)
+        flow = self.feedback.flow(system, self.gain, self.reference.delta, self.error - more)
+        first, n = flow.input_map(system.B) * more, system.n
+        early = np.zeros((q + 1, n, hidden * system.m))
+        for j in range(hidden):
+            early[j + 1 :, :, j * system.m : (j + 1) * system.m] = self.powers[: q - j] @ first
+        return flow.disturbance_nodes(q, together=together) + Zonotope(np.zeros((q + 1, n)), early)
 
     @cached_property
     def offset(self) -> Array:

@@ -135,10 +135,10 @@ def goal_rows(problem: Problem) -> tuple[Array, Array]:
 
 def tolerated(safety: Safety, rows: Array) -> float:
     """What counts as reached [m], for the rows of the goal: as given, or see `Arrival`."""
-    problem, tracking = safety.problem, safety.tracking
+    problem = safety.problem
     if problem.goal_tolerance is not None:
         return problem.goal_tolerance
-    hold = _to_hold(tracking, rows) * (1 + GOAL_SHARE) / (1 + _spare(tracking))
+    hold = _to_hold(safety, rows) * (1 + GOAL_SHARE)
     return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
 
@@ -163,17 +163,20 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
     pushed = tracking.responses(rows, last)
     late = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
     always = pushed[-1] + late * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
+    settled = always
     if tracking.profile is not None:
-        always = always + tracking.late(rows, tracking.system.thrusters.part(tracking.profile[0]))[0]
+        older = tracking.late(rows, tracking.caused(tracking.profile)[0])[0]
+        always, settled = always + older, settled - pushed[-1] + older + _settled(tracking, rows)
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
         lag = since + np.arange(nodes)
         near, gone = np.minimum(lag, last), (lag > last)[:, None]
         centre = np.where(gone, 0.0, (carried @ z.c)[near])
         spread = np.abs(carried @ z.G).sum(axis=-1)[near]
-        forgotten = late * float(z.norm_bound(tracking.W)) + always
+        now = np.where((lag > 2 * last + tracking.system.timing.hidden)[:, None], settled, always)
+        forgotten = late * float(z.norm_bound(tracking.W)) + now
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
-    need = np.min(found, axis=0) + safety.clearance.tail_need(rows)
+    need = np.min(found, axis=0) + _ahead(safety, rows, nodes)
     need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
     return need + _spare(tracking) * np.abs(need), centre
 
@@ -183,9 +186,23 @@ def _spare(tracking: Tracking) -> float:
     return ROUNDING if tracking.profile is None else SPARE
 
 
-def _to_hold(tracking: Tracking, rows: Array) -> float:
-    """What S needs along the rows against the disturbance once it has forgotten where it came from [m]."""
-    return float(np.max(tracking.responses(rows, tracking.memory + 1, settled=True)[-1], initial=0.0))
+def _settled(tracking: Tracking, rows: Array) -> Array:
+    """What S needs along rows against all that disturbs, once it has forgotten where it came from, (r,)."""
+    return np.asarray(tracking.responses(rows, tracking.memory + 1, settled=True)[-1])
+
+
+def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
+    """What S needs besides, from each of so many nodes after T on, shape (nodes, r)."""
+    need = safety.clearance.tail_need(rows)
+    return need[np.minimum(np.arange(nodes), len(need) - 1)]
+
+
+def _to_hold(safety: Safety, rows: Array) -> float:
+    """What S needs along the rows for ever, the jump into the tail apart [m]."""
+    tracking, clearance = safety.tracking, safety.clearance
+    need = _settled(tracking, rows) + clearance.scheduled(rows)[-1, -1]
+    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
+    return float(np.max(need, initial=0.0)) * (1 + _spare(tracking))
 
 
 def _correcting(safety: Safety, held: Held, nodes: int) -> float:
@@ -194,7 +211,7 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     both = np.vstack([tracking.gain, -tracking.gain])
     tubes = ((error_tube(tracking, z, both, False).need, since + np.arange(nodes + 1)) for z, since in held)
     need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
-    need = need + safety.clearance.tail_need(both)
+    need = need + _ahead(safety, both, nodes + 1)
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.at_step(K).command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
@@ -213,7 +230,7 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
         return None
     both = np.vstack([tracking.gain, -tracking.gain])
     need = np.min([error_tube(tracking, z, both, False).need[-1] for z, _ in held], axis=0)
-    need = need + safety.clearance.tail_need(both)
+    need = need + _ahead(safety, both, nodes + 1)[-1]
     most = need.reshape(2, -1).max(axis=0) + system.at_step(problem.K).command_error(tracking.gain)
     if not np.all(most <= system.u_max):
         return None

@@ -184,9 +184,12 @@ class Clearance:
         return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
 
     def tail_need(self, rows: Array) -> Array:
-        """What S needs along rows (r, n) at any time of the tail, its error at T apart, shape (r,)."""
-        scheduled = self.scheduled(rows)[min(self.planned, self.cells - 1) :].max(axis=(0, 1))
-        return np.asarray(scheduled + self.jump_need(rows) + self.round_off(rows))
+        """What S needs along rows (r, n) from a node of the tail on, errors at T apart, shape (nodes, r)."""
+        found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
+        nodes = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
+        nodes[self.q :: self.q] = np.maximum(nodes[self.q :: self.q], found[:, -1])
+        later = np.maximum.accumulate(nodes[::-1])[::-1]
+        return np.asarray(later + self.jump_need(rows) + self.round_off(rows))
 
     def _need_of(self, rows: Array, step: Array) -> Array:
         weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)

@@ -24,10 +24,10 @@ from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
 from .tracking import Tracking, at_nodes
 
-LEVELS = (1 / 32, 1 / 22, 1 / 16, 1 / 11, 1 / 8, 1 / 5.6, 1 / 4, 1 / 2.8, 1 / 2, 0.7, 1.0)
+LEVELS = tuple(1.09**-i for i in range(40, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER = 25.0
-"""Generators per dimension kept at the end of a step; what is merged has decayed by then."""
+ORDER, WIDE = 25.0, 40.0
+"""Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,8 @@ class AffineController(AffineLaw):
         bow = bow + self.reference.rounding[k] + self.own.rounding[k]
         error = nodes + zeta
         end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
-        segment = TubeSegment(error, bow, end.reduce(ORDER), refused, slopes)
+        order = ORDER if self.system.ideal else WIDE
+        segment = TubeSegment(error, bow, end.reduce(order), refused, slopes)
         return segment, np.minimum(commanded + noise, self.system.u_max)
 
     def along(self, reference: Reference, tracking: Tracking) -> AffineController:

@@ -8,6 +8,9 @@ from ..planning.reference import Reference
 from .profile import ROUNDS, SETTLED, SPARE, summed
 from .tracking import Tracking
 
+LONGER = 3
+"""For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
+
 
 class Scheduled:
     """What errors add by the time of the flight: because of the reference's own input, and of its steps.
@@ -31,11 +34,17 @@ class Scheduled:
         self.commanded = self._commanded()
 
     def _commanded(self) -> Array:
-        """Bound on the scheduled part of every command, constant over the tail, shape (cells, m) [N]."""
-        found = self.nu
+        """Bound on the scheduled part of every command, shape (cells, m) [N].
+
+        It does not grow over the tail, and is constant over the end of it that later turns remember.
+        """
+        found, tracking = self.nu, self.tracking
+        remembered = LONGER * (tracking.memory + 2)
+        end = max(len(found) + -remembered // tracking.feedback.nodes_per_cell, self.planned)
         for _ in range(ROUNDS):
             more = self._along(self.tracking.gain, found).max(axis=1)
-            more[self.planned :] = more[self.planned :].max(axis=0, initial=0.0)
+            more[end:] = more[end:].max(axis=0, initial=0.0)
+            more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
             before, found = found, self.nu + more * (1 + SPARE)
             if np.all(found - before <= SETTLED * more) or np.any(more > self.tracking.system.u_max):
                 break
@@ -49,18 +58,26 @@ class Scheduled:
         tracking, cells = self.tracking, len(commanded)
         q, errors = tracking.feedback.nodes_per_cell, self.noise
         if tracking.profile is not None:
-            errors = errors + tracking.system.thrusters.part(commanded)
+            errors = errors + tracking.system.thrusters.part(commanded) + self._unseen(commanded)
         gains = tracking.flow.input_gains(rows, tracking.system.B, tracking.memory + 2)
         sums, within = summed(gains, np.repeat(errors, q, axis=0)), errors @ gains[0].T
         now = sums[:-1].reshape(cells, q, -1) + within[:, None]
         between = np.maximum(now, sums[1:].reshape(cells, q, -1))
-        if cells > self.planned:  # the tail is flown again and again: as if its commands had always been
+        if cells > self.planned:  # the tail is flown again and again: as if its last commands had always been
             for_ever = gains.sum(axis=0) @ errors[-1] + within[-1]
             between[self.planned :] = np.maximum(between[self.planned :], for_ever)
         late, curved = tracking.late(rows, errors.max(axis=0))
         found = np.concatenate([between[:, :1], between], axis=1)
         found[:, 1:-1] = np.maximum(between[:, :-1], between[:, 1:])
         return np.asarray((found + late + curved) * (1 + ROUNDING))
+
+    def _unseen(self, commanded: Array) -> Array:
+        """What errors of scheduled commands add to those after them until they are measured, (cells, m)."""
+        system, gain = self.tracking.system, self.tracking.gain
+        before = commanded.copy()
+        for i in range(1, -(-system.timing.hidden // self.tracking.feedback.nodes_per_cell) + 1):
+            before[i:] = np.maximum(before[i:], commanded[:-i])
+        return system.command_error(gain, before) - system.command_error(gain, 0 * before)
 
 
 def command_errors(system: LinearSystem, gain: Array, cells: int) -> Array:

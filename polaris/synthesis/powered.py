@@ -145,7 +145,7 @@ class Branch:
         if last < K or safety.guarantee != "proved":
             return None, np.inf
         states = reference.chi[K : last + 1]
-        need = taken.over(tracking, rows, last + 1)[1][K:] + safety.clearance.tail_need(rows)
+        need = taken.over(tracking, rows, last + 1)[1][K:] + safety.clearance.tail_need(rows)[0]
         need = (need + np.abs(rows) @ tracking.system.displaced_at_nodes) * (1 + SPARE)
         size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
         most = distance(safety.problem.goal.conditions, states @ rows.T - sides + need + size)

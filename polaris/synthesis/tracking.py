@@ -135,7 +135,19 @@ class Tracking:
     def error(self) -> Array:
         """Bounds on the errors of what S applies, shape (m,); without those that the profile bounds."""
         most = self.system.u_max if self.level is None else np.zeros(self.system.m)
-        return self.system.calmest.input_error(self.gain, most)
+        return self.system.calmest.command_error(self.gain, most) + self.system.thrusters.error(most)
+
+    def caused(self, profile: Array, before: Array | None = None) -> Array:
+        """Errors of the inputs by period that commands within a profile (L, m) cause, shape (L, m).
+
+        Both what they are off by, and what that does to later ones until it is measured (Lemma 44). Before a
+        hand-over what is commanded is within `before`, else within all that there is.
+        """
+        system, first = self.system, self.system.u_max if before is None else before
+        hidden = min(system.timing.hidden, len(profile))
+        known = np.vstack([np.tile(first, (hidden, 1)), profile[: len(profile) - hidden]])
+        late = system.command_error(self.gain, known) - system.command_error(self.gain, 0 * profile)
+        return np.asarray(system.thrusters.part(profile) + late)
 
     @property
     def varies(self) -> bool:
@@ -287,8 +299,10 @@ class Tracking:
         sums = self.flow.disturbance_support(rows, count)
         if self.profile is not None:
             gains = self.flow.input_gains(rows, self.system.B, count)
-            most = np.broadcast_to(self.profile[-1], self.profile.shape) if settled else self.profile
-            sums = sums + summed(gains, self.system.thrusters.part(most))[: count + 1]
+            last, most = None, self.profile
+            if settled:
+                last, most = most[-1], np.broadcast_to(most[-1], most.shape)
+            sums = sums + summed(gains, self.caused(most, last))[: count + 1]
         return np.asarray(sums)
 
     def pushed(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
@@ -307,7 +321,7 @@ class Tracking:
             found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
         if profile is None:
             return found
-        errors = self.system.thrusters.part(profile)
+        errors = self.caused(profile)
         gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
         sums, within = summed(gains, errors), errors @ gains[0].T
         more = np.maximum(sums[:-1] + within, sums[1:])

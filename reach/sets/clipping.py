@@ -13,6 +13,7 @@ from ..numerics.rounding import gamma
 from .polytope import HPolytope
 from .zonotope import Zonotope
 
+Flags = NDArray[np.bool_]
 SWEEPS = 3  # passes over the rows while coefficients are narrowed
 WORTH = 0.9  # a strip is intersected by one more generator if it is narrower than this share of the set
 
@@ -35,7 +36,7 @@ def strips(polytopes: Sequence[HPolytope | None], n: int) -> tuple[Array, Array,
     return H, low, high
 
 
-def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDArray[np.bool_]]:
+def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, Flags]:
     """Enclose the part of every zonotope of a stack (M,) that lies in the strips.
 
     Two steps, both sound. The coefficients are narrowed to those with which the limits can be met
@@ -66,9 +67,7 @@ def clip(Z: Zonotope, H: Array, low: Array, high: Array) -> tuple[Zonotope, NDAr
     ), meets
 
 
-def _narrow(
-    Z: Zonotope, H: Array, low: Array, high: Array, meets: NDArray[np.bool_]
-) -> tuple[Zonotope, NDArray[np.bool_]]:
+def _narrow(Z: Zonotope, H: Array, low: Array, high: Array, meets: Flags) -> tuple[Zonotope, Flags]:
     """Shrink the range of every coefficient to what the strips allow."""
     a = H @ Z.G  # (M, q, g)
     d = (H @ Z.c[..., None])[..., 0]
@@ -95,7 +94,7 @@ def _narrow(
 
 
 def _strip(
-    Z: Zonotope, h: Array, low: Array, high: Array, slack: Array, meets: NDArray[np.bool_]
+    Z: Zonotope, h: Array, low: Array, high: Array, slack: Array, meets: Flags
 ) -> tuple[Zonotope, bool]:
     """Intersect with one strip by one more generator, where worth it; rounding is booked in the strip."""
     a = (h[..., None, :] @ Z.G)[:, 0]

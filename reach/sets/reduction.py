@@ -121,10 +121,8 @@ def _ranks(keys: Array, axis: int = -1) -> Array:
 def _split(G: Array, lengths: Array, kept: int) -> tuple[Array, Array]:
     """The longest generators, and the others."""
     order = np.argsort(-_ranks(lengths), axis=-1, kind="stable")[..., None, :]
-    return (
-        np.take_along_axis(G, order[..., :kept], axis=-1),
-        np.take_along_axis(G, order[..., kept:], axis=-1),
-    )
+    first, rest = (np.take_along_axis(G, part, axis=-1) for part in np.split(order, [kept], axis=-1))
+    return first, rest
 
 
 def _boxed(kept: Array, merged: Array) -> Array:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -58,10 +59,8 @@ class RowBounds:
         bow, bend = (s**2 * part.reshape(-1, s, part.shape[1]).max(axis=1) for part in (self.bow, self.bend))
         kinks = self.kinks[:-1].reshape(-1, s, self.kinks.shape[1])[:, 1:].sum(axis=1)
         bow = bow + np.diff(self.times[::s])[:, None] / 4 * kinks
-        nodes = {
-            field.name: getattr(self, field.name)[::s]
-            for field in fields(self)
-            if isinstance(getattr(self, field.name), np.ndarray)
+        nodes: dict[str, Any] = {
+            name: part[::s] for name, part in vars(self).items() if isinstance(part, np.ndarray)
         }
         return replace(self, **nodes | {"bow": bow, "bend": bend, "parts": 1})
 

@@ -221,16 +221,33 @@ class LinearFlow:
         return found + self.input_zonotope(self.E, np.eye(self.E.shape[1]), np.abs(self.E).sum(axis=1))
 
     @checked
-    def disturbance_nodes(self, count: int, order: float = 30.0) -> Zonotope:
-        """Zonotopes around the response to the disturbance at nodes 0..count from rest, each reduced once."""
+    def disturbance_nodes(self, count: int, order: float = 30.0, together: int = 1) -> Zonotope:
+        """Zonotopes around the response to the disturbance at nodes 0..count from rest, each reduced once.
+
+        What up to `together` periods add is merged before, which widens the sets far less.
+        """
         n = len(self.phi)
-        period = self.period_zonotope.G
-        blocks = powers(self.phi, max(count - 1, 0)) @ period
+        blocks = powers(self.phi, max(count - 1, 0)) @ self.period_zonotope.G
         parts = [Zonotope.point(np.zeros(n))]
         for i in range(1, count + 1):
-            full = np.moveaxis(blocks[:i], 0, 1).reshape(n, -1)
-            parts.append(Zonotope(np.zeros(n), full).reduce(order))
+            parts.append(Zonotope(np.zeros(n), merged(blocks[:i], together)).reduce(order))
         return Zonotope.stack(parts)
+
+
+def merged(blocks: Array, most: int) -> Array:
+    """Generators (n, g) of a set that holds the sum of those of periods (L, n, g), up to `most` as one.
+
+    What a period adds hardly turns from one to the next: with a mean direction c of several generators,
+    ``sum_l g_l b_l`` is ``c sum_l b_l`` up to ``sum_l |g_l - c|``, which a box takes, rounding booked.
+    """
+    if most == 1:
+        return np.hstack(list(blocks))
+    sums, rest = [], np.zeros(blocks.shape[1])
+    for first in range(0, len(blocks), most):
+        part = blocks[first : first + most]
+        sums.append(part.sum(axis=0))
+        rest = rest + np.abs(part - sums[-1] / len(part)).sum(axis=(0, 2))
+    return np.hstack([*sums, np.diag(rest + 1e-13 * np.abs(blocks).sum(axis=(0, 2)))])
 
 
 @checked

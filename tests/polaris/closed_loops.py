@@ -87,7 +87,8 @@ class Loop:
         self.cells = known + (known - self.K if safety.end.horizon == "infinite" else 0)
         self.N, self.dt = self.cells * self.per, safety.problem.delta / self.per
         self.modes = np.r_[schedule.modes, np.zeros(self.cells - self.K, dtype=int)]
-        self.known = np.array([self.system.at_step(k).navigation for k in range(self.cells)])
+        steps = map(self.system.at_step, range(self.cells))
+        self.known = np.array([system.estimate_off(0 * system.u_max) for system in steps])
         self.gain = safety.tracking.gain
         rest = np.zeros((self.cells - known, self.system.m))
         self.nu = np.vstack([safety.reference.nu, rest])

@@ -23,7 +23,7 @@ from polaris.certificate.zonotopes import Merging, widest
 from polaris.model.errors import PolarisError
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.arrival import SOON, _correcting, _distance, _needs, _to_hold, _weights, arrival
+from polaris.synthesis.arrival import SOON, _correcting, _needs, _settled, _weights, arrival, distance
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
@@ -65,7 +65,7 @@ def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
     always = tracking.flow.disturbance_support(rows, count)[-1]
     always = always + gains @ tracking.system.thrusters.part(tracking.profile[-1])
-    assert 0.99 * always.max() <= _to_hold(tracking, rows) <= always.max() * (1 + 1e-9)
+    assert 0.99 * always.max() <= _settled(tracking, rows).max() <= always.max() * (1 + 1e-9)
 
 
 # -- two derivations of the same rows ---------------------------------------------------------------
@@ -110,7 +110,7 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         sides = [conditions.e, -conditions.e, conditions.g, *(-c for _, c in conditions.one_of)]
         weight = _weights(problem, ours)
         for x in rng.normal(size=(10, n)) * np.exp(rng.uniform(-3, 6, (10, 1))):
-            expected = _distance(conditions, ((ours @ x - np.concatenate(sides)) * weight)[None])[0]
+            expected = distance(conditions, ((ours @ x - np.concatenate(sides)) * weight)[None])[0]
             derived = rows.distance(rows.over(matrix([[value] for value in x])))
             assert float(derived.mid()) == pytest.approx(float(expected), rel=1e-9, abs=1e-9)
 

@@ -25,6 +25,7 @@ from polaris.simulation.disturbances import disturbances
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import flown_modes, initial_states
 from polaris.synthesis.synthesize import synthesize
+from reach.numerics.linear import discretize
 
 from ..kept import kept
 from .closed_loops import attack
@@ -237,3 +238,27 @@ def test_forged_timing_is_refused(tmp_path):
         scenario = forger.tree("scenario.toml")
         scenario["timing"][key] = value
         assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
+
+
+def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
+    """Fly predictions with the worst errors of thrusters: they need what is booked, or a little less."""
+    given = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
+    tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *given])).safety.tracking
+    system, profile, hidden = tracking.system, tracking.profile, tracking.system.timing.hidden
+    assert hidden == 2 and np.all(tracking.error < system.command_error(tracking.gain))
+    Ad, Bd = discretize(system.A, system.B, tracking.flow.h)
+    part, rows, last = system.thrusters.part, np.eye(system.n), tracking.memory
+    steady = tracking.flow.disturbance_support(rows, last)
+    booked = tracking.responses(rows, last) - steady
+    reached = np.zeros((last + 1, system.n))
+    for first in range(-hidden, last):
+        size = part(system.u_max if first < 0 else profile[min(first, len(profile) - 1)])
+        e, wrong = np.zeros((system.n, system.m)), np.zeros((system.n, system.m))
+        for node in range(-hidden, last):
+            pushed = Bd * (size if node == first else 0.0)
+            if node >= 0:  # before, what errors do is part of where S takes over
+                e = Ad @ e - Bd @ tracking.gain @ (e - wrong) + pushed
+                reached[node + 1] += np.abs(e).sum(axis=1)
+            seen = np.linalg.matrix_power(Ad, hidden) @ Bd * (size if node - hidden == first else 0.0)
+            wrong = Ad @ wrong + pushed - seen
+    assert np.all(reached <= booked * (1 + 1e-9)) and np.all(reached[-1] > 0.7 * booked[-1])

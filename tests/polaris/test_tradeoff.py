@@ -19,7 +19,7 @@ from polaris.cli.app import app
 from polaris.cli.compare import _sweep
 from polaris.cli.show.comparison import _row, answered
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.report.figures.comparison import _front, _points
+from polaris.report.figures.comparison import _front, _sensitivity
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
@@ -278,7 +278,7 @@ def test_figures_of_fields_are_laid_out_with_infeasible_values_and_without(swept
     other = [row | {"field": "other", "value": 0.1 * row["value"]} for row in rows[1:]]
     for points, fields in (([*rows, *other], 2), (other, 1)):
         with printing():
-            figure = _points(points)
+            figure = _sensitivity(points)
             figure.draw_without_rendering()
         assert [ax.get_xlabel() for ax in figure.axes[:fields]] == [KEY, "other"][-fields:]
         assert all(ax.get_position().height > 0.2 for ax in figure.axes)
@@ -432,7 +432,8 @@ def test_every_error_source_can_be_swept():
     """Each number of its tables is a key of its own, and another value another problem."""
     tables = {
         "navigation": (Estimate, ["state_error"]),
-        "navigation.measurement": (Measurement, ["matrix", "error"]),
+        "navigation.measurement": (Measurement, ["matrix", "error", "initial"]),
+        "navigation.measurement.initial": (Estimate, ["state_error"]),
         "navigation.phases[0]": (Phase, ["state_error"]),
         "thrusters": (Thrusters, ["remainder", "pulse", "directions", "thrust_max_N"]),
         "timing": (Timing, []),
@@ -442,6 +443,9 @@ def test_every_error_source_can_be_swept():
     }
     more = {
         "navigation.measurement": ["navigation.measurement.position_error_m=0.05"],
+        "navigation.measurement.initial": [
+            "navigation.measurement={position_error_m=0.05, initial={velocity_error_m_s=0.05}}"
+        ],
         "navigation.phases[0]": ["navigation.phases=[{from_s=600, position_error_m=0.1}]"],
         "thrusters": ["thrusters.remainder=carried", "thrusters.pulse=centred"],
         "faults[0]": ["faults=[{kind='loss', share=0.1, isolation_s=2}]"],
@@ -452,12 +456,10 @@ def test_every_error_source_can_be_swept():
     for table, (kind, others) in tables.items():
         sampled = ["feedback.kind=sampled", "feedback.period_s=2", *more.get(table, [])]
         scenario = load_scenario("static", sampled)
+        base = pickle.dumps(scenario.problem())
         for name in set(kind.model_fields) - set(others):
-            key, problems = f"{table}.{name}", set()
-            values = {"missed_periods": [0, 1]}.get(name, [0.01, 0.02])
-            values = [30, 60] if name in ("from_s", "isolation_s", "lasts_s") else values
-            for field, value in module._named({key: values}).values():
-                assert field == key
-                text = f"{key}={repr(value).removesuffix('.0')}"
-                problems.add(pickle.dumps(scenario.with_assignments([text]).problem()))
-            assert len(problems) == 2, key
+            seconds = name in ("from_s", "isolation_s", "lasts_s")
+            value = 30 if seconds else {"missed_periods": 1, "within_m": 3000}.get(name, 0.02)
+            ((field, found),) = module._named({f"{table}.{name}": [value]}).values()
+            text = f"{field}={repr(found).removesuffix('.0')}"
+            assert pickle.dumps(scenario.with_assignments([text]).problem()) != base, text

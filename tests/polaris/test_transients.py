@@ -79,6 +79,13 @@ def test_a_few_proofs_hold_with_a_fault_in_every_flight(seed):
     assert falsify(schedule, 300, seed).failure is None
 
 
+def test_a_fault_across_everything_else_that_moves_is_confirmed():
+    """Flights differ along one axis alone; the fault pushes along the other, too."""
+    narrow = ["initial_set.half_widths=[0.0, 0.05, 0.0, 0.01]", "system.disturbance_max=0.0"]
+    narrow.append('experimental.0.reference={kind="shared"}')
+    assert checked(synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, *narrow])))
+
+
 @pytest.mark.slow
 def test_many_proofs_hold_with_a_fault_in_every_flight():
     proved = [0] * 4

@@ -82,7 +82,7 @@ def test_disturbance_support_is_reached_by_the_closed_form_worst_case(kind):
 def test_disturbance_zonotopes_hold_simulated_responses(kind):
     f = flow(kind, 5.0)
     rng = np.random.default_rng(0)
-    sets = f.disturbance_nodes(12)
+    stacks = f.disturbance_nodes(12), f.disturbance_nodes(12, together=5)
     D = np.vstack([np.eye(6), -np.eye(6), rng.normal(size=(10, 6))])
     A_x = A_C if kind == "continuous" else SYSTEM.A
     step, push = discretize(A_x, SYSTEM.D, 0.5)
@@ -94,7 +94,7 @@ def test_disturbance_zonotopes_hold_simulated_responses(kind):
                 w = w0 if rng.random() < 0.5 else rng.normal(size=3)
                 inner = step @ inner + push @ (w / np.linalg.norm(w) * 1e-4)
             e = f.phi @ e + inner
-            assert np.all(D @ e <= sets[node + 1].support(D) * (1 + 1e-9))
+            assert all(np.all(D @ e <= sets[node + 1].support(D) * (1 + 1e-9)) for sets in stacks)
             assert np.all(np.abs(inner) <= f.period_box * (1 + 1e-9))
 
 
@@ -102,6 +102,7 @@ def test_disturbance_zonotope_is_within_forty_per_cent_of_the_exact_support():
     f = flow("continuous", 5.0)
     exact = f.disturbance_support(np.eye(6), 12)[-1]
     assert np.all(f.disturbance_nodes(12)[-1].half_widths <= 1.4 * exact)
+    assert np.all(f.disturbance_nodes(12, together=5)[-1].half_widths <= 1.75 * exact)  # a fast loop turns
 
 
 @pytest.mark.parametrize("kind", ["continuous", "sampled"])

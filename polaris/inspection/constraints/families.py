@@ -80,7 +80,7 @@ class Families(Table):
         self.sampled, self.alpha = sampled, _checked(strengthening)
         self.approach = approach = ClosestApproach(inspection.mean_motion, inspection.passive_time)
         beyond = np.inf if exact or sampled is not None else self._beyond(inspection, approach)
-        super().__init__(inspection, "h", without, approach, sampled is not None, beyond)
+        super().__init__(inspection, without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
         self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
         self._largest = np.sqrt(3) * inspection.thrust_max / inspection.mass  # acceleration by thrust

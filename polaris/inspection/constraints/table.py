@@ -29,6 +29,9 @@ class _Member(NamedTuple):
     values: tuple[float, ...]
 
 
+Formula = tuple[Callable[..., Barrier], list[_Member]]
+
+
 @dataclass(frozen=True, eq=False)
 class Group:
     """Constraints of one formula: where they are in the stack (see `Table.stack`), and their rows.
@@ -41,16 +44,13 @@ class Group:
     rows: slice
 
 
-def _formulas(
-    q: Inspection, approach: ClosestApproach | None, sampled: bool, beyond: float
-) -> list[tuple[Callable[..., Barrier], list[_Member]]]:
+def _formulas(q: Inspection, approach: ClosestApproach, sampled: bool, beyond: float) -> list[Formula]:
     """The formulas, from columns of parameters, and the constraints that have them."""
     alone, pairs = np.arange(q.deputies), q.deputies + np.arange(len(q.pairs))
     braking = partial(Braking, depth=q.smoothing, back=q.return_speed)
     speed, velocity = (SpeedInSquares, VelocitySide) if sampled else (Speed, Velocity)
 
     def passive(radius: Array) -> Barrier:
-        assert approach is not None
         return PassiveSegments(radius, approach) if sampled else Passive(radius, approach, beyond)
 
     spheres = [
@@ -63,6 +63,7 @@ def _formulas(
         _Member("deputy_sun", "5+", pairs, (q.a_max, 1.0)),
         _Member("deputy_sun", "5-", pairs, (q.a_max, -1.0)),
     ]
+    axes = [_Member("velocity", str(9 + axis), alone, (axis,)) for axis in range(3)]
     flights = [
         _Member("passive", "7", alone, (q.separation,)),
         _Member("deputy_passive", "8", pairs, (q.deputy_separation,)),
@@ -70,21 +71,18 @@ def _formulas(
     return [
         (lambda radius, a, side: Radial(radius, braking(a), side), spheres),
         (lambda a, side: SunCone(q.field_of_view / 2, q.mean_motion, braking(a), side), cones),
-        (passive, flights if approach else []),
+        (passive, flights),
         (lambda: speed(q.docking_speed, q.nu_1), [_Member("speed", "3", alone, ())]),
-        (
-            lambda axis: velocity(axis.astype(np.intp), q.speed_max),
-            [_Member("velocity", str(9 + axis), alone, (axis,)) for axis in range(3)],
-        ),
+        (lambda axis: velocity(axis.astype(np.intp), q.speed_max), axes),
     ]
 
 
 class Table:
     """The constraints of all deputies and pairs, in one fixed order of M rows.
 
-    Labels begin with the letter h or phi; families `without` are left out, and those of the free flights
-    without their closest `approach` (`beyond` as in `Passive`). Where they are `sampled`, barriers have the
-    forms that bound their curvature.
+    Families `without` are left out; `approach` and `beyond` are as in `Passive`. Where they are `sampled`,
+    barriers have the forms that bound their curvature.
+
 
     Attributes
     ----------
@@ -100,11 +98,10 @@ class Table:
     def __init__(
         self,
         inspection: Inspection,
-        letter: str,
-        without: Collection[str] = (),
-        approach: ClosestApproach | None = None,
-        sampled: bool = False,
-        beyond: float = np.inf,
+        without: Collection[str],
+        approach: ClosestApproach,
+        sampled: bool,
+        beyond: float,
     ) -> None:
         for name in without:
             if name not in FAMILIES:
@@ -124,7 +121,7 @@ class Table:
             place = np.concatenate([m.places for m in kept])
             straight = np.array_equal(place, np.arange(place[0], place[-1] + 1))
             at = slice(int(place[0]), int(place[-1]) + 1) if straight else place
-            of_each = ((m.family, letter + m.number, k) for m in kept for k in m.places)
+            of_each = ((m.family, f"h{m.number}", k) for m in kept for k in m.places)
             start = len(rows)
             rows += [row for row in of_each for _ in range(barrier.repeat)]
             self.groups.append(Group(barrier, at, slice(start, len(rows))))

@@ -22,6 +22,7 @@ from ..vectors import length
 from .explicit import Centralized, Decentralized
 
 Some = NDArray[np.bool_]
+Tried = tuple[Array, Proven, Some]  # thrust, what is known of it, and whose proposal it is
 
 HALVINGS = 6  # halvings of the way from the backup's thrust to the wanted one
 FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s
@@ -100,8 +101,8 @@ class Assured(CallByCall):
 
     def _tried(
         self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
-    ) -> tuple[Array, Proven, Some]:
-        """The proposal of as many as it is proven for; what is known of it; whose it is."""
+    ) -> Tried:
+        """The proposal of as many as it is proven for."""
         while who.any():
             u = np.where(who[:, None], proposed, backup)
             found = self.planner.find(got.t, x, u, kept, ~who)
@@ -151,7 +152,7 @@ class Implicit(Assured):
 
     def _tried(
         self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
-    ) -> tuple[Array, Proven, Some]:
+    ) -> Tried:
         u, found, passed = super()._tried(got, x, proposed, who, backup, kept)
         back = who & ~passed
         low, high = 0.0, 1.0

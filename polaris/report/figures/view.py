@@ -26,8 +26,7 @@ class View:
         self.span = np.stack([self.low, self.high], axis=1).tolist()
         flown = [path for key in scene.picture.flights if (path := scene.flown(key)) is not None]
         drawn = [item.points for item in scene.of("reference", "tail")]
-        self.points = np.vstack([*drawn, *flown])
-        """What names should not cover, shape (N, 2)."""
+        self.points = np.vstack([*drawn, *flown])  # what names should not cover, shape (N, 2)
         self.taken: list[tuple[Array, Array]] = []
 
     @property

@@ -173,11 +173,8 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
 
 def _closest(t: Array, margins: Mapping[str, Array]) -> float:
     """When a deputy has least room of all to a limit of a distance [s]."""
-    own = [
-        found.min(axis=1)
-        for name, found in margins.items()
-        if found.shape[1] and MEANING.get(name, ("", ""))[1] == "m"
-    ]
+    known = {name: found for name, found in margins.items() if found.shape[1]}
+    own = [found.min(axis=1) for name, found in known.items() if MEANING.get(name, ("", ""))[1] == "m"]
     return float(t[np.argmin(np.min(own, axis=0))] if own else 0.0) or float(t[-1])
 
 

@@ -31,10 +31,7 @@ class Case:
     @property
     def label(self) -> str:
         """What tables call it: ``static, planner.extra_margin_m=20``."""
-        shown = [
-            f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
-            for key, value in self.parameters
-        ]
+        shown = [f"{key}={x:g}" if isinstance(x, float) else f"{key}={x}" for key, x in self.parameters]
         return ", ".join([self.scenario, *shown])
 
 
@@ -109,14 +106,9 @@ class Kind(ABC):
 
     modes: tuple[str, ...]
 
-    name: ClassVar[str]
-    """By which a manifest knows it."""
-
-    formats: ClassVar[tuple[str, ...]]
-    """What its tables may be kept in, the preferred one first; see `FORMATS`."""
-
-    ranking: ClassVar[str]
-    """Column by which its runs are ranked, the least first; empty if they are not."""
+    name: ClassVar[str]  # by which a manifest knows it
+    formats: ClassVar[tuple[str, ...]]  # what its tables may be kept in, the preferred one first: `FORMATS`
+    ranking: ClassVar[str]  # column by which its runs are ranked, the least first; empty if they are not
 
     def data(self) -> dict[str, Any]:
         """Options on which results hang, as plain data for the manifest."""
