@@ -135,10 +135,7 @@ def test_thin_expms_are_those_of_scipy(length):
     A = sparse.bmat([[None, sparse.identity(200)], [chain, 0.1 * chain]], format="csr")
     want = expm(A.toarray() * length)
     half = thin_expm(A, length / 2, Action(A))
-    found = [
-        thin_expm(A, length, Action(A)),
-        None if half is None else thin_expm(A, length, Action(A), half),
-    ]
+    found = [thin_expm(A, length, Action(A)), None if half is None else thin_expm(A, length, Action(A), half)]
     assert length > 0.3 or found[0] is not None
     for one in found:
         if one is not None:
