@@ -8,12 +8,12 @@ from pathlib import Path
 
 import flint
 
+from .argument import Argument
 from .artefacts import check_artefacts, check_hashes, check_networks, has_artefacts, read_scenario, unchecked
 from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
 from .plants import MOST_BITS, precision_for
-from .powered import WithAborts
 from .verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
 
 NAME = "certificate.json"  # the certificate's name in a run folder
@@ -84,7 +84,7 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
     confirmed = len(record.checked)
     while True:
         try:
-            WithAborts(document, record, stated).run()
+            Argument(document, record, stated).run()
             break
         except Imprecise:
             if flint.ctx.prec >= MOST_BITS:

@@ -24,11 +24,11 @@ from .balls import (
 )
 from .bodies import Whereabouts
 from .drift import Departures
+from .limits import Barrier
 from .motion import Motion, Plant, Push
 from .networks import Policy
 from .parts import Law, Matrix
 from .periods import Period, around, clip, command_ranges, secant
-from .recovery import Barrier
 from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
