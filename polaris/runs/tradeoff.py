@@ -18,7 +18,7 @@ from ..model.errors import (
 )
 from ..model.version import versions
 from ..scenario.base import parse_assignment
-from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..scenario.scenario import ScheduleScenario, loaded
 from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
@@ -52,9 +52,8 @@ def tradeoff(
 ) -> RunFolder:
     """Find what the time of U costs, or what it hangs on: a scenario's schedules at several values of a key.
 
-    Each point is a run folder of its own, as `polaris.run` writes it. Beside prices of velocity change one
-    more is that of the printed algorithms. Points that are there already, whole and from the same scenario
-    and versions, are kept: what was stopped goes on where it was.
+    Each point is a run folder as of `polaris.run`; beside prices of velocity change one more is that of the
+    printed algorithms. Points already there, whole and from the same scenario and versions, are kept.
 
     Parameters
     ----------
@@ -67,22 +66,15 @@ def tradeoff(
         scenario by their keys, as in ``navigation.position_error_m``: each is changed alone.
     share : float
         Share of the time under U for which the summary says how far such a field may go.
-    overrides : sequence of str
-        Texts ``key=value`` that hold at all points.
-    draw : callable, optional
-        Puts the figure into the folder: `polaris.draw_run`, which can also do so later.
-    stages : Stages, optional
-        Told how many points there are.
-    executor : concurrent.futures.Executor or Workers, optional
-        Who computes points, as in `run_campaign`; by default this process.
+    overrides, draw, stages, executor
+        As for `polaris.run`; overrides hold at all points, and `executor` computes them.
     black_boxes : mapping, optional
         As for `polaris.run`; then this process computes all points anew: no folder tells whose they are.
 
     Returns
     -------
     RunFolder
-        Its summary, ``tradeoff.json``, has a row for each point, by value, the printed algorithms' last.
-        What is infeasible with a value of a field is a row, too.
+        ``tradeoff.json`` has a row for each point, infeasible ones too, the printed algorithms' last.
 
     Raises
     ------
@@ -93,26 +85,17 @@ def tradeoff(
     """
     stages = stages or Stages()
     if black_boxes and executor is not None:
-        rule = "must be left out: black boxes are asked here"
-        raise ScenarioError("executor", type(executor).__name__, rule)
-    if isinstance(scenario, ScheduleScenario):
-        scenario = scenario.with_assignments(overrides)
-    else:
-        scenario = load_scenario(scenario, overrides, only=ScheduleScenario)
+        raise ScenarioError(
+            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
+        )
+    scenario = loaded(scenario, overrides, ScheduleScenario)
     if not 0 < number("share", share) <= 1:
         raise ScenarioError("share", share, "must be above 0 and at most 1")
     swept = isinstance(prices, Mapping)
     values = _named(prices if isinstance(prices, Mapping) else {PRICE: prices})
-    fields = {field for field, _ in values.values()}
-    for field in fields & {parse_assignment(text)[0] for text in overrides}:
-        raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
-    if PRICE in fields and scenario.model.recoverable.recourse == "none":
-        raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
-    set_to = {name: f"{key}={repr(value).removesuffix('.0')}" for name, (key, value) in values.items()}
-    points = {name: scenario.with_assignments([text]) for name, text in set_to.items()}
     if not swept:
         values["printed"] = PRICE, None
-        points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])
+    points = _points(scenario, values, overrides)
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
         missing = [(target / name, one, swept, black_boxes) for name, one in points.items()]
@@ -123,6 +106,22 @@ def tradeoff(
         chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
         told: list[Row] = [row | {"non_dominated": one} for row, one in zip(rows, chosen, strict=True)]
         return write_folder(target, TRADEOFF, scenario, (told, share), draw=draw, stages=stages)
+
+
+def _points(
+    scenario: ScheduleScenario, values: Values, overrides: Sequence[str]
+) -> dict[str, ScheduleScenario]:
+    """The scenario of every point, by the name of its folder."""
+    fields = {field for field, _ in values.values()}
+    for field in fields & {parse_assignment(text)[0] for text in overrides}:
+        raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
+    if PRICE in fields and scenario.model.recoverable.recourse == "none":
+        raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
+    texts = {
+        name: f"{RECOURSE}=none" if value is None else f"{key}={repr(value).removesuffix('.0')}"
+        for name, (key, value) in values.items()
+    }
+    return {name: scenario.with_assignments([text]) for name, text in texts.items()}
 
 
 def _named(values: Mapping[str, Iterable[float]]) -> dict[str, tuple[str, float | None]]:
