@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from flint import arb, arb_mat
 
@@ -20,7 +21,6 @@ from .loop import Memory, Needs
 from .plants import plant_of, within_limits
 from .powered import check_aborts
 from .recovery import Recovery
-from .samples import check_statement
 from .scheduled import Scheduled
 from .timing import measured_error
 from .transients import lost, moved, upset
@@ -49,17 +49,14 @@ BOX_SLACK = 0.05
 Both enclose the same set, but merge generators differently. Nothing is derived from a stored enclosure.
 """
 
+SAMPLES_SLACK = 1e-9
+"""By how much the bound of black boxes may be off its exact value, relative to it: rounding."""
+
 
 class Argument:
     """Every step of the argument, in the order in which `run` makes it.
 
-    Parameters
-    ----------
-    document : Document
-    record : Record
-        Where confirmed claims are noted.
-    stated : Stated, optional
-        What other files of the run folder claim besides.
+    Confirmed claims are noted in a record; `stated` is what other files of the run folder claim besides.
     """
 
     def __init__(self, document: Document, record: Record, stated: Stated | None = None) -> None:
@@ -268,3 +265,22 @@ class Argument:
         recovery.check_balls(doc.radius[: self.K + (doc.cells > self.K)], matrix(doc.weight).inv())
         told = f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
         self.record.holds("recoverable_sets", told)
+
+
+def check_statement(said: dict[str, Any]) -> str:
+    """Confirm the bound on the probability of leaving the bands, from the numbers of flights.
+
+    Were it higher, so few flights outside would have at most the attempt's share of the doubt: a half of it
+    for the first, a quarter for the second (Clopper and Pearson 1934). It trusts that they were flown.
+    """
+    flights, outside, attempts = said["flights"], said["outside"], said["attempts"]
+    if not (0 < said["confidence"] < 1 and 0 < said["probability"] < 1 and 1 <= attempts <= 64):
+        raise Rejected("samples", "probability and confidence must be between 0 and 1, attempts from 1 to 64")
+    p, doubt = arb(said["probability"]) * (1 + SAMPLES_SLACK), (1 - arb(said["confidence"])) / 2**attempts
+    chance = term = (1 - p) ** flights
+    for j in range(outside):
+        term = term * (flights - j) / (j + 1) * p / (1 - p)
+        chance += term
+    told = f"{outside} of {flights} flights outside have a probability of {float(chance):.4g} at that bound"
+    require("samples", doubt * (1 + SAMPLES_SLACK) - chance, told)
+    return f"{outside} of {flights} flights outside: at most {said['probability']:.4g}, attempt {attempts}"

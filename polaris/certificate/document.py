@@ -46,19 +46,9 @@ def canonical(data: Any) -> str:
 
 
 class Document:
-    """A certificate, its shapes checked and its numbers decoded.
+    """A certificate, its shapes checked and its numbers decoded from the JSON object.
 
-    Parameters
-    ----------
-    data : dict
-        The JSON object.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim ``format`` or ``digest``.
-    Undecided
-        If the version is not known, or it would take no end of work.
+    Raises `Rejected` for ``format`` or ``digest``; `Undecided` for another version, or no end of work.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:

@@ -39,8 +39,8 @@ class Allocation:
     limits: Array  # (N,) [N]
     u_max: Array  # (m,): every input within these is made in every case (docs/theory.md, Lemma 31)
     corners: Array
-    """Thrusts (cases, 2^m, N) that reach at least to each corner of the box: without a fault, or of each fault
-    in turn with each thruster."""
+    """Thrusts (cases, 2^m, N) that reach at least to each corner of the box: without a fault, or of each
+    fault in turn with each thruster."""
 
     @classmethod
     def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> Allocation:

@@ -48,28 +48,14 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force.
+    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force."""
 
-    Parameters
-    ----------
-    measures : ndarray, shape (r, n)
-        What is measured of a state.
-    noise : ndarray, shape (r,)
-        Bounds on the errors of what is measured.
-    gain : ndarray, shape (n, r)
-    initial, settled : ndarray, shape (n,), optional
-        Bounds on the errors of the estimate at first, and of one that has long been made; of such a one there
-        is talk where `initial` is left out.
-    fading : ndarray, shape (K + 1, n), optional
-        What the first errors still add in each step of a schedule, and ever after.
-    """
-
-    measures: Array
-    noise: Array
-    gain: Array
-    initial: Array | None = None
-    settled: Array | None = None
-    fading: Array | None = None
+    measures: Array  # what is measured of a state, (r, n)
+    noise: Array  # bounds on the errors of what is measured, (r,)
+    gain: Array  # (n, r)
+    initial: Array | None = None  # bounds on the errors of the first estimate, (n,), unless long in use
+    settled: Array | None = None  # of one that has long been made, (n,)
+    fading: Array | None = None  # what the first errors still add in each step and ever after, (K + 1, n)
 
     @property
     def rest(self) -> Array:

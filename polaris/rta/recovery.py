@@ -57,10 +57,7 @@ class Recovery:
     def certified(cls, grid: DecisionGrid) -> Recovery:
         """The conditions, if the initial set meets them at the first node: what every proof starts from.
 
-        Raises
-        ------
-        NotCertified
-            If it does not.
+        Raises `NotCertified` if it does not.
         """
         found, start = cls(grid), grid.schedule.safety.start
         size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))

@@ -72,10 +72,7 @@ class TrainingFlights:
     def shield(self, reentry: float = REENTRY) -> None:
         """Let the online monitor decide, which assumes nothing of the policy but the thrust limits.
 
-        Raises
-        ------
-        NotCertified
-            If the initial set is not inside the first recoverable set.
+        Raises `NotCertified` if the initial set is not inside the first recoverable set.
         """
         self.monitor = Monitor(self.grid, "thrust_limits", reentry=reentry)
         self.monitor.modes = (1,)  # whoever it is: the policy

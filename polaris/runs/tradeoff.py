@@ -52,8 +52,7 @@ def tradeoff(
 ) -> RunFolder:
     """Find what the time of U costs, or what it hangs on: a scenario's schedules at several values of a key.
 
-    Each point is a run folder as of `polaris.run`; beside prices of velocity change one more is that of the
-    printed algorithms. Points already there, whole and from the same scenario and versions, are kept.
+    Each point is a run folder; points already there, whole and from the same scenario and versions, are kept.
 
     Parameters
     ----------
@@ -66,10 +65,9 @@ def tradeoff(
         scenario by their keys, as in ``navigation.position_error_m``: each is changed alone.
     share : float
         Share of the time under U for which the summary says how far such a field may go.
-    overrides, draw, stages, executor
-        As for `polaris.run`; overrides hold at all points, and `executor` computes them.
-    black_boxes : mapping, optional
-        As for `polaris.run`; then this process computes all points anew: no folder tells whose they are.
+    overrides, draw, stages, executor, black_boxes
+        As for `polaris.run`; overrides hold at all points, which `executor` computes; with black boxes this
+        process computes all of them anew.
 
     Returns
     -------
@@ -78,10 +76,8 @@ def tradeoff(
 
     Raises
     ------
-    ScenarioError
-        If the scenario or a price is not valid, or `out` is something else or cannot be written.
-    SynthesisInfeasible, NotCertified
-        As a `PolarisError` with their exit code, if a price has no schedule.
+    PolarisError
+        `ScenarioError` for what is not valid, or `out`; that of a point if a price has no schedule.
     """
     stages = stages or Stages()
     if black_boxes and executor is not None:
@@ -91,16 +87,12 @@ def tradeoff(
     scenario = loaded(scenario, overrides, ScheduleScenario)
     if not 0 < number("share", share) <= 1:
         raise ScenarioError("share", share, "must be above 0 and at most 1")
-    swept = isinstance(prices, Mapping)
-    values = _named(prices if isinstance(prices, Mapping) else {PRICE: prices})
-    if not swept:
-        values["printed"] = PRICE, None
-    points = _points(scenario, values, overrides)
+    values = _named(prices)
+    points, swept = _points(scenario, values, overrides), "printed" not in values
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
-        missing = [(target / name, one, swept, black_boxes) for name, one in points.items()]
-        missing = [point for point in missing if black_boxes or not _whole(*point[:2])]
-        _compute(missing, len(points), target, workers_of(executor), stages.counting("{} of {} points"))
+        every = [(target / name, one, swept, black_boxes) for name, one in points.items()]
+        _compute(every, target, workers_of(executor), stages.counting("{} of {} points"))
         rows = [_row(target, name, *values[name]) for name in points]
     with stages.stage("folder"):
         chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
@@ -124,10 +116,10 @@ def _points(
     return {name: scenario.with_assignments([text]) for name, text in texts.items()}
 
 
-def _named(values: Mapping[str, Iterable[float]]) -> dict[str, tuple[str, float | None]]:
-    """Fields and values in order, by the names of their folders."""
+def _named(values: Iterable[float] | Mapping[str, Iterable[float]]) -> Values:
+    """Fields and values in order, by the names of their folders; beside prices alone none, as printed."""
     out: dict[str, tuple[str, float | None]] = {}
-    for field, given in values.items():
+    for field, given in (values if isinstance(values, Mapping) else {PRICE: values}).items():
         said = "prices" if field == PRICE else field
         found = [number(said, value) + 0.0 for value in given]  # -0 is 0
         if field == PRICE:
@@ -138,7 +130,7 @@ def _named(values: Mapping[str, Iterable[float]]) -> dict[str, tuple[str, float 
         out |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(found)}
     if not out:
         raise ScenarioError("fields", [], "must be at least one")
-    return out
+    return out if isinstance(values, Mapping) else {**out, "printed": (PRICE, None)}
 
 
 def _row(target: Path, name: str, field: str, value: float | None) -> Row:
@@ -175,10 +167,11 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
 
 
 def _compute(
-    missing: Sequence[Point], count: int, target: Path, workers: Workers, progress: Callable[[int, int], None]
+    points: Sequence[Point], target: Path, workers: Workers, progress: Callable[[int, int], None]
 ) -> None:
-    """Write the run folders of the points that are not there yet, of so many in all."""
-    done = count - len(missing)
+    """Write the run folders of the points that are not there yet, or whose black boxes are asked anew."""
+    missing = [point for point in points if point[3] or not _whole(*point[:2])]
+    count, done = len(points), len(points) - len(missing)
     progress(done, count)
 
     def keep(point: Point, failure: tuple[str, int] | None) -> None:

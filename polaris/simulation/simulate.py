@@ -52,11 +52,8 @@ def simulate(
     Returns
     -------
     Runs
-
-    Notes
-    -----
-    Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference, or by exact
-    zero-order hold if it is sampled. An observer is flown as it would be on board.
+        By a fourth-order Runge-Kutta scheme on the exact reference, or exact zero-order hold if feedback is
+        sampled. An observer is flown as it would be on board.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     if substeps is None:

@@ -21,17 +21,10 @@ OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
 
 @dataclass(frozen=True, eq=False)
 class Senses:
-    """Everything that a policy may read, from the state and what it is told of bodies.
-
-    Attributes
-    ----------
-    system : LinearSystem
-    bodies : tuple of obstacles
-        Of each it is told position [m] and velocity [m/s], side by side.
-    """
+    """Everything that a policy may read, from the state and what it is told of bodies."""
 
     system: LinearSystem
-    bodies: tuple[RigidObstacle | SatelliteObstacle, ...]
+    bodies: tuple[RigidObstacle | SatelliteObstacle, ...]  # of each, position [m] and velocity [m/s]
 
     @classmethod
     def of(
