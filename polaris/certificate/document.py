@@ -20,6 +20,8 @@ from .verdict import Rejected, Undecided
 FORMAT = "polaris-certificate"
 VERSION = 1
 
+ROUNDED = 1e-12
+"""Rounding of what is worked out from numbers of the file or the scenario, relative to them."""
 MOST_NODES = 100_000
 """Most periods in a step."""
 MOST_NODES_IN_ALL = 2_000_000
@@ -100,8 +102,6 @@ class Document:
         self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
         bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
         self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter, pulses
-        if any(x < 0 for x in self.thrusters):
-            raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
         self.transients: list[dict[str, Any]] = system.get("transients") or []
@@ -121,6 +121,8 @@ class Document:
             raise ValueError("errors of estimates must not be negative, nor all zero")
         if self.error_by_step and self.estimate != [max(x) for x in zip(*self.error_by_step, strict=True)]:
             raise ValueError("errors of estimates must be the largest of all steps")
+        if any(x < 0 for x in self.thrusters):
+            raise ValueError("errors of thrusters must not be negative")
         if any(x < 0 for row in self.error_by_step for x in row):
             raise ValueError("errors of estimates must not be negative")
         if not (self.A and min(self.u_max) > 0 and self.w_max >= 0 and 1 <= len(self.C) <= 3):

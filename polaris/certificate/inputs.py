@@ -9,7 +9,7 @@ from flint import arb, arb_mat
 from .allocation import check_allocation, per_axis
 from .balls import matrix, require, row_sums
 from .bodies import bodies_of
-from .document import Document
+from .document import ROUNDED, Document
 from .lqr import check_gain, positive_definite
 from .navigation import measured_errors
 from .own import check_goal, check_own
@@ -21,8 +21,6 @@ from .transients import check_transients
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
-ROUNDED = 1e-12
-"""Rounding of what is worked out from numbers of the scenario, relative to it."""
 HILL_RANGE = 1e5
 """Farthest start from the target in Hill's frame [m]."""
 
