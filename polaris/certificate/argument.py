@@ -1,7 +1,5 @@
 """The safety argument, re-derived from the primary data of a certificate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

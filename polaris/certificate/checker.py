@@ -1,7 +1,5 @@
 """Check one certificate: the file, what it was made from, and the safety argument."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

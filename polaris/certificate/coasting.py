@@ -1,7 +1,5 @@
 """The reference as it is flown, and on after T as long as it takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from flint import arb, arb_mat

@@ -1,7 +1,5 @@
 """The certificate as a file: JSON, floats as exact hexadecimal text, and a digest of itself."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

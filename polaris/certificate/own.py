@@ -5,8 +5,6 @@ where the scenario starts, obeys the dynamics, keeps to the input limits and end
 that no cheaper plan exists is not.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from flint import arb, arb_mat

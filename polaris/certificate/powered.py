@@ -4,8 +4,6 @@ S flies on along the reference until a branch leaves it. Everything that is show
 shown along each branch, too, from the sets that the schedule reaches in the steps that it serves.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property

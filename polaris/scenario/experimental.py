@@ -1,7 +1,5 @@
 """Experimental controllers as a scenario describes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

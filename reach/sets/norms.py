@@ -1,7 +1,5 @@
 """Largest Euclidean norm over a set: bracketed from both sides."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
