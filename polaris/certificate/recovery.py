@@ -3,8 +3,6 @@
 The limits are facets of unsafe sets, and the thrusters'.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -39,7 +37,7 @@ class Recovery:
         needs: Needs,
         noise: list[arb],
         scheduled: Scheduled | None,
-    ) -> Recovery:
+    ) -> "Recovery":
         """Against what the jump, and errors by the time of the flight, leave of limits around a path."""
         limits = limits.less_jump(needs, path)
         if scheduled is not None:

@@ -1,7 +1,5 @@
 """Thrusters that push only: the box of inputs that they can make, whichever one of them has failed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -43,7 +41,7 @@ class Allocation:
     fault in turn with each thruster."""
 
     @classmethod
-    def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> Allocation:
+    def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> "Allocation":
         """The largest box of the shape of `wanted` (m,), and no larger, that is made in every case.
 
         Raises

@@ -10,8 +10,6 @@ nodes (`Recovery.bow`). So if two successive nodes meet the facets of the cell b
 one to the other does, whoever flies.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,7 +52,7 @@ class Recovery:
     grid: DecisionGrid
 
     @classmethod
-    def certified(cls, grid: DecisionGrid) -> Recovery:
+    def certified(cls, grid: DecisionGrid) -> "Recovery":
         """The conditions, if the initial set meets them at the first node: what every proof starts from.
 
         Raises `NotCertified` if it does not.

@@ -1,7 +1,5 @@
 """What a network reads, and what it commands: the part of it that knows nothing of sets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class Senses:
     @classmethod
     def of(
         cls, system: LinearSystem, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
-    ) -> Senses:
+    ) -> "Senses":
         """Those that some inputs need, of a scene with some unsafe sets; names the field if one is none."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)
