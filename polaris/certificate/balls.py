@@ -118,9 +118,9 @@ def norms(M: arb_mat) -> list[arb]:
 
 
 def lengths(M: arb_mat) -> list[arb]:
-    """`norms` from above, in doubles: exact numbers."""
-    table = [[float(x.abs_upper()) for x in row] for row in M.tolist()]
-    return [arb(hypot(*row) * (1 + FEW) + TINY) for row in table]
+    """`norms` from above, in doubles: exact numbers; of a row of zeros, zero."""
+    table = [[float(x.abs_upper()) for x in row if not x.is_zero()] for row in M.tolist()]
+    return [arb(hypot(*row) * (1 + FEW) + TINY if row else 0.0) for row in table]
 
 
 def root(square: arb) -> arb:

@@ -117,7 +117,8 @@ class Document:
             raise Undecided("system", f"{len(self.A)} states, more than {MOST_STATES}")
         if self.estimate and not (min(self.estimate) >= 0 and max(self.estimate) > 0):
             raise ValueError("errors of estimates must not be negative, nor all zero")
-        if self.error_by_step and self.estimate != [max(x) for x in zip(*self.error_by_step, strict=True)]:
+        known = self.estimate or [0.0] * len(self.A)
+        if self.error_by_step and known != [max(x) for x in zip(*self.error_by_step, strict=True)]:
             raise ValueError("errors of estimates must be the largest of all steps")
         if any(x < 0 for x in self.thrusters):
             raise ValueError("errors of thrusters must not be negative")

@@ -45,7 +45,8 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         record.holds("sampling", "steps, periods and kind of feedback of the scenario")
         count = check_unsafe(document, scenario)
         moving = [spec["name"] for spec in scenario.get("obstacles", ()) if _moves(spec)]
-        if document.horizon == "infinite" and moving:
+        branches = [] if document.powered is None else document.powered.branches
+        if moving and "infinite" in (document.horizon, *(branch.horizon for branch in branches)):
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         _check_abort(document, scenario.get("abort"))
         check_asked_abort(document, scenario.get("abort", {}))

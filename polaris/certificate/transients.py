@@ -51,7 +51,7 @@ def check_withheld(
             raise Rejected("schedule", f"step {k} is not one that S flies in the place of another")
         if row["limit"] not in limits or row["short"] != row["need"] - row["room"]:
             raise Rejected("schedule", f"in step {k} {row['limit']} is not what is short")
-        if row["t_s"] != k * delta or row["limit_step"] != int(at / delta + 1e-9):
+        if row["t_s"] != k * delta or at < 0 or row["limit_step"] != int(at / delta + 1e-9):
             raise Rejected("schedule", f"step {k} does not begin or end at that time")
     known = [(each["name"], each["lasts"]) for each in document.transients]
     if known != [(fault["fault"], fault["lasts_s"]) for fault in stored or []]:

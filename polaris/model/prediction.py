@@ -170,7 +170,8 @@ def pulse_error(system: LinearSystem, fired: Array, h: float) -> tuple[float, Ar
     shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
     spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
     within = np.abs(B) @ speed + np.abs(A @ B) @ way + h * growth @ (np.abs(bent) @ way + np.abs(B) @ spread)
-    return float(spread.max()), np.asarray(within * (1 + ROUNDED))
+    rounding = float(np.finfo(float).eps * fired.max())  # where next to nothing is left of larger numbers
+    return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
 
 
 def _spreading(system: LinearSystem, h: float, field: str, given: object) -> Array:

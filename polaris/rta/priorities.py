@@ -5,7 +5,6 @@ later rank; rows that can be met together with all of their own rank and of the 
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import daqp
 import numpy as np
@@ -129,7 +128,8 @@ def _by_active_set(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | 
     return (x, -info["lam"][v + 1 :]) if flag > 0 else None
 
 
-_by_vertices = partial(lowest, exact=False)
+def _by_vertices(G: Array, need: Array, free: Flags) -> tuple[Array, Array] | None:
+    return lowest(G, need, free, exact=False)
 
 
 def _least(G: Array, need: Array, free: Flags, x: Array, multiplier: Array) -> _Least:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.certificate.checker import verify_document
+from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import Document
 from polaris.certificate.navigation import measured_errors
 from polaris.certificate.verdict import Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.model.keep_in import KeepInPolytope
 from polaris.runs.certificate import certificate
+from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.delayed import Predicting
@@ -29,6 +30,7 @@ from .forging import CERTIFICATE, Forger, make
 from .test_closed_loops import judge, monitored
 from .test_error_sources import exact
 from .test_timing import fly_delayed
+from .test_transients import pulsing
 from .tiny import TINY
 
 SAMPLED = ("feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]")
@@ -351,3 +353,17 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
         if schedule.safety.problem.system.observer is not None:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1 + 1e-6), seed
     assert scenes >= 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "more"),
+    [
+        (7002, ("timing.delay_s=0.05",)),  # a state that nothing disturbs
+        (8083, pulsing(exact(8083), "navigation_lost")),  # pulses that cost next to nothing
+        (9049, ("navigation.phases=[{from_s=1.0}]",)),  # estimates that are exact in every phase
+    ],
+)
+def test_runs_are_verified_where_there_is_next_to_no_error(seed, more, tmp_path):
+    scenario = exact(seed).with_assignments([*more, "recoverable.recourse=none", "simulation.runs=1"])
+    assert verify(run(scenario, tmp_path / "run").path).outcome == "VERIFIED"

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from polaris.certificate.argument import Argument
-from polaris.certificate.document import Document
+from polaris.certificate.checker import verify_document
+from polaris.certificate.document import Document, digest
 from polaris.certificate.lemma import Stated
 from polaris.certificate.plants import precision_for
 from polaris.certificate.verdict import Record
@@ -202,6 +203,40 @@ def test_forged_aborts_are_refused(forger, name):
     assert verdict.outcome == "REJECTED"
     if name in ("cheaper", "sooner", "longer"):
         assert verdict.claim == "powered_abort"
+
+
+def test_with_errors_by_step_a_branch_is_the_path_of_the_schedule():
+    """What estimates err by is said of its steps, and of its tail as that of the last one."""
+    errors = "navigation.phases=[{from_s=6.0,state_error=[0.01,0.01,0.0,0.0]}]"
+    variant = [COARSE, "tracking.R=[60,60]", errors, 'abort.orbit={kind="goal"}']
+    told = certificate(synthesize(load_scenario(TINY).with_assignments(variant)), "tiny")
+    assert told["system"]["error_by_step"] and verify_document(told).outcome == "VERIFIED"
+    forged = copy.deepcopy(told)
+    forged["powered"]["branches"][0] |= {"step": 11, "inputs": told["reference"]["inputs"][11:12]}
+    forged["powered"]["steps"][11] = None
+    verdict = verify_document(forged | {"digest": digest(forged)})
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "powered_abort")
+
+
+def test_no_branch_is_safe_for_ever_past_a_set_that_moves(forger):
+    """Though the certificate has it rest where all of its way is covered, and all files agree."""
+    forged, rests = copy.deepcopy(forger.honest), "the reference does not end on a natural motion trajectory"
+    forged["end"]["reason"] = rests
+    for item in forged["unsafe_sets"]:
+        rows = [row for pair in item["offsets"] for row in pair]
+        most = [max(each, key=float.fromhex) for each in zip(*rows, strict=True)]
+        item["offsets"] = [[most, most] for _ in item["offsets"]]
+    for branch in forged["powered"]["branches"]:
+        branch |= {"horizon": "infinite", "until": None}
+    files = {CERTIFICATE: json.dumps(forged)}
+    for file in ("schedule.json", "summary.json"):
+        data = forger.tree(file)
+        data["guarantee"]["reason"] = rests
+        for step in data["guarantee"]["powered_abort"]["steps"]:
+            step["safe_until_s"] = None
+        files[file] = json.dumps(data)
+    verdict = forger.judge(files)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "end") and "trolley" in verdict.witness
 
 
 def test_an_honest_abort_is_verified_and_none_may_be_left_out(forger):
