@@ -1,5 +1,7 @@
 """Hybrid automata with affine dynamics: modes, transitions, and what is refused."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,5 +1,7 @@
 """Single trajectories of hybrid automata, by matrix exponentials."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 

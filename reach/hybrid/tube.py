@@ -4,6 +4,8 @@ A worklist of start sets: those of a mode are followed at once, and what can tak
 Steps are enclosed continuously in time, guards and invariants cut, entry times kept as intervals.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,5 +1,7 @@
 """Is a hybrid automaton safe? Proven by its tube, violated by a replayed trajectory, or unknown."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter

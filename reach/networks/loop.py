@@ -4,6 +4,8 @@ Each period the network is enclosed over the set of states of that instant, its 
 (`Network.enclose`), so that the contraction of the loop is kept: intervals alone would lose it.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

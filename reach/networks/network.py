@@ -5,6 +5,8 @@ may have any slope; that of the secant is taken, and what is left, ``f(y) - slop
 ends of the interval, at kinks, and where ``f' = slope``.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,5 +1,7 @@
 """Arguments as they are given, each checked with one clear error: `checked` does so by annotations."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import wraps

@@ -3,6 +3,8 @@
 Series of short pieces have no large terms that cancel; what is far below the rest of its row is cut off.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
@@ -47,7 +49,7 @@ def _series(X: Any) -> Any:
     return total
 
 
-def thin_expm(A: Any, h: float, action: "Action", half: Any = None) -> Any:
+def thin_expm(A: Any, h: float, action: Action, half: Any = None) -> Any:
     """``e^{A h}`` of a sparse matrix, sparse (from the half of h if given); None where its action is cheaper.
 
     How far waves and diffusion reach in so short a time is seen from some rows moved by the action.

@@ -1,5 +1,7 @@
 """Matrix exponentials of linear systems and bounds on what happens between samples."""
 
+from __future__ import annotations
+
 from functools import lru_cache
 
 import numpy as np

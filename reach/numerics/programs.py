@@ -1,5 +1,7 @@
 """Linear programs, solved by HiGHS on equilibrated data."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

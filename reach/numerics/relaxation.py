@@ -1,5 +1,7 @@
 """Sound affine relaxations of static nonlinearities over an interval."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,5 +1,7 @@
 """Maxima over a polytope along many directions: bases found once serve every direction in their cone."""
 
+from __future__ import annotations
+
 from fractions import Fraction
 from functools import lru_cache
 

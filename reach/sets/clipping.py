@@ -1,5 +1,7 @@
 """Enclosures of zonotopes cut by halfspaces, and of unions, on stacks: a guard cuts many small sets."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

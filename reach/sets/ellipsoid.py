@@ -1,5 +1,7 @@
 """Ellipsoids, flat ones included."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -43,13 +45,13 @@ class Ellipsoid(Generated):
             raise ReachError(f"c must have shape (n,) and L shape (n, k), got {c.shape} and {L.shape}")
 
     @classmethod
-    def ball(cls, center: ArrayLike, radius: float) -> "Ellipsoid":
+    def ball(cls, center: ArrayLike, radius: float) -> Ellipsoid:
         """Euclidean ball; a radius below zero is refused."""
         center, radius = as_numbers("center", center), as_factor(radius, "radius", 0.0)
         return cls(center, radius * np.eye(len(np.atleast_1d(center))))
 
     @classmethod
-    def from_shape(cls, center: ArrayLike, Q: ArrayLike) -> "Ellipsoid":
+    def from_shape(cls, center: ArrayLike, Q: ArrayLike) -> Ellipsoid:
         """``{x : d . (x - c) <= sqrt(d . Q d) for all d}`` from a positive semidefinite shape matrix.
 
         Raises
@@ -61,7 +63,7 @@ class Ellipsoid(Generated):
         return cls(as_numbers("center", center), vectors * np.sqrt(np.maximum(values, 0)))
 
     @classmethod
-    def sublevel(cls, center: ArrayLike, P: ArrayLike, level: float = 1.0) -> "Ellipsoid":
+    def sublevel(cls, center: ArrayLike, P: ArrayLike, level: float = 1.0) -> Ellipsoid:
         """``{x : (x - c) . P (x - c) <= level}`` for a positive definite P.
 
         Raises

@@ -1,5 +1,7 @@
 """Intersections of sets of any kinds: exact by inequalities where all have them, else kept unevaluated."""
 
+from __future__ import annotations
+
 from functools import cached_property
 from typing import Any
 
@@ -69,7 +71,7 @@ class Intersection(OfParts):
         return self.proved_empty
 
     @cached_property
-    def _search(self) -> "Search":
+    def _search(self) -> Search:
         return Search(self.parts)
 
     @property

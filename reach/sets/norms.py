@@ -1,5 +1,7 @@
 """Largest Euclidean norm over a set: bracketed from both sides."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np

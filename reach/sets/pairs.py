@@ -1,5 +1,7 @@
 """What is asked of two sets, by their classes."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Convex polytopes given by inequalities."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -246,12 +248,12 @@ class HPolytope(SetOperators):
             return super()._scaled(a)
         return HPolytope(np.sign(a) * self.A, b)
 
-    def intersect_halfspace(self, normal: ArrayLike, offset: float) -> "HPolytope":
+    def intersect_halfspace(self, normal: ArrayLike, offset: float) -> HPolytope:
         """Part of the set with ``normal . x <= offset`` (exact)."""
         row = as_vector(normal, self.dim, single=True)
         return HPolytope(np.vstack([self.A, row]), np.r_[self.b, as_factor(offset, "offset")])
 
-    def to_polytope(self) -> "HPolytope":
+    def to_polytope(self) -> HPolytope:
         """The set itself."""
         return self
 

@@ -1,5 +1,7 @@
 """Order reduction: fewer generators, a set that still contains the original."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 

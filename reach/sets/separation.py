@@ -1,5 +1,7 @@
 """Do two sets meet? A common point, or a direction that is re-checked to separate them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -74,7 +76,7 @@ def _stands(X: Any, point: Array, grain: Array) -> bool:
     return not (np.any(point < hull.lo - grain) or np.any(point > hull.hi + grain))
 
 
-def _by_program(X: Any, Y: Any, first: "Lifted", second: "Lifted", units: Array) -> Answer:
+def _by_program(X: Any, Y: Any, first: Lifted, second: Lifted, units: Array) -> Answer:
     """``min sum |x - y|_i / unit_i``; the multipliers are the direction (Farkas)."""
     n = X.dim
     gaps = np.hstack([first.G, -second.G]) / units[:, None]

@@ -1,5 +1,7 @@
 """Blocks of steps put together: sums, shifts of every input set, and the rounding that is booked."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -49,7 +51,7 @@ class RowBounds:
         over = np.maximum(above[1:], above[:-1]) + self.bow + self.bend
         return np.asarray(over.reshape(-1, self.parts, over.shape[1]).max(axis=1))
 
-    def coarse(self) -> "RowBounds":
+    def coarse(self) -> RowBounds:
         """The same bounds over the steps that were asked for."""
         s = self.parts
         if s == 1:

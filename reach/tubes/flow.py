@@ -3,6 +3,8 @@
 Nodes are a fine grid under continuous feedback, and the instants of renewal under sampled feedback.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -51,7 +53,7 @@ class LinearFlow:
 
     @classmethod
     @checked
-    def continuous(cls, A_c: Array, D: Array, w_max: float, h: float, E: Array | None = None) -> "LinearFlow":
+    def continuous(cls, A_c: Array, D: Array, w_max: float, h: float, E: Array | None = None) -> LinearFlow:
         """Continuous feedback, closed-loop matrix A_c."""
         require_square("A_c", A_c)
         return cls(A_c, A_c, D, w_max, h, np.asarray(expm(A_c * h)), E)
@@ -60,7 +62,7 @@ class LinearFlow:
     @checked
     def sampled(
         cls, A: Array, B: Array, K: Array, D: Array, w_max: float, h: float, E: Array | None = None
-    ) -> "LinearFlow":
+    ) -> LinearFlow:
         """Zero-order-hold feedback ``u = -K e(t_j)`` renewed every h."""
         Ah, Bh = discretize(A, B, h)
         if K.shape != B.shape[::-1]:

@@ -8,6 +8,8 @@ but for a rest of third order, bounded elementwise by the bounds on the derivati
 state it is one more input, carried on by the product of all later transitions: nothing is enclosed twice.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar

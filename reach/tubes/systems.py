@@ -1,5 +1,7 @@
 """Linear systems with uncertain inputs: what the tubes of this library are computed for."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,7 +43,7 @@ class Signal:
             raise ReachError(f"times of a signal must not decrease, got {t[k]:g} before {t[k + 1]:g}")
 
     @classmethod
-    def constant_pieces(cls, times: ArrayLike, values: ArrayLike) -> "Signal":
+    def constant_pieces(cls, times: ArrayLike, values: ArrayLike) -> Signal:
         """Each value holds from its time to the next."""
         t, v = as_numbers("times", times), as_numbers("values", values)
         _require_pairs(t, v)
@@ -172,7 +174,7 @@ class LinearSystem:
         """Whether A is kept sparse."""
         return bool(sparse.issparse(self.A))
 
-    def holding_inputs(self) -> "LinearSystem":
+    def holding_inputs(self) -> LinearSystem:
         """The system whose state is ``(x, u)``, for an input that is unknown but constant.
 
         Its initial set is the product of the initial set of x and of U, ``X.product(U)``.

@@ -1,5 +1,7 @@
 """Single trajectories: simulation under piecewise constant inputs, and those that reach furthest."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any

@@ -1,5 +1,7 @@
 """Tubes of linear systems: bounds along chosen directions, or zonotopes, over all of a time interval."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from time import perf_counter
 

@@ -4,6 +4,8 @@ Of a region to avoid, directions that separate are sought: its normals, then tho
 the region and of the exact reachable set, which else give a trajectory into it.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
