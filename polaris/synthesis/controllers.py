@@ -24,7 +24,7 @@ from .tracking import Tracking, at_nodes
 
 LEVELS = tuple(1.09**-i for i in range(40, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER, WIDE = 25.0, 40.0
+ORDER, WIDE = 25.0, 100.0
 """Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
 
 

@@ -12,7 +12,7 @@ from polaris.planning.following import Followed, FollowingSearch
 from polaris.planning.rows import Rows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.arrival import _distance, _weights
+from polaris.synthesis.arrival import _weights, distance
 from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours, windows
 from polaris.synthesis.search import SwitchingRules
 from polaris.synthesis.synthesize import synthesize
@@ -185,7 +185,7 @@ def check_claims(schedule):
     rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
     sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
     weight = _weights(problem, rows)
-    off = _distance(goal, (runs.states[:, node] @ rows.T - sides) * weight)
+    off = distance(goal, (runs.states[:, node] @ rows.T - sides) * weight)
     integrated = 1e-8 * np.abs(runs.states).max()
     assert off.max() <= found.distance + integrated and found.distance <= found.tolerance
     assert runs.delta_v.max() >= alone.delta_v.max() - 1e-12

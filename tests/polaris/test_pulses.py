@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.prediction import predicting, pulse_error
 from polaris.model.timing import Timing
+from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
@@ -29,7 +30,9 @@ from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
 from polaris.simulation.simulate import flown_modes, simulate
+from polaris.synthesis import controllers
 from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.tracking import Feedback, Tracking, lqr_gain
 from reach.numerics.linear import discretize
 
 from ..kept import kept
@@ -312,6 +315,25 @@ def test_pulses_are_followed_within_a_period():
     true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
     assert np.abs(found - true).max() < 0.03 * np.abs(true).max()
     assert np.abs(true).max() > 0.3 * np.linalg.norm(np.array(system.timing.pulsed)[:3])
+
+
+def test_tubes_with_errors_are_hardly_wider_than_if_nothing_were_merged(monkeypatch):
+    errors = ("magnitude_error=0.05", "misalignment_deg=2", "mass_error=0.03", "impulse_bit_N_s=0.005")
+    given = (f"thrusters.{each}" for each in (*errors, "pulse=centred", "remainder=carried"))
+    problem = load_scenario("hold_point", ["timing.delay_s=2", *given]).problem()
+    system, K = problem.system, 40
+    gain = lqr_gain(system, [1e-3] * 3 + [2.0] * 3, [4e3] * 3)
+    tracking = Tracking(system, gain, Feedback(15, sampled=True), problem.delta)
+    still = Reference.propagate(system, problem.delta, np.zeros(6), np.zeros((K, 3)))
+    widths = []
+    for wide in (controllers.WIDE, 1000.0):
+        monkeypatch.setattr(controllers, "WIDE", wide)
+        law = controllers.AffineController("soft", system, gain, still, still, tracking, clips=True)
+        reached = problem.initial_set - problem.initial_set.c
+        for k in range(K):
+            reached = law.fly(reached, k).end
+        widths.append(reached.half_widths)
+    assert np.all(widths[1] <= widths[0] * (1 + 1e-9)) and np.all(widths[0] <= 1.25 * widths[1])
 
 
 @pytest.mark.slow

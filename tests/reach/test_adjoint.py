@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.linalg import expm
 
 from reach import Interval, LinearSystem, Unresolved, Zonotope, support_tube
-from reach.numerics.exponentials import Action, exponential, flushed, thin_exponential
+from reach.numerics.exponentials import Action, exponential, flushed, thin_expm
 from reach.tubes.adjoint import Adjoint
 from reach.tubes.rows import Rows, balance
 from tests.reach import truth
@@ -134,11 +134,8 @@ def test_thin_exponentials_are_those_of_scipy(length):
     chain = sparse.diags([np.ones(199), -2 * np.ones(200), np.ones(199)], [-1, 0, 1])
     A = sparse.bmat([[None, sparse.identity(200)], [chain, 0.1 * chain]], format="csr")
     want = expm(A.toarray() * length)
-    half = thin_exponential(A, length / 2, Action(A))
-    found = [
-        thin_exponential(A, length, Action(A)),
-        None if half is None else thin_exponential(A, length, Action(A), half),
-    ]
+    half = thin_expm(A, length / 2, Action(A))
+    found = [thin_expm(A, length, Action(A)), None if half is None else thin_expm(A, length, Action(A), half)]
     assert length > 0.3 or found[0] is not None
     for one in found:
         if one is not None:
@@ -149,8 +146,8 @@ def test_thin_exponentials_are_those_of_scipy(length):
 def test_an_exponential_that_is_full_is_left_to_its_action():
     rng = np.random.default_rng(0)
     A = sparse.random(700, 700, 0.01, random_state=0).tocsr() - sparse.diags(rng.uniform(1, 2, 700))
-    assert thin_exponential(A, 1.0, Action(A)) is None
-    assert thin_exponential(A, 1e9, Action(A)) is None
+    assert thin_expm(A, 1.0, Action(A)) is None
+    assert thin_expm(A, 1e9, Action(A)) is None
 
 
 @pytest.mark.parametrize("kind", ["waves", "full", "growing"])

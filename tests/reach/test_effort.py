@@ -20,7 +20,7 @@ from reach import (
     verify,
     zonotope_tube,
 )
-from reach.numerics.exponentials import Action, thin_exponential
+from reach.numerics.exponentials import Action, thin_expm
 from reach.tubes.rows import Rows
 
 from . import truth
@@ -70,7 +70,7 @@ def test_a_filled_matrix_in_a_sparse_container_is_handled_as_dense():
     filled = sparse.csr_matrix(rng.normal(size=(60, 60)) * (rng.random((60, 60)) < 0.5))
     assert not LinearSystem(filled).sparse and LinearSystem(sparse.identity(60)).sparse
     some = sparse.random(400, 400, 0.05, random_state=0).tocsr() - 2 * sparse.identity(400)
-    assert LinearSystem(some).sparse and thin_exponential(some, 1.0, Action(some)) is None
+    assert LinearSystem(some).sparse and thin_expm(some, 1.0, Action(some)) is None
 
 
 @pytest.mark.parametrize("rate", [1.0, 100.0])
