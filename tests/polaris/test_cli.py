@@ -181,7 +181,8 @@ def test_check_takes_overrides(invoke, name):
     ],
 )
 def test_slips_of_units_and_scale_are_noted(setting, told):
-    done = CliRunner().invoke(cli.app, ["check", "static", "--set", setting])
+    held = 'feedback={kind="continuous"}'  # sampled, there would be too many periods
+    done = CliRunner().invoke(cli.app, ["check", "static", "--set", setting, "--set", held])
     assert done.exit_code == 0 and re.search(f"^note: .*{told}", done.stdout, re.M), done.output
 
 

@@ -32,6 +32,7 @@ from .tiny import TINY
 from .tiny import flown as tiny_flown
 from .tiny import synthesised as tiny
 
+CONTINUOUS = "feedback={kind='continuous'}"
 BUNDLED = ["static", "dynamic", "keep_out", "hold_point", "robot"]
 STIFF = {"recoverable.recourse": "none", "recoverable.kind": "paper_ball", "tracking.R": [400.0] * 3}
 """The printed ball does not know the thrust limits; a stiff tracker runs into them."""
@@ -64,7 +65,7 @@ def test_nothing_breaks_a_proven_schedule(name):
 
 
 def test_the_bound_is_neither_violated_nor_idle():
-    found = falsify(printed("static")[1], 1500, seed=0)
+    found = falsify(printed("static", CONTINUOUS)[1], 1500, seed=0)
     assert 0.6 < found.ratio[0] <= 1, "the debris is approached to within what the proof leaves open"
 
 
@@ -143,7 +144,7 @@ def test_black_box_does_what_the_attack_says():
 
 
 def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
-    schedule = printed("static")[1]
+    schedule = printed("static", CONTINUOUS)[1]
     claims, coarse = flight_of(schedule)
     box = schedule.safety.problem.unsafe[0]
     attack = Attacker(claims, coarse, np.random.default_rng(0)).worst(60)

@@ -24,6 +24,7 @@ from polaris.synthesis.synthesize import synthesize
 
 from ..kept import printed
 
+CONTINUOUS = "feedback={kind='continuous'}"  # where many fine steps are flown: fewer of them
 SPACECRAFT = ["static", "dynamic", "keep_out", "hold_point"]
 ETA = 0.0012
 FULL = Environment(ETA, np.radians(51.7), 5e3, 4.0, 1.5e-3, 3.8e-9, 14e3, 2.2e-3, 6.6e-5, 0.0)
@@ -192,7 +193,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
-    scenario, schedule = printed(name)
+    scenario, schedule = printed(name, *[CONTINUOUS] * (name in SPACECRAFT[:2]))
     env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max
     flown = fly_true(schedule, env, 40, substeps=1)
     metrics = flown.runs.metrics()
@@ -249,7 +250,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
 
 
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
-    scenario, schedule = printed("static")
+    scenario, schedule = printed("static", CONTINUOUS)
     region = visited(schedule)
     flown = fly_true(schedule, Environment.of(scenario), 20, tail=True, substeps=1)
     K, q = schedule.safety.problem.K, schedule.safety.clearance.q
@@ -261,7 +262,7 @@ def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
 
 
 def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is_covered():
-    scenario, schedule = printed("dynamic")
+    scenario, schedule = printed("dynamic", CONTINUOUS)
     safety, env = schedule.safety, Environment.of(scenario)
     satellite = next(o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle))
     rng = np.random.default_rng(2)

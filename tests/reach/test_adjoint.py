@@ -130,7 +130,7 @@ def test_the_action_of_an_exponential_is_that_of_the_dense_one(seed, spread, cou
 
 
 @pytest.mark.parametrize("length", [0.01, 0.3, 2.0, 20.0])
-def test_thin_exponentials_are_those_of_scipy(length):
+def test_thin_expms_are_those_of_scipy(length):
     chain = sparse.diags([np.ones(199), -2 * np.ones(200), np.ones(199)], [-1, 0, 1])
     A = sparse.bmat([[None, sparse.identity(200)], [chain, 0.1 * chain]], format="csr")
     want = expm(A.toarray() * length)

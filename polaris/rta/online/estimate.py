@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import factorial
+from math import factorial, log, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING, TIME
 
 FARTHEST_MOTION = 20.0
-"""Largest ``norm(A, 1)`` times duration over which boxes are moved: beyond it they bound nothing."""
+"""Largest logarithm of what the bounds on ``norm(A^i) t^i / i!`` sum to: beyond it boxes bound nothing."""
 
 KEPT = 32  # motions over so many different durations are kept
 
@@ -70,10 +70,12 @@ class BoxMotion:
     def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
         self.system, self.longest, self._grain = system, longest, TIME * period
         self.most = system.u_max + system.thrusters.error(system.u_max)
-        size = float(np.linalg.norm(system.A, 1)) * longest
-        if not size <= FARTHEST_MOTION:
-            most = FARTHEST_MOTION * longest / size
-            rule = f"must be at most {most:.3g} s, the motion is too fast for more"
+        one, two = (float(np.linalg.norm(power, 1)) for power in (system.A, system.A @ system.A))
+        rate = max(sqrt(two), 1e-3 * one)  # norm(A^i) <= lead rate^i: two factors at a time
+        lead = one / rate if one else 1.0
+        farthest = FARTHEST_MOTION - log(lead)
+        if not rate * longest <= farthest:
+            rule = f"must be at most {farthest / rate:.3g} s, the motion is too fast for more"
             raise ScenarioError("memory", longest, rule)
         terms = [np.eye(system.n)]
         while len(terms) < 100 and np.abs(terms[-1]).max() * longest ** len(terms) > 1e-30:
@@ -83,7 +85,7 @@ class BoxMotion:
         self._input, self._spread = integrated @ system.B, np.abs(integrated @ system.B)
         self._disturbance = np.linalg.norm(integrated @ system.D, axis=2) * system.w_max
         self._disturbance += np.abs(integrated @ system.adrift).sum(axis=2)
-        self._rest = np.linalg.norm(system.A, 1) ** len(terms) / factorial(len(terms)) * np.exp(size)
+        self._rest = lead * rate ** len(terms) / factorial(len(terms)) * np.exp(rate * longest)
         self._slip = ROUNDING * (np.eye(system.n) + np.abs(system.A) * period)
         self._matrix = lru_cache(KEPT)(self._over)
 
