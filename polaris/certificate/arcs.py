@@ -1,7 +1,5 @@
 """The safe reference: steps of undisturbed motion under constant inputs, and the facets it stays clear of."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from flint import arb, arb_mat
@@ -20,7 +18,7 @@ class Arc:
     rates: arb_mat  # x' at the start of each period, shape (n, q)
 
     @classmethod
-    def of(cls, plant: Plant, start: arb_mat, u: arb_mat) -> Arc:
+    def of(cls, plant: Plant, start: arb_mat, u: arb_mat) -> "Arc":
         """The exact zero-order-hold step that starts at a state."""
         nodes, push = [start, *(phi * start + gamma * u for phi, gamma in plant.steps)], plant.B * u
         return cls(plant, u, nodes, beside(*(plant.A * x + push for x in nodes[:-1])))
@@ -63,7 +61,7 @@ class Path:
     jump: arb_mat  # step of the reference at the start of the tail, shape (n, 1)
 
     @classmethod
-    def propagate(cls, plant: Plant, x0: arb_mat, inputs: list[list[float]], K: int, tail: arb_mat) -> Path:
+    def propagate(cls, plant: Plant, x0: arb_mat, inputs: list[list[float]], K: int, tail: arb_mat) -> "Path":
         """Propagate from the first state and the inputs; after K steps from the tail's own first state."""
         arcs: list[Arc] = []
         at, jump = x0, arb_mat(x0.nrows(), 1)

@@ -1,29 +1,29 @@
 """The safety argument, re-derived from the primary data of a certificate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from typing import Any
 
 from flint import arb, arb_mat
 
-from .arcs import Arc, Path
+from .arcs import Path
 from .arrival import Arrival
 from .balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
 from .bodies import Whereabouts
+from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path, prolonged
 from .document import Document
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .lemma import Stated, check_norm_bounds
+from .limits import Barrier, Limits
 from .loop import Memory, Needs
-from .parts import UnsafeSet
 from .plants import plant_of, within_limits
-from .recovery import Barrier, Limits, Recovery, levels_of
-from .samples import check_statement
+from .powered import check_aborts
+from .recovery import Recovery
 from .scheduled import Scheduled
 from .timing import measured_error
 from .transients import lost, moved, upset
 from .upkeep import check_upkeep
-from .verdict import Imprecise, Record, Rejected
+from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
 ORDERS = (24, 80, 400)
@@ -38,12 +38,6 @@ NARROWER = (
 )
 """Claims that may fail because sets are wider than they need to be."""
 
-PATH_SLACK = 1e-9
-"""Largest difference between stored and exact reference, relative to its size: rounding of doubles."""
-
-JUMP_SLACK = 2e-5
-"""Largest step of the reference at T, relative to its size. It is booked; more would not be rounding."""
-
 TUBE_SLACK = 1e-6
 """By how much a stored bound may fall short of the derived one, relative to it."""
 
@@ -53,17 +47,14 @@ BOX_SLACK = 0.05
 Both enclose the same set, but merge generators differently. Nothing is derived from a stored enclosure.
 """
 
+SAMPLES_SLACK = 1e-9
+"""By how much the bound of black boxes may be off its exact value, relative to it: rounding."""
+
 
 class Argument:
     """Every step of the argument, in the order in which `run` makes it.
 
-    Parameters
-    ----------
-    document : Document
-    record : Record
-        Where confirmed claims are noted.
-    stated : Stated, optional
-        What other files of the run folder claim besides.
+    Confirmed claims are noted in a record; `stated` is what other files of the run folder claim besides.
     """
 
     def __init__(self, document: Document, record: Record, stated: Stated | None = None) -> None:
@@ -98,7 +89,7 @@ class Argument:
                 if order == ORDERS[-1] or not merging.lossy or error.claim not in NARROWER:
                     raise
                 del self.record.checked[confirmed:]
-        self.end(path)
+        self.record.holds("end", check_end(self.document, path))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
         if self.document.guarantee == "none" or self.document.recoverable == "paper_ball":
@@ -120,14 +111,14 @@ class Argument:
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
         memory = Memory.of(self.loop, widest(sets, self.upsets), self.document.q, profile)
-        prolonged, chosen = self.prolonged(path, memory)
+        further, chosen = prolonged(self.document, path, memory)
         scheduled = None
         if profile or self.document.error_by_step:
-            scheduled = Scheduled(self.document, self.loop, memory, prolonged, self.gain)
+            scheduled = Scheduled(self.document, self.loop, memory, further, self.gain)
         self.error_bounds(memory, sets[0], scheduled)
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
-        self.recoverability(prolonged, chosen, memory, sets, scheduled)
+        self.recoverability(further, chosen, memory, sets, scheduled)
         if self.stated.goal is not None and self.document.guarantee != "none":
             spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
@@ -136,11 +127,9 @@ class Argument:
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
-
-        self.aborts(sets, flown)
-
-    def aborts(self, sets: list[Zonotope], flown: list[Flown]) -> None:
-        """What is claimed of aborts from the sets that the schedule reaches: see `powered`."""
+        if self.document.powered is not None:
+            known = self.loop, self.gain, self.noise, sets, flown, self.stated.orbit
+            self.record.holds("powered_abort", check_aborts(self.document, *known))
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
         """What errors need along rows, a fault that is isolated late included."""
@@ -151,10 +140,7 @@ class Argument:
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
         doc = self.document
-        tail = column(doc.states[self.K])
-        if doc.system_kind == "clohessy_wiltshire" and doc.horizon == "infinite":
-            tail[4, 0] = -self.plant.A[3, 4] * tail[0, 0]  # v_y = -2 eta r_x: the orbit closes exactly
-        path = Path.propagate(self.plant, column(doc.center), doc.inputs, self.K, tail)
+        path = flown_path(doc, self.plant, doc.states[self.K])
         size = [max(abs(state[i]) for state in doc.states) for i in range(self.n)]
         size = [x + 1e-6 * max(size) for x in size]  # a state that rests is zero up to rounding
         for k, (state, exact) in enumerate(zip(doc.states, path.starts, strict=True)):
@@ -259,11 +245,7 @@ class Argument:
         doc = self.document
         limits = Limits.of(doc, path, self.gain, chosen)
         needs = self._needs(memory, limits.rows)
-        limits = limits.less_jump(needs, path)
-        if scheduled is not None:
-            limits = limits.less(scheduled.along(limits.rows))
-        levels = levels_of(doc, self.noise, needs, path)
-        recovery = Recovery(doc, limits, needs, levels)
+        recovery = Recovery.of(doc, path, limits, needs, self.noise, scheduled)
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 else ():
@@ -282,60 +264,21 @@ class Argument:
         told = f"balls inside the sets of kind {doc.recoverable}, {self.K} instants"
         self.record.holds("recoverable_sets", told)
 
-    def prolonged(self, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
-        """The path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
 
-        Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
-        facet will do, and the one with most room is taken.
-        """
-        doc, chosen, arcs = self.document, list(self.document.facets), list(path.arcs)
-        missing = self.K * doc.q + memory.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
-        for _ in range(-(-missing // doc.q)):
-            arcs.append(Arc.of(self.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
-            chosen.append([self._widest_facet(item, arcs[-1]) for item in doc.unsafe])
-        last = arcs[-1].nodes[-1]
-        if not largest(x.rad() for x in last.entries()) <= PATH_SLACK * largest(magnitude(last).entries()):
-            raise Imprecise("recoverable", "precision is lost before the loop has forgotten what it was at T")
-        return replace(path, arcs=arcs), chosen
+def check_statement(said: dict[str, Any]) -> str:
+    """Confirm the bound on the probability of leaving the bands, from the numbers of flights.
 
-    def _widest_facet(self, item: UnsafeSet, arc: Arc) -> int:
-        """The facet of a set at rest that leaves an arc most room."""
-        rows, offsets = -(matrix(item.normals) * self.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
-        room = arc.room(rows, offsets)
-        least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
-        return least.index(max(least))
-
-    def end(self, path: Path) -> None:
-        """What is claimed about the time after T follows from what has been shown."""
-        doc, tail = self.document, self.document.cells - self.K
-        last = arb(doc.cells) * doc.delta
-        if doc.horizon == "infinite":
-            self._closes(path, tail)
-            if doc.until is not None:
-                raise Rejected("end", "an infinite claim has no last instant")
-        else:
-            if doc.until is None:
-                raise Rejected("end", f"the claim {doc.horizon} must name its last instant")
-            most = last if doc.horizon == "one_period" else arb(self.K) * doc.delta
-            told = f"safe until {plain(most)} s, {doc.until:.6g} claimed"
-            require("end", most * (1 + 1e-12) - doc.until, told)
-            if doc.horizon == "one_period" and not tail:
-                raise Rejected("end", "one period is claimed, but the reference ends at T")
-        until = "" if doc.until is None else f", until {doc.until:.6g} s"
-        self.record.holds("end", doc.horizon + until)
-
-    def _closes(self, path: Path, tail: int) -> None:
-        """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
-        doc = self.document
-        moving = [item.name for item in doc.unsafe if doc.moves(item)]
-        if moving:
-            raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
-        if any(any(u) for u in doc.inputs[self.K :]):
-            raise Rejected("end", "the tail does not coast")
-        if doc.system_kind == "clohessy_wiltshire":
-            turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
-            require("end", arb(tail) * doc.delta - turn, f"the tail has {tail} steps, less than one turn")
-        else:
-            rate = self.plant.A * path.arcs[self.K].nodes[0] if tail else column([1])
-            if any(not x.is_zero() for x in rate.entries()):
-                raise Rejected("end", "the reference does not come to rest exactly")
+    Were it higher, so few flights outside would have at most the attempt's share of the doubt: a half of it
+    for the first, a quarter for the second (Clopper and Pearson 1934). It trusts that they were flown.
+    """
+    flights, outside, attempts = said["flights"], said["outside"], said["attempts"]
+    if not (0 < said["confidence"] < 1 and 0 < said["probability"] < 1 and 1 <= attempts <= 64):
+        raise Rejected("samples", "probability and confidence must be between 0 and 1, attempts from 1 to 64")
+    p, doubt = arb(said["probability"]) * (1 + SAMPLES_SLACK), (1 - arb(said["confidence"])) / 2**attempts
+    chance = term = (1 - p) ** flights
+    for j in range(outside):
+        term = term * (flights - j) / (j + 1) * p / (1 - p)
+        chance += term
+    told = f"{outside} of {flights} flights outside have a probability of {float(chance):.4g} at that bound"
+    require("samples", doubt * (1 + SAMPLES_SLACK) - chance, told)
+    return f"{outside} of {flights} flights outside: at most {said['probability']:.4g}, attempt {attempts}"

@@ -1,7 +1,5 @@
 """The other files of the run folder: hashes, and what the readable ones say about the same numbers."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

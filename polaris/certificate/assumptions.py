@@ -29,64 +29,27 @@ NOTHING_ELSE = (
 class Premises:
     """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
 
-    Parameters
-    ----------
-    w_max : float
-        Bound on the disturbance.
-    period : float or None
-        Control period [s] of sampled feedback.
-    resting : bool
-        Whether any unsafe set is at rest.
-    satellites : bool
-        Whether any is another satellite.
-    horizon : {"infinite", "one_period", "none"}
-        How long safety is claimed.
-    until : float or None
-        Last instant of a claim of one further period [s].
-    estimate : iterable of float
-        Bounds on the errors of the states' estimates, before any prediction.
-    by_step : bool
-        Whether there are bounds for every step besides.
-    observer : iterable of float
-        Bounds on the errors of what an observer measures, if one makes the estimates.
-    initial : iterable of float
-        Bounds on the errors of its first estimate; empty if it has long been at work.
-    timing : iterable of float
-        Delay [s], jitter [s], periods that may be missed, difference of clocks [s]; empty for none.
-    thrusters : iterable of float
-        Errors of what is applied: as a share of the command, of the 2-norm of all, and whatever is commanded.
-    pulses : iterable of float
-        Thrust of the pulses of every input; empty where inputs are held.
-    carried : float
-        Impulse [N s] of which multiples are made, the rest being carried to the next period; 0 without.
-    chaser : float
-        Radius of the chaser [m]; 0 for a point.
-    late : iterable of (str, float)
-        Kinds of faults that are isolated late, and how long that takes [s].
-    allocated : bool
-        Whether inputs are made by thrusters of which one may have failed.
-    sampled : mapping, optional
-        What is said of black boxes: probability, confidence, flights, outside, seed, attempts.
+    Bounds are empty where there is nothing to bound.
     """
 
-    w_max: float
-    period: float | None
-    resting: bool = True
-    satellites: bool = False
-    horizon: str = "none"
-    until: float | None = None
-    estimate: Iterable[float] = ()
-    by_step: bool = False
-    observer: Iterable[float] = ()
-    initial: Iterable[float] = ()
-    timing: Iterable[float] = ()
-    thrusters: Iterable[float] = ()
-    pulses: Iterable[float] = ()
-    carried: float = 0.0
-    chaser: float = 0.0
-    allocated: bool = False
-    late: Iterable[tuple[str, float]] = ()
-    sampled: Mapping[str, Any] | None = None
+    w_max: float  # bound on the disturbance
+    period: float | None  # of sampled feedback [s]
+    resting: bool = True  # whether any unsafe set is at rest
+    satellites: bool = False  # whether any is another satellite
+    horizon: str = "none"  # how long safety is claimed
+    until: float | None = None  # last instant of a claim of one further period [s]
+    estimate: Iterable[float] = ()  # bounds on the errors of the states' estimates, before any prediction
+    by_step: bool = False  # whether there are bounds for every step besides
+    observer: Iterable[float] = ()  # bounds on the errors of what an observer measures
+    initial: Iterable[float] = ()  # bounds on the errors of its first estimate, if it has one
+    timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
+    thrusters: Iterable[float] = ()  # errors as a share of the command, of the 2-norm of all, whatever it is
+    pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
+    carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
+    chaser: float = 0.0  # its radius [m]; 0 for a point
+    allocated: bool = False  # whether inputs are made by thrusters of which one may have failed
+    late: Iterable[tuple[str, float]] = ()  # kinds of faults that are isolated late; how long that takes [s]
+    sampled: Mapping[str, Any] | None = None  # of black boxes: probability, confidence, flights, outside, ...
 
     def told(self) -> list[str]:
         """All that applies, in words, in the order that the format prescribes."""
@@ -121,11 +84,9 @@ class Premises:
             yield f"sampling: {each}, in time and with {seen}"
         if measured := list(self.observer):
             told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
-            first = (
-                f"its first estimate is within [{_listed(first)}]" if (first := list(self.initial)) else ""
-            )
-            first = first or "has long been at work"
-            yield f"observer: {told}, the filter has the gain that is stated, and {first}"
+            first = list(self.initial)
+            made = f"its first estimate is within [{_listed(first)}]" if first else "has long been at work"
+            yield f"observer: {told}, the filter has the gain that is stated, and {made}"
         elif any(errors):
             near = f"no state is further from its estimate than [{_listed(errors)}], one by one"
             apart = ", nor in any step than is stated for it" if self.by_step else ""

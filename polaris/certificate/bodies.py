@@ -1,7 +1,5 @@
 """Bodies that a network reads: where each may be at the start of every period, in ball arithmetic."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,7 +35,7 @@ class Whereabouts:
     _carried: dict[str, list[tuple[arb_mat, list[arb]]]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, document: Document, law: Law, plant: Plant) -> Whereabouts:
+    def of(cls, document: Document, law: Law, plant: Plant) -> "Whereabouts":
         """Of those that a network of a certificate reads."""
         pushes = {body["name"]: [plant.disturbance] for body in law.bodies}
         for body in (body for body in law.bodies if body["thrust_accel_max_m_s2"]):

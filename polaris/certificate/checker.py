@@ -1,19 +1,17 @@
 """Check one certificate: the file, what it was made from, and the safety argument."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import flint
 
+from .argument import Argument
 from .artefacts import check_artefacts, check_hashes, check_networks, has_artefacts, read_scenario, unchecked
 from .balls import PRECISION
 from .document import Document, read
 from .inputs import check_inputs
 from .plants import MOST_BITS, precision_for
-from .powered import WithAborts
 from .verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
 
 NAME = "certificate.json"  # the certificate's name in a run folder
@@ -84,7 +82,7 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
     confirmed = len(record.checked)
     while True:
         try:
-            WithAborts(document, record, stated).run()
+            Argument(document, record, stated).run()
             break
         except Imprecise:
             if flint.ctx.prec >= MOST_BITS:

@@ -1,7 +1,5 @@
 """The certificate as a file: JSON, floats as exact hexadecimal text, and a digest of itself."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -13,13 +11,15 @@ from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE
 from .files import contents
 from .layers import network_of
-from .parts import Law, Matrix, Powered, UnsafeSet, Vector, abort_of, check_bodies, powered_of, unsafe_set
+from .parts import Law, Matrix, Powered, UnsafeSet, Vector, abort_of, check_law, powered_of, unsafe_set
 from .structure import Lengths, conform, strict_json
 from .verdict import Rejected, Undecided
 
 FORMAT = "polaris-certificate"
 VERSION = 1
 
+ROUNDED = 1e-12
+"""Rounding of what is worked out from numbers of the file or the scenario, relative to them."""
 MOST_NODES = 100_000
 """Most periods in a step."""
 MOST_NODES_IN_ALL = 2_000_000
@@ -46,19 +46,9 @@ def canonical(data: Any) -> str:
 
 
 class Document:
-    """A certificate, its shapes checked and its numbers decoded.
+    """A certificate, its shapes checked and its numbers decoded from the JSON object.
 
-    Parameters
-    ----------
-    data : dict
-        The JSON object.
-
-    Raises
-    ------
-    Rejected
-        Naming the claim ``format`` or ``digest``.
-    Undecided
-        If the version is not known, or it would take no end of work.
+    Raises `Rejected` for ``format`` or ``digest``; `Undecided` for another version, or no end of work.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:
@@ -110,8 +100,6 @@ class Document:
         self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
         bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
         self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter, pulses
-        if any(x < 0 for x in self.thrusters):
-            raise ValueError("errors of thrusters must not be negative")
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
         self.transients: list[dict[str, Any]] = system.get("transients") or []
@@ -132,6 +120,8 @@ class Document:
         known = self.estimate or [0.0] * len(self.A)
         if self.error_by_step and known != [max(x) for x in zip(*self.error_by_step, strict=True)]:
             raise ValueError("errors of estimates must be the largest of all steps")
+        if any(x < 0 for x in self.thrusters):
+            raise ValueError("errors of thrusters must not be negative")
         if any(x < 0 for row in self.error_by_step for x in row):
             raise ValueError("errors of estimates must not be negative")
         if not (self.A and min(self.u_max) > 0 and self.w_max >= 0 and 1 <= len(self.C) <= 3):
@@ -190,12 +180,11 @@ class Document:
         n, m, d, K = len(self.A), len(self.u_max), len(self.C), self.steps
         sizes = {"n": n, "m": m, "d": d, "2d+2m": 2 * (d + m), "p": len(self.D[0]) if self.D else 0}
         sizes |= {"K": K, "K+1": K + 1, "q": self.q, "cells": self.cells, "cells+1": self.cells + 1}
-        sizes |= {"two": 2, "sets": sets, "n+2": n + 2}
         covered = next(iter(lengths.get("covered", {self.cells: ""})))
         further = self.drift is not None or self.powered is not None
         if covered < self.longest or (covered > self.cells and not further):
             raise ValueError("unsafe sets must be known for as long as the reference")
-        sizes["covered"] = covered
+        sizes |= {"two": 2, "sets": sets, "n+2": n + 2, "covered": covered}
         sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
@@ -246,9 +235,7 @@ class Document:
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
             initial=(self.observer or {}).get("initial") or (),
-            timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock")]
-            if self.timing
-            else (),
+            timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
             thrusters=self.prompt_thrusters,
             pulses=self.fired,
             carried=self.carried,
@@ -258,9 +245,8 @@ class Document:
             sampled=self.statement or None,
         ).told()
         if read["assumptions"] != self.assumptions:
-            raise Rejected(
-                "assumptions", "the certificate rests on other assumptions than those of its format"
-            )
+            told = "the certificate rests on other assumptions than those of its format"
+            raise Rejected("assumptions", told)
 
     def _check_claims(self) -> None:
         counts = [len(item.normals) for item in self.unsafe]
@@ -269,21 +255,11 @@ class Document:
         kinds = [law.kind for law in self.laws]
         if kinds[0] != "safety" or "safety" in kinds[1:]:
             raise ValueError("mode 0, and no other, must be the safety controller")
-        for law in self.laws:
-            if (law.states is None) != (law.inputs is None):
-                raise ValueError(f"{law.name} has half a reference of its own")
-            if any(part is not None and len(part) < self.steps for part in (law.states, law.inputs)):
-                raise ValueError(f"the reference of {law.name} must cover every step")
         if max(self.modes) >= len(self.laws):
             raise ValueError("modes must be known")
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
-            if sum(sizes.get(name, len(self.C)) for name in law.reads) != len(law.input_scale):
-                raise ValueError(f"{law.name} reads another number of values than it scales")
-            check_bodies(law)
-            held = law.kind in ("neural", "black_box")
-            if held and not self.sampled:
-                raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
+            check_law(law, self.steps, self.sampled, sum(sizes.get(name, len(self.C)) for name in law.reads))
             if law.work * self.q * self.modes.count(mode) > MOST_WORK:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]

@@ -1,7 +1,5 @@
 """Every key of the certificate and of the JSON files of a run folder."""
 
-from __future__ import annotations
-
 import math
 
 from .structure import Either, Hexadecimal, Kinds, Name, Named, Real, Rows, Shape, Text, Whole, every

@@ -1,7 +1,5 @@
 """Reachable sets of the schedule: what each controller may do in a step, enclosed over whole intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,11 +22,11 @@ from .balls import (
 )
 from .bodies import Whereabouts
 from .drift import Departures
+from .limits import Barrier
 from .motion import Motion, Plant, Push
 from .networks import Policy
 from .parts import Law, Matrix
 from .periods import Period, around, clip, command_ranges, secant
-from .recovery import Barrier
 from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
@@ -73,7 +71,7 @@ class Pilot:
             self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
         return self._loops[key]
 
-    def knowing(self, estimate: list[float]) -> Pilot:
+    def knowing(self, estimate: list[float]) -> "Pilot":
         """The same where estimates are off by no more than that."""
         known = tuple(estimate)
         return (
@@ -93,7 +91,7 @@ class Pilot:
             return self.plant.command_error(self.gain)
         return sums(measured_error(self.plant, self.gain), late(self.plant, self.gain, self.before))
 
-    def after(self, told: Sequence[Sequence[arb]]) -> Pilot:
+    def after(self, told: Sequence[Sequence[arb]]) -> "Pilot":
         """The same after periods of a step with bounds on their commands, those of the last one last."""
         hidden = self.plant.hidden
         if not 0 < hidden <= len(told) or self.law.kind not in GUESSED:

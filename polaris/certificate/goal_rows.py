@@ -4,8 +4,6 @@ A polygon with N sides stands for a circle, inside it where it must not be left,
 be entered.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -104,7 +102,7 @@ class Weighted:
     scale: float
 
     @classmethod
-    def of(cls, goal: Goal, soon: arb, document: Document) -> Weighted:
+    def of(cls, goal: Goal, soon: arb, document: Document) -> "Weighted":
         """Weigh a goal's rows."""
         every = [*goal.rows, *(row for group in goal.groups for row in group)]
         every = every or [_row(len(document.A), {}, 0)]  # any state will do

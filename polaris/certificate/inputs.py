@@ -1,7 +1,7 @@
 """The certificate against the scenario beside it: the system and the scene that were asked for."""
 
 import math
-from functools import partial
+from itertools import groupby
 from typing import Any
 
 from flint import arb, arb_mat
@@ -9,24 +9,18 @@ from flint import arb, arb_mat
 from .allocation import check_allocation, per_axis
 from .balls import matrix, require, row_sums
 from .bodies import bodies_of
-from .document import Document
+from .document import ROUNDED, Document
 from .lqr import check_gain, positive_definite
 from .navigation import measured_errors
-from .own import check_own
+from .own import check_goal, check_own
 from .perception import check_unsafe
 from .powered import check_asked_abort
-from .repeated import check_switching
+from .repeated import switches, switching_rules
 from .timing import check_timing
 from .transients import check_transients
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
-GOAL_SLACK = 1e-5
-"""By how much the goal may be missed, relative to its size. No claim of safety rests on the goal."""
-
-
-ROUNDED = 1e-12
-"""Rounding of what is worked out from numbers of the scenario, relative to it."""
 HILL_RANGE = 1e5
 """Farthest start from the target in Hill's frame [m]."""
 
@@ -60,10 +54,10 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         _check_controllers(document, scenario)
         told = "gains are the stabilising ones of their weights, references the scenario's"
         record.holds("controllers", f"{len(document.laws) - 1} experimental, {told}")
-        record.holds("schedule", check_switching(document, scenario))
+        record.holds("schedule", _check_switching(document, scenario))
         kind = scenario.get("recoverable", {}).get("kind", "polytope")
         _need("recoverable_sets", "kind", document.recoverable, kind)
-        _check_goal(scenario["goal"], document, document.states[document.steps], "goal", "the reference")
+        check_goal(scenario["goal"], document, document.states[document.steps], "goal", "the reference")
         record.holds("goal", f"the reference ends in the scenario's {scenario['goal']['kind']}")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError) as error:
         told = f"scenario.toml cannot be compared: {type(error).__name__}: {error}"
@@ -225,7 +219,6 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
         _need("controllers", f"kind of {law.name}", law.kind, spec["kind"])
         if law.kind in ("any_thrust", "black_box"):
             continue
-        goal = partial(_check_goal, scenario["goal"])
         if law.kind == "neural":
             top = spec["output_scale_N"]
             _need("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
@@ -234,13 +227,13 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
             _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
             tops = top if isinstance(top, list) else [top] * len(document.u_max)
             _need("controllers", "scale of the outputs", law.output_scale, tops)
-            check_own(document, law, scenario, spec, goal)
+            check_own(document, law, scenario, spec)
             continue
         if spec.get("gain") is not None:
             _need("controllers", f"gain of {law.name}", law.gain, spec["gain"])
         else:
             check_gain(document, law, spec)
-        check_own(document, law, scenario, spec, goal)
+        check_own(document, law, scenario, spec)
     if document.statement:
         _check_asked(document.statement, scenario)
 
@@ -256,53 +249,16 @@ def _check_asked(said: dict[str, Any], scenario: dict[str, Any]) -> None:
     _need("samples", "seed", said["seed"], scenario.get("simulation", {}).get("seed", 0))
 
 
-# -- goal -------------------------------------------------------------------------------------------
-
-
-def _check_goal(spec: dict[str, Any], document: Document, x: list[float], claim: str, whose: str) -> None:
-    terms, size = GOALS[spec["kind"]](document, x, spec)
-    worst, name = max(terms)
-    if not worst <= GOAL_SLACK * size:
-        raise Rejected(claim, f"{whose} misses the goal ({name})", worst)
-
-
-Misses = tuple[list[tuple[float, str]], float]
-"""How far a state is from what a goal asks, by condition, and the goal's size."""
-
-
-def _states(_: Document, x: list[float], spec: dict[str, Any]) -> Misses:
-    middle, half = spec.get("center") or spec["state"], spec.get("half_widths") or [0.0] * len(x)
-    rows = enumerate(zip(x, middle, half, strict=True))
-    return [(abs(a - c) - h, f"state {i}") for i, (a, c, h) in rows], max(1.0, *(abs(c) for c in middle))
-
-
-def _linear(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
-    eta = _mean_motion(document)
-    amplitude, along = spec["amplitude_max_m"], spec.get("along_track_m", 0.0)
-    rest = [x[0], x[1] - along, x[3] / eta, x[4] / eta]
-    terms = [(abs(value), f"condition {i}") for i, value in enumerate(rest)]
-    return [*terms, ((x[2] ** 2 + (x[5] / eta) ** 2) ** 0.5 - amplitude, "amplitude")], max(amplitude, 1.0)
-
-
-def _elliptical(document: Document, x: list[float], spec: dict[str, Any]) -> Misses:
-    eta = _mean_motion(document)
-    inner, outer = spec["inner_semi_minor_m"], spec["outer_semi_minor_m"]
-    b = (x[0] ** 2 + x[1] ** 2 / 4) ** 0.5
-    most = spec.get("cross_track_max_m", 0.0)
-    return [
-        (abs(x[4] / eta + 2 * x[0]), "v_y = -2 eta r_x"),
-        (abs(x[3] / eta - x[1] / 2), "v_x = eta r_y / 2"),
-        (b - outer, "outer ellipse"),
-        (inner - b, "inner ellipse"),
-        *((abs(value) - most, "cross-track") for value in (x[2], x[5] / eta)),
-    ], outer
-
-
-def _mean_motion(document: Document) -> float:
-    if document.mean_motion is None:
-        raise Rejected("goal", "a natural motion needs Hill's frame")
-    return document.mean_motion
-
-
-GOALS = {"stationary": _states, "box": _states, "linear_nmt": _linear, "elliptical_nmt": _elliptical}
-"""By kind of goal, how far a state is from it; every kind that `scenario_keys` knows is here."""
+def _check_switching(document: Document, scenario: dict[str, Any]) -> str:
+    """Whoever takes over keeps control for the dwell, or to T; there are no more switches than the cap."""
+    rules = switching_rules(scenario)
+    held = [len(list(group)) for _, group in groupby(document.modes)]
+    for i, steps in enumerate(held[:-1]):
+        if steps < rules["min_dwell"]:
+            at = sum(held[:i])
+            told = f"mode {document.modes[at]} is left {steps} steps after step {at}"
+            raise Rejected("schedule", f"{told}; the scenario's dwell is {rules['min_dwell']} steps")
+    count, cap = switches(document.modes), rules["max_switches"]
+    if cap is not None and count > cap:
+        raise Rejected("schedule", f"{count} switches, the scenario allows {cap}")
+    return f"{count} switches, dwell and cap of the scenario kept"

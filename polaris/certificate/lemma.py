@@ -5,8 +5,6 @@ checked is necessary: at nodes up to 64 memories of the loop for beta and gamma,
 ``norm(R phi^l int_0^h e^{X s} ds D, 2)``, below which no bound by norms can be.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

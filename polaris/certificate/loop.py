@@ -229,6 +229,11 @@ class Needs:
         share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
         return [late * share for late in self.forgotten]
 
+    def ever(self, size: arb_mat) -> list[arb]:
+        """The same at any time."""
+        each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.still(size)]
+        return list(map(largest, zip(*each, strict=True)))
+
     def tube(self, start: Zonotope) -> list[list[arb]]:
         """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""
         support = self._split(start.support(above(*self.carried[:-1])))

@@ -8,7 +8,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .balls import absolute, column, exponential, identity, largest, magnitude, matrix, require, sums
-from .document import Document
+from .document import ROUNDED, Document
 from .motion import Plant
 from .plants import plant_of
 from .timing import displaced
@@ -19,9 +19,6 @@ PARTS = 4
 
 INSTANT = 1e-9
 """Share of a step by which instants may differ and count as one."""
-
-ROUNDED = 1e-12
-"""Rounding of bounds that are stated, relative to them."""
 
 FORGOTTEN, LONGEST = 1e-9, 4096
 """What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""

@@ -160,7 +160,20 @@ def abort_of(drift: dict[str, Any], q: int) -> Abort:
     return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
 
 
-def check_bodies(law: Law) -> None:
+def check_law(law: Law, steps: int, sampled: bool, reads: int) -> None:
+    """The parts of a law fit each other and the schedule; `reads` is how many numbers a network reads."""
+    if (law.states is None) != (law.inputs is None):
+        raise ValueError(f"{law.name} has half a reference of its own")
+    if any(part is not None and len(part) < steps for part in (law.states, law.inputs)):
+        raise ValueError(f"the reference of {law.name} must cover every step")
+    if reads != len(law.input_scale):
+        raise ValueError(f"{law.name} reads another number of values than it scales")
+    if law.kind in ("neural", "black_box") and not sampled:
+        raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
+    _check_bodies(law)
+
+
+def _check_bodies(law: Law) -> None:
     """A network is told of each body that it reads, once, and either where it goes or how it is known."""
     read = dict.fromkeys(name.partition(":")[2] for name in law.reads if ":" in name)
     if [body["name"] for body in law.bodies] != list(read):

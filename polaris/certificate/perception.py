@@ -12,16 +12,13 @@ from flint import arb
 
 from .allocation import per_axis
 from .balls import absolute, absolute_dot, column, cross, dot, largest, matrix, norms, require
-from .document import Document
+from .document import ROUNDED, Document
 from .navigation import holding
 from .parts import UnsafeSet
 from .satellites import Satellite
 from .verdict import Rejected
 
 SLACK = 1e-9  # rounding of unit normals: how far one may be turned. What that moves is booked.
-
-ROUNDED = 1e-12
-"""Rounding of offsets, and of directions of edges, relative to the numbers that they are made from."""
 
 SLOPE = 1e-6  # least sine of the angle of a cone, and of the angle between two of its facets
 

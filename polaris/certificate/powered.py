@@ -4,82 +4,75 @@ S flies on along the reference until a branch leaves it. Everything that is show
 shown along each branch, too, from the sets that the schedule reaches in the steps that it serves.
 """
 
-from __future__ import annotations
-
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 from flint import arb, arb_mat
 
 from .arcs import Path
-from .argument import JUMP_SLACK, Argument
 from .arrival import SLACK, Arrival
 from .balls import above, absolute, column, largest, magnitude, plain, require, smallest, sums
+from .coasting import JUMP_SLACK, check_end, flown_path, prolonged
 from .document import Document
 from .flights import Flown
 from .goal_rows import GOALS, Weighted
+from .limits import Limits
 from .loop import Memory, Needs
-from .parts import Branch
+from .motion import Motion
+from .parts import Branch, Way
 from .plants import within_limits
-from .recovery import Limits, Recovery, levels_of
+from .recovery import Recovery
 from .scheduled import Scheduled
-from .verdict import Record, Rejected
+from .verdict import Rejected
 from .zonotopes import Zonotope, widest
 
 CLAIM = "powered_abort"
 
 
-class WithAborts(Argument):
-    """The argument for a schedule, and for the aborts with thrust that are claimed of it."""
+def check_aborts(
+    document: Document,
+    loop: Motion,
+    gain: arb_mat,
+    noise: list[arb],
+    sets: list[Zonotope],
+    flown: list[Flown],
+    orbit: dict[str, Any] | None,
+) -> str:
+    """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
 
-    def aborts(self, sets: list[Zonotope], flown: list[Flown]) -> None:
-        """S keeps to all limits in every abort that is claimed, and reaches the orbit as is claimed."""
-        asked = self.document.powered
-        if asked is None:
-            return
-        if self.document.error_by_step and any(b.step != self.K or b.inputs for b in asked.branches):
-            raise Rejected(CLAIM, "errors of estimates by step are those of the schedule's own path")
-        takeovers, since = dict[int, Takeover](), 0
-        for k, (mode, way) in enumerate(zip(self.document.modes, asked.steps, strict=True)):
-            reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
-            if way is not None:
-                takeovers[k] = Takeover(k, (k if mode else since) * self.document.q, reached)
-            since = k + 1 if mode else since
-        every = [z for taken in takeovers.values() for z in taken.sets]
-        if every:
-            profile = [[arb(x) for x in most] for most in self.document.profile]
-            memory = Memory.of(self.loop, widest([*sets, *every]), self.document.q, profile)
-            known: dict[Any, Needs] = {}
-            steps = [way and way.branch for way in asked.steps]
-            for place, branch in enumerate(asked.branches):
-                served = [taken for k, taken in takeovers.items() if steps[k] == place]
-                along = Along.of(self, branch, memory, known)
-                along.recovers(served)
-                for taken in served if self.stated.orbit is not None else ():
-                    self._arrives(along, taken)
-        told = f"{len(takeovers)} of {self.K} steps, along {len(asked.branches)} branches"
-        self.record.holds(CLAIM, told)
-
-    def _arrives(self, along: Along, taken: Takeover) -> None:
-        """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
-        asked = self.document.powered
-        assert asked is not None
-        way = asked.steps[taken.k]
-        assert way is not None
-        told = f"abort in step {taken.k}"
-        off = along.distance(taken, way.cell)
-        require(CLAIM, along.branch.tolerance * (1 + SLACK) - off, f"{told}: {plain(off)} m off the orbit")
-        spent = along.spent(taken, way.cell)
-        short = f"{told}: {way.delta_v:.6g} m/s claimed, {plain(spent)} derived"
-        require(CLAIM, way.delta_v * (1 + SLACK) - spent, short)
+    The sets are those that the schedule reaches; returned is what is confirmed.
+    """
+    asked = document.powered
+    assert asked is not None
+    if document.error_by_step and any(b.step != document.steps or b.inputs for b in asked.branches):
+        raise Rejected(CLAIM, "errors of estimates by step are those of the schedule's own path")
+    takeovers, since = dict[int, Takeover](), 0
+    for k, (mode, way) in enumerate(zip(document.modes, asked.steps, strict=True)):
+        reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
+        if way is not None:
+            takeovers[k] = Takeover(way, k, (k if mode else since) * document.q, reached)
+        since = k + 1 if mode else since
+    if every := [z for taken in takeovers.values() for z in taken.sets]:
+        profile = [[arb(x) for x in most] for most in document.profile]
+        memory = Memory.of(loop, widest([*sets, *every]), document.q, profile)
+        facets = [row for branch in asked.branches for row in branch.facets]
+        common = Common(loop, gain, noise, memory, facets, orbit)
+        for place, branch in enumerate(asked.branches):
+            along = Along(branched(document, branch), branch, common)
+            served = [taken for taken in takeovers.values() if taken.way.branch == place]
+            along.recovers(served)
+            for taken in served if orbit is not None else ():
+                along.arrives(taken)
+    return f"{len(takeovers)} of {document.steps} steps, along {len(asked.branches)} branches"
 
 
 @dataclass(frozen=True, eq=False)
 class Takeover:
     """Where S may take over if step k is aborted: at which nodes, one after another, from which sets."""
 
+    way: Way
     k: int
     first: int
     sets: list[Zonotope]
@@ -96,51 +89,54 @@ class Takeover:
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
-    """S along one branch: `argument` is the schedule's, with the branch in the place of its reference."""
+class Common:
+    """What all branches have in common."""
 
-    argument: Argument
-    branch: Branch
-    path: Path
+    loop: Motion  # of S
+    gain: arb_mat
+    noise: list[arb]
     memory: Memory
     facets: list[list[int]]  # of all branches, so that they have the same rows of limits
-    known: dict[Any, Needs]  # by what their rows are of, for all branches
+    orbit: dict[str, Any] | None
+    _known: dict[Any, Needs] = field(default_factory=dict, repr=False)
 
-    @classmethod
-    def of(cls, argument: Argument, branch: Branch, memory: Memory, known: dict[Any, Needs]) -> Along:
-        """The branch is the exact motion under its inputs, which are within the limits, and it may coast."""
-        along, doc = copy.copy(argument), branched(argument.document, branch)
-        along.document, along.K, along.record = doc, doc.steps, Record()
-        tail = column(branch.tail)
-        if doc.system_kind == "clohessy_wiltshire" and doc.horizon == "infinite":
-            tail[4, 0] = -along.plant.A[3, 4] * tail[0, 0]  # the orbit closes exactly
-        path = Path.propagate(along.plant, column(doc.center), doc.inputs, doc.steps, tail)
-        size = [float(largest(abs(x[i, 0]) for x in path.starts)) for i in range(along.n)]
+    def needs(self, of: Any, rows: arb_mat) -> Needs:
+        """What errors need along rows, once; `of` tells them apart."""
+        return self._known.setdefault(of, Needs(self.loop, self.memory, rows))
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """S along one branch, which `document` has in the place of the reference."""
+
+    document: Document
+    branch: Branch
+    common: Common
+
+    @cached_property
+    def path(self) -> Path:
+        """The exact motion under the inputs, which are within the limits, and it may coast."""
+        doc, plant = self.document, self.common.loop.plant
+        path = flown_path(doc, plant, self.branch.tail)
+        size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
         off = largest(magnitude(path.jump).entries())
         require(CLAIM, JUMP_SLACK * max(1.0, *size) - off, "the tail of a branch starts elsewhere")
         within_limits(doc, doc.inputs, CLAIM, "a branch")
-        along.end(path)
-        assert argument.document.powered is not None
-        facets = [row for each in argument.document.powered.branches for row in each.facets]
-        return cls(along, branch, path, memory, facets, known)
+        check_end(doc, path)
+        return path
 
-    @property
-    def document(self) -> Document:
-        """That of the branch."""
-        return self.argument.document
+    @cached_property
+    def further(self) -> tuple[Path, list[list[int]]]:
+        """The path and its facets until the loop has forgotten what it was at T."""
+        return prolonged(self.document, self.path, self.common.memory)
 
     def recovers(self, served: list[Takeover]) -> None:
         """S keeps to every limit to the end, whenever it takes over."""
-        argument, doc = self.argument, self.document
-        prolonged, chosen = argument.prolonged(self.path, self.memory)
-        chosen = [*chosen, *self.facets]
-        limits = Limits.of(doc, prolonged, argument.gain, chosen)
-        needs = self._needs(frozenset(pair for row in chosen for pair in enumerate(row)), limits.rows)
-        limits = limits.less_jump(needs, prolonged)
-        if self.scheduled is not None:
-            limits = limits.less(self.scheduled.along(limits.rows))
-        levels = levels_of(doc, argument.noise, needs, prolonged)
-        recovery = Recovery(doc, limits, needs, levels)
+        common, (path, chosen) = self.common, self.further
+        chosen = [*chosen, *common.facets]
+        limits = Limits.of(self.document, path, common.gain, chosen)
+        needs = common.needs(frozenset(pair for row in chosen for pair in enumerate(row)), limits.rows)
+        recovery = Recovery.of(self.document, path, limits, needs, common.noise, self.scheduled)
         reached = {taken.first + i: z for taken in served for i, z in enumerate(taken.sets)}
         recovery.check_sets(reached, {})
         recovery.check_far()
@@ -150,19 +146,14 @@ class Along:
         """Errors by the time of the flight, if any."""
         if not (self.document.profile or self.document.error_by_step):
             return None
-        path = self.argument.prolonged(self.path, self.memory)[0]
-        return Scheduled(self.document, self.argument.loop, self.memory, path, self.argument.gain)
-
-    def _needs(self, of: Any, rows: arb_mat) -> Needs:
-        """What errors need along rows, once for all branches."""
-        return self.known.setdefault(of, Needs(self.argument.loop, self.memory, rows))
+        common = self.common
+        return Scheduled(self.document, common.loop, common.memory, self.further[0], common.gain)
 
     @cached_property
     def _commands(self) -> tuple[Needs, list[arb]]:
         """What errors need of commands, and what the jump into the tail does."""
-        gain = self.argument.gain
-        needs = self._needs("commands", above(gain, -gain))
-        return needs, self._jump(needs)
+        needs = self.common.needs("commands", above(self.common.gain, -self.common.gain))
+        return needs, needs.ever(magnitude(self.path.jump))
 
     @cached_property
     def _caused(self) -> list[list[arb]]:
@@ -175,19 +166,30 @@ class Along:
     @cached_property
     def _orbit(self) -> tuple[Weighted, Needs, list[arb]]:
         """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
-        doc, spec = self.document, self.argument.stated.orbit
+        doc, common, spec = self.document, self.common, self.common.orbit
         assert spec is not None
-        arrival = Arrival(doc, self.path, self.argument.loop, self.memory, (), arb(0), self.scheduled)
+        arrival = Arrival(doc, self.path, common.loop, common.memory, (), arb(0), self.scheduled)
         rows = Weighted.of(GOALS[spec["kind"]](doc, spec), arrival.soon, doc)
-        needs = self._needs(("orbit", doc.steps), rows.rows)
+        needs = common.needs(("orbit", doc.steps), rows.rows)
         claim = {"tolerance_m": self.branch.tolerance, "reached": False}
         arrival.tolerated(claim, spec, rows.scale, arrival.holding(needs))
-        more = sums(self._jump(needs), (absolute(rows.rows) * column(doc.at_nodes)).entries())
+        more = sums(
+            needs.ever(magnitude(self.path.jump)), (absolute(rows.rows) * column(doc.at_nodes)).entries()
+        )
         if self.scheduled is None:
             return rows, needs, more
         tail = self.scheduled.along(rows.rows)[min(doc.steps, doc.cells - 1) :]
         caused = [largest(x) for x in zip(*(node for nodes in tail for node in nodes), strict=True)]
         return rows, needs, sums(more, caused)
+
+    def arrives(self, taken: Takeover) -> None:
+        """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
+        way, told = taken.way, f"abort in step {taken.k}"
+        off = self.distance(taken, way.cell)
+        require(CLAIM, self.branch.tolerance * (1 + SLACK) - off, f"{told}: {plain(off)} m off the orbit")
+        spent = self.spent(taken, way.cell)
+        short = f"{told}: {way.delta_v:.6g} m/s claimed, {plain(spent)} derived"
+        require(CLAIM, way.delta_v * (1 + SLACK) - spent, short)
 
     def distance(self, taken: Takeover, cell: int) -> arb:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
@@ -199,10 +201,10 @@ class Along:
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
-        doc, plant, m = self.document, self.argument.plant, len(self.document.u_max)
+        doc, plant, m = self.document, self.common.loop.plant, len(self.document.u_max)
         (needs, jump), total = self._commands, m * arb(doc.carried)
         for c in range(taken.k, cell):
-            known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.argument.gain)
+            known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.common.gain)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
             need = sums(*parts)
             both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)
@@ -212,21 +214,16 @@ class Along:
 
     def _most(self, needs: Needs, taken: Takeover, cell: int, until: int) -> list[arb]:
         """What errors of an abort in a step need along rows between the starts of two cells."""
-        lags, periods = taken.window(cell * self.document.q, until * self.document.q), self.memory.periods
+        lags, periods = (
+            taken.window(cell * self.document.q, until * self.document.q),
+            self.common.memory.periods,
+        )
         found = []
         for lag in lags[: max(periods + 1 - lags[0], 0)]:
-            most = (magnitude(needs.carried[lag]) + needs.bend[lag]) * taken.size
-            found.append(sums(most.entries(), needs.disturbed[lag]))
+            found.append(sums(needs.boxed(taken.size, lag), needs.disturbed[lag]))
         if lags[-1] > periods:
-            share = largest(a / b for a, b in zip(taken.size.entries(), self.memory.z.entries(), strict=True))
-            found.append(sums([x * share for x in needs.forgotten], needs.disturbed[-1]))
+            found.append(sums(needs.still(taken.size), needs.disturbed[-1]))
         return [largest(each).upper() for each in zip(*found, strict=True)]
-
-    def _jump(self, needs: Needs) -> list[arb]:
-        size = magnitude(self.path.jump)
-        each = zip(needs.carried, needs.bend, strict=True)
-        found = [((magnitude(row) + bend) * size).entries() for row, bend in each]
-        return [largest(x) for x in zip(*found, strict=True)]
 
 
 def branched(document: Document, branch: Branch) -> Document:

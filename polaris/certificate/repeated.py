@@ -5,7 +5,7 @@ import io
 import math
 import re
 from collections.abc import Iterable
-from itertools import groupby, zip_longest
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -221,21 +221,6 @@ def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
 def switches(modes: list[int]) -> int:
     """Number of changes of mode."""
     return sum(a != b for a, b in zip(modes[:-1], modes[1:], strict=True))
-
-
-def check_switching(document: Document, scenario: dict[str, Any]) -> str:
-    """Whoever takes over keeps control for the dwell, or to T; there are no more switches than the cap."""
-    rules = switching_rules(scenario)
-    held = [len(list(group)) for _, group in groupby(document.modes)]
-    for i, steps in enumerate(held[:-1]):
-        if steps < rules["min_dwell"]:
-            at = sum(held[:i])
-            told = f"mode {document.modes[at]} is left {steps} steps after step {at}"
-            raise Rejected("schedule", f"{told}; the scenario's dwell is {rules['min_dwell']} steps")
-    count, cap = switches(document.modes), rules["max_switches"]
-    if cap is not None and count > cap:
-        raise Rejected("schedule", f"{count} switches, the scenario allows {cap}")
-    return f"{count} switches, dwell and cap of the scenario kept"
 
 
 # -- reference --------------------------------------------------------------------------------------

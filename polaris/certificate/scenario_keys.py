@@ -5,8 +5,6 @@ lists which). What does not stand here is refused: a checker that passes over a 
 checked another scenario. Written by hand on purpose; a test compares it with the scenario models.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -20,13 +20,10 @@ from .balls import (
     smallest,
     sums,
 )
-from .document import Document
+from .document import ROUNDED, Document
 from .motion import PARTS, Plant
 from .plants import plant_of
 from .verdict import Rejected
-
-ROUNDED = 1e-12
-"""Rounding of a difference of stored numbers, relative to the larger."""
 
 AT_NODES = arb(1e-6)
 """Share of what pulses displace at most within `NEAR` of a period's ends, where it is nothing."""

@@ -6,16 +6,13 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .balls import absolute, column, diagonal, exponential, identity, largest, magnitude, matrix, smallest
-from .document import Document
+from .document import ROUNDED, Document
 from .loop import Memory, Needs
 from .motion import Motion, Plant
 from .networks import Policy
 from .plants import WHOLE
 from .timing import predicted
 from .verdict import Rejected, Undecided
-
-ROUNDED = 1e-12
-"""Rounding of products of numbers of the scenario, relative to them."""
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:

@@ -1,7 +1,5 @@
 """What a check ends with: verified, rejected with a witness, or not decided."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 VERIFIED, STATISTICAL, REJECTED, UNKNOWN = "VERIFIED", "STATISTICAL", "REJECTED", "UNKNOWN"

@@ -65,7 +65,7 @@ def check(file: Name, assignments: Assignments = None) -> None:
 
 
 def _tell_doubts(scenario: Any, err: bool = False) -> None:
-    from ..scenario.schedule import doubts
+    from ..scenario.doubts import doubts
 
     for doubt in doubts(scenario):
         typer.echo(f"note: {doubt}", err=err)

@@ -5,8 +5,6 @@ whatever the state, so that z and v_z are free. Write ``q = (x, y / 2)``: along 
 rate n and keeps its length a, the semi-minor axis. Hence ``norm(p) >= a`` for ever, whatever z does.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +62,7 @@ class Ellipses:
             raise ScenarioError("largest", self.largest, rule)
 
     @classmethod
-    def of(cls, inspection: Inspection) -> Ellipses:
+    def of(cls, inspection: Inspection) -> "Ellipses":
         """Those that keep clear of the chief by half the separation again, within r_max and the speed limits.
 
         That is ``4 a^2 + c^2 <= r_max^2``, and ``2 n a`` and ``n c`` are at most v_max.

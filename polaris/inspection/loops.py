@@ -2,6 +2,15 @@
 
 Formulas are those of `polaris.inspection.constraints`, which are what these loops are tested against, to
 rounding; the accounts of what they mean are there.
+
+Of `rows`, `table` (M, 2) has a row's formula and its place in the stack of deputies and `pairs` (P, 2);
+`values` (M, 9) its radius or axis, acceleration, side, and strengthening. `numbers` are n, 1 / m, the depth
+of the layer, the speed back, the cone's half-angle, least lengths for directions and velocities, nu_0,
+nu_1, v_max and the closest approach that need not be exact; of sampled data, else 0, the period, the
+share, the growth, the largest acceleration by thrust, and of free flights the bow per amplitude, its
+margin, and how thrust turns them. `about` (R, N + P, 5) is what `approaches` found, or for sampled data
+`motions`, and `flights` (S + 2, 4, 6) has the maps of free flights to S places, with their norms, and to
+the circle's vectors.
 """
 
 import numpy as np
@@ -28,17 +37,7 @@ def rows(
     numbers: Array,
     flights: Array,
 ) -> Parts:
-    """Values (R, M), ``G`` (R, M, 3) and bounds (R, M) at states x (R, N, 6) and sun angles (R,) [rad].
-
-    `table` (M, 2) has a row's formula and its place in the stack of deputies and `pairs` (P, 2); `values`
-    (M, 9) its radius or axis, acceleration, side, and strengthening. `numbers` are n, 1 / m, the depth of
-    the layer, the speed back, the cone's half-angle, least lengths for directions and velocities, nu_0,
-    nu_1, v_max and the closest approach that need not be exact; of sampled data, else 0, the period, the
-    share, the growth, the largest acceleration by thrust, and of free flights the bow per amplitude, its
-    margin, and how thrust turns them. `about` (R, N + P, 5) is what `approaches` found, or for sampled data
-    `motions`, and `flights` (S + 2, 4, 6) has the maps of free flights to S places, with their norms, and to
-    the circle's vectors.
-    """
+    """Values (R, M), ``G`` (R, M, 3) and bounds (R, M) at states x (R, N, 6) and sun angles (R,) [rad]."""
     runs, deputies, count, n = x.shape[0], x.shape[1], len(table), numbers[0]
     h, G, bound = np.empty((runs, count)), np.empty((runs, count, 3)), np.empty((runs, count))
     z, gradient, seen = np.empty((deputies + len(pairs), 6)), np.empty(6), np.zeros(3)

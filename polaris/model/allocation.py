@@ -1,7 +1,5 @@
 """Thrusters that push only: the box of inputs that they can make, whichever one of them has failed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -33,27 +31,17 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Allocation:
-    """What N thrusters ``0 <= f <= limits`` with ``u = directions' f`` can make of m inputs.
+    """What N thrusters ``0 <= f <= limits`` with ``u = directions' f`` can make of m inputs."""
 
-    Attributes
-    ----------
-    directions : ndarray, shape (N, m)
-    limits : ndarray, shape (N,)
-        [N].
-    u_max : ndarray, shape (m,)
-        Every input with ``|u_i| <= u_max[i]`` is made in every case (docs/theory.md, Lemma 31).
-    corners : ndarray, shape (cases, 2^m, N)
-        Thrusts that reach at least to each corner of the box: without a fault, or of each fault in turn with
-        each thruster.
-    """
-
-    directions: Array
-    limits: Array
-    u_max: Array
+    directions: Array  # (N, m)
+    limits: Array  # (N,) [N]
+    u_max: Array  # (m,): every input within these is made in every case (docs/theory.md, Lemma 31)
     corners: Array
+    """Thrusts (cases, 2^m, N) that reach at least to each corner of the box: without a fault, or of each
+    fault in turn with each thruster."""
 
     @classmethod
-    def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> Allocation:
+    def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> "Allocation":
         """The largest box of the shape of `wanted` (m,), and no larger, that is made in every case.
 
         Raises

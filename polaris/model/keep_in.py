@@ -1,7 +1,5 @@
 """Keep-in sets: corridors and line-of-sight cones, which the chaser must not leave."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -188,7 +186,7 @@ class KeepInPolytope(KeepIn):
         holds = (self.begins <= np.asarray(t)) & (np.asarray(t) < self.ends)
         return found if np.all(holds) else np.where(holds, found, np.inf)
 
-    def _grown(self, radius: float) -> KeepInPolytope:
+    def _grown(self, radius: float) -> "KeepInPolytope":
         return replace(self, b=np.asarray(self.b) - radius)
 
     @cached_property
@@ -253,7 +251,7 @@ class KeepInCone(KeepIn):
         if self.length is not None:
             positive(f"{self.path}.length", self.length, "m")
 
-    def _grown(self, radius: float) -> KeepInCone:
+    def _grown(self, radius: float) -> "KeepInCone":
         """The cone of the points at least the radius from its sides: its apex moves along the axis."""
         inwards = radius / np.sin(self.half_angle_rad)
         left = None if self.length is None else self.length - radius - inwards

@@ -1,7 +1,5 @@
 """What every obstacle has in common, and the motion of rigid ones."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cached_property

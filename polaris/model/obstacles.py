@@ -5,8 +5,6 @@ on and which contain the true set at every instant of every cell, and the true s
 (`signed_distance`, `entry_time`), against which simulated runs are judged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -53,7 +51,7 @@ class BoxObstacle(RigidObstacle):
         """The box, about its centre."""
         return Box.of(np.asarray(self.half_widths))
 
-    def _grown(self, radius: float) -> BoxObstacle:
+    def _grown(self, radius: float) -> "BoxObstacle":
         return replace(self, half_widths=np.asarray(self.half_widths) + radius)
 
 
@@ -98,7 +96,7 @@ class BallObstacle(RigidObstacle):
         normals = directions(len(self.anchor), self.facets, f"{self.path}.facets")
         return Polytope(normals, np.full(len(normals), self.radius))
 
-    def _grown(self, radius: float) -> BallObstacle:
+    def _grown(self, radius: float) -> "BallObstacle":
         return replace(self, radius=self.radius + radius)
 
 
@@ -137,7 +135,7 @@ class PolytopeObstacle(RigidObstacle):
         """The polytope at t = 0."""
         return Polytope(np.asarray(self.H), np.asarray(self.b))
 
-    def _grown(self, radius: float) -> PolytopeObstacle:
+    def _grown(self, radius: float) -> "PolytopeObstacle":
         return replace(self, b=np.asarray(self.b) + radius)
 
     @cached_property

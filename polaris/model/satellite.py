@@ -1,7 +1,5 @@
 """Another spacecraft: an uncertain state carried by the same dynamics, freely or under bounded thrust."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -76,7 +74,7 @@ class SatelliteObstacle(Obstacle):
         """The ball about the true centre."""
         return Ball(self.radius)
 
-    def _grown(self, radius: float) -> SatelliteObstacle:
+    def _grown(self, radius: float) -> "SatelliteObstacle":
         return replace(self, radius=self.radius + radius)
 
     @property

@@ -4,8 +4,6 @@ Distances are positive outside a shape and negative inside (penetration depth). 
 closed: touching counts as entering, and round-off in that decision errs towards "enters".
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -262,7 +260,7 @@ class Box(Polytope):
     """Axis-aligned box about the origin, distances in closed form."""
 
     @classmethod
-    def of(cls, half_widths: Array) -> Box:
+    def of(cls, half_widths: Array) -> "Box":
         """From half widths [m], shape (d,)."""
         eye = np.eye(len(half_widths))
         return cls(np.vstack([eye, -eye]), np.r_[half_widths, half_widths])

@@ -1,7 +1,5 @@
 """How far what thrusters apply may be from what they are commanded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +22,7 @@ class Thrusters:
             raise ScenarioError("thrusters", sizes, "must be finite numbers >= 0")
 
     @classmethod
-    def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> Thrusters:
+    def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> "Thrusters":
         """From errors of magnitude, direction [rad], mass and rounding [N] of m inputs; rounded up."""
         most = (1 + magnitude) / (1 - mass)
         along, across = (magnitude + mass) / (1 - mass), 2 * float(np.sin(misalignment / 2)) * most

@@ -16,43 +16,22 @@ class Timing:
     """What lies between a measurement and the thrust that answers it (theory, Lemmas 25, 26, 36, 37).
 
     Controllers act on the state as it is predicted for the instant at which their command takes effect.
-
-    Parameters
-    ----------
-    delay, jitter : float
-        From a measurement until the command that rests on it takes effect, and by how much that may vary [s].
-    missed : int
-        Periods in a row in which there may be no new measurement.
-    clock : float
-        How far the schedule's clock may be from that of the unsafe sets [s].
-    bit, longer : float
-        Error of an input, whatever its command, without jitter and pulses [N]; the share of a period by which
-        a command may be in force for longer.
-    measured, displaced : tuple of float
-        Bounds on the errors of the measured states, and on how far jitter, pulses, and what is carried
-        displace states, (n,).
-    fired, pulsed : tuple of float
-        Thrust of the pulses that make every input, each in the middle of its period [N], (m,), and their part
-        of what is displaced, which is nothing at nodes (n,); empty where commands are held.
-    carried, period : float
-        Impulse of an input, at most, that is left to the next period [N s]; the period [s], if any is.
-    unseen : tuple of tuple of float
-        What a unit of errors of the inputs may add to those of predictions until it is measured, (n, m).
     """
 
-    delay: float = 0.0
-    jitter: float = 0.0
-    missed: int = 0
-    clock: float = 0.0
-    bit: float = 0.0
-    longer: float = 0.0
-    measured: tuple[float, ...] = ()
-    displaced: tuple[float, ...] = ()
-    fired: tuple[float, ...] = ()
-    pulsed: tuple[float, ...] = ()
-    carried: float = 0.0
-    period: float = 0.0
+    delay: float = 0.0  # from a measurement until the command that rests on it takes effect [s]
+    jitter: float = 0.0  # by how much that may vary [s]
+    missed: int = 0  # periods in a row in which there may be no new measurement
+    clock: float = 0.0  # how far the schedule's clock may be from that of the unsafe sets [s]
+    bit: float = 0.0  # error of an input, whatever its command, without jitter and pulses [N]
+    longer: float = 0.0  # share of a period by which a command may be in force for longer
+    measured: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)
+    displaced: tuple[float, ...] = ()  # how far jitter, pulses, and what is carried displace states, (n,)
+    fired: tuple[float, ...] = ()  # thrust of the pulses of every input, each in the middle of its period [N]
+    pulsed: tuple[float, ...] = ()  # their part of what is displaced, nothing at nodes, (n,)
+    carried: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
+    period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[float, ...], ...] = ()
+    """What a unit of errors of the inputs may add to those of predictions until it is measured, (n, m)."""
 
     @property
     def hidden(self) -> int:
@@ -69,28 +48,14 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force.
+    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force."""
 
-    Parameters
-    ----------
-    measures : ndarray, shape (r, n)
-        What is measured of a state.
-    noise : ndarray, shape (r,)
-        Bounds on the errors of what is measured.
-    gain : ndarray, shape (n, r)
-    initial, settled : ndarray, shape (n,), optional
-        Bounds on the errors of the estimate at first, and of one that has long been made; of such a one there
-        is talk where `initial` is left out.
-    fading : ndarray, shape (K + 1, n), optional
-        What the first errors still add in each step of a schedule, and ever after.
-    """
-
-    measures: Array
-    noise: Array
-    gain: Array
-    initial: Array | None = None
-    settled: Array | None = None
-    fading: Array | None = None
+    measures: Array  # what is measured of a state, (r, n)
+    noise: Array  # bounds on the errors of what is measured, (r,)
+    gain: Array  # (n, r)
+    initial: Array | None = None  # bounds on the errors of the first estimate, (n,), unless long in use
+    settled: Array | None = None  # of one that has long been made, (n,)
+    fading: Array | None = None  # what the first errors still add in each step and ever after, (K + 1, n)
 
     @property
     def rest(self) -> Array:

@@ -8,31 +8,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Transient:
-    """Of one fault, once in a flight, the time until S flies on for good (docs/theory.md, Lemma 41).
+    """Of one fault, once in a flight, the time until S flies on for good (docs/theory.md, Lemma 41)."""
 
-    Attributes
-    ----------
-    name : str
-        Kind of the fault.
-    lasts : float
-        For how long at most [s].
-    thrust : ndarray, shape (N, m)
-        Inputs that each thruster alone makes at its limit, of which one may fail [N]; none of them where it
-        is navigation that is lost, and S flies on at once.
-    share : float
-        Of its thrust that is lost, or pushes without being asked to.
-    gains : ndarray, shape (m, n)
-        Largest size of every entry of the gains of all experimental controllers that have one.
-    networks : ndarray, shape (m, n), optional
-        The same of networks, where any fly: how steep they are in the state.
-    """
-
-    name: str
-    lasts: float
+    name: str  # kind of the fault
+    lasts: float  # for how long at most [s]
     thrust: NDArray[np.float64]
-    share: float
-    gains: NDArray[np.float64]
-    networks: NDArray[np.float64] | None = None
+    """Inputs that each thruster alone makes at its limit, of which one may fail [N], (N, m); none of them
+    where it is navigation that is lost, and S flies on at once."""
+    share: float  # of its thrust that is lost, or pushes without being asked to
+    gains: NDArray[np.float64]  # largest sizes of the entries of all experimental controllers' gains, (m, n)
+    networks: NDArray[np.float64] | None = None  # the same of networks: how steep they are in the state
 
     @property
     def pushes(self) -> NDArray[np.float64]:

@@ -1,7 +1,5 @@
 """References made with a controller in view: paths whose inputs are those of its own law, step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -26,7 +24,7 @@ class Followed:
     f: Array  # (K, m)
 
     @classmethod
-    def of(cls, system: LinearSystem, transition: Array, own: Reference) -> Followed:
+    def of(cls, system: LinearSystem, transition: Array, own: Reference) -> "Followed":
         """The constant inputs that come closest to a law about its own reference.
 
         About it the error moves by `transition` (n, n) in a step; a constant input that moves it likewise is

@@ -1,7 +1,5 @@
 """What the planner is asked (`PlanProblem`), how (`PlannerOptions`), and what it answers (`Plan`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal

@@ -1,7 +1,5 @@
 """Reference trajectories: D2C of section III-C, exact between the waypoints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,7 +33,7 @@ class Reference:
     nu: Array
 
     @classmethod
-    def propagate(cls, system: LinearSystem, delta: float, x0: Array, nu: Array) -> Reference:
+    def propagate(cls, system: LinearSystem, delta: float, x0: Array, nu: Array) -> "Reference":
         """Build from an initial state and inputs by exact zero-order-hold discretization (eq. 13)."""
         Ad, Bd = discretize(system.A, system.B, delta)
         chi = np.empty((len(nu) + 1, system.n))
@@ -73,7 +71,7 @@ class Reference:
         rate = nodes[:, :-1] @ A.T + (self.nu @ self.system.B.T)[:, None, :]
         return np.asarray(np.abs(rate) @ growth(A, self.delta / (nodes.shape[1] - 1)).T)
 
-    def extend(self, cells: int) -> Reference:
+    def extend(self, cells: int) -> "Reference":
         """The same trajectory followed by `cells` steps with zero input (coasting)."""
         tail = Reference.propagate(self.system, self.delta, self.chi[-1], np.zeros((cells, self.system.m)))
         return Reference(

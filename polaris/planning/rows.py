@@ -4,8 +4,6 @@ The states are condensed out: every condition is a row over the inputs alone. Th
 shares ``z = nu / u_limit``-free of units (``nu_k,i = u_max_i z_k,i``), positions in units of `length`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any

@@ -8,8 +8,6 @@ cells far from every obstacle are never looked at. A child waits with a bound re
 simplex basis and is solved only when no open node has a lower one; most never are.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The scene on which run-time assurance methods meet: one time grid, one reference, the same controllers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
@@ -62,7 +60,7 @@ class DecisionGrid:
     @classmethod
     def of(
         cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = None
-    ) -> DecisionGrid:
+    ) -> "DecisionGrid":
         """Lay the fine grid.
 
         Parameters
@@ -114,7 +112,7 @@ class DecisionGrid:
         moved = 0.0 if half_widths is None else known.system.displaced
         return cls(schedule, period, latency, half + moved + np.zeros(n), tracking, clearance, nodes, delay)
 
-    def profiled(self) -> DecisionGrid:
+    def profiled(self) -> "DecisionGrid":
         """The same, errors of thrusters under S booked as the schedule books them: by commands that fall.
 
         Otherwise they are booked for all that the thrusters have, which leaves S all of its commands.

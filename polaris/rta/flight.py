@@ -1,7 +1,5 @@
 """Closed-loop flights of one method, all runs at once, under conditions that every method shares."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,7 +33,7 @@ class Conditions:
     seed: int
 
     @classmethod
-    def draw(cls, grid: DecisionGrid, runs: int, seed: int) -> Conditions:
+    def draw(cls, grid: DecisionGrid, runs: int, seed: int) -> "Conditions":
         """Half of the runs under random disturbances, half under worst cases.
 
         The worst cases are those of the flights of S alone, of U alone and of the schedule, in equal
@@ -65,13 +63,13 @@ class Conditions:
         return cls(x0, np.concatenate(parts, axis=1), errors, seed)
 
     @classmethod
-    def undisturbed(cls, grid: DecisionGrid) -> Conditions:
+    def undisturbed(cls, grid: DecisionGrid) -> "Conditions":
         """One run from the middle of the initial set, exactly known."""
         x0, last = grid.schedule.safety.problem.initial_set.c[None], grid.decisions * grid.nodes
         none = np.zeros((grid.decisions, 1, grid.system.n))
         return cls(x0, np.zeros((last, 1, Engine(grid).columns[-1].stop)), none, 0)
 
-    def only(self, run: int) -> Conditions:
+    def only(self, run: int) -> "Conditions":
         """Those of one run."""
         one = slice(run, run + 1)
         return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed)

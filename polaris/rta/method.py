@@ -1,7 +1,5 @@
 """The one protocol of all run-time assurance methods, their registry, and what they answer."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -15,7 +13,7 @@ from ..synthesis.black_box import BlackBox
 from .decision_grid import DecisionGrid
 
 FILTERED = -1  # mode of a period in which neither S nor U flies but an input that a filter has chosen
-METHODS: dict[str, type[Method]] = {}
+METHODS: dict[str, type["Method"]] = {}
 """Every method by its key, in the order of tables; classes put themselves in."""
 
 
@@ -63,7 +61,7 @@ class Choice:
     u: Array | None = None
 
     @classmethod
-    def between(cls, inside: NDArray[np.bool_], margin: Array) -> Choice:
+    def between(cls, inside: NDArray[np.bool_], margin: Array) -> "Choice":
         """U where it is accepted (reason 0), S elsewhere (reason 1)."""
         return cls(np.where(inside, 1, 0), margin, np.where(inside, 0, 1))
 
@@ -145,7 +143,7 @@ class Method(ABC):
         self.settings: dict[str, float] = {}
 
     @classmethod
-    def on(cls, grid: DecisionGrid, **options: Any) -> Method:
+    def on(cls, grid: DecisionGrid, **options: Any) -> "Method":
         """The method as it flies in a comparison, on a grid of its own if that suits it better."""
         if cls.predicts and any(isinstance(law, BlackBox) and law.memory for law in grid.controllers):
             told = "it would ask what a black box with memory answers in flights that are not flown"

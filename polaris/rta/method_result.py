@@ -1,7 +1,5 @@
 """What a method's flights amount to, and how two methods differ run by run."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -97,7 +95,7 @@ class MethodResult:
         out["synthesis_s"] = self.synthesis_s
         return out
 
-    def against(self, other: MethodResult) -> list[dict[str, Any]]:
+    def against(self, other: "MethodResult") -> list[dict[str, Any]]:
         """Differences to another method, run by run, with 95 % intervals of their means."""
         rows = []
         mine, theirs = self.columns, other.columns

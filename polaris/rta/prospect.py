@@ -5,8 +5,6 @@ Everything that does not depend on the measurement is worked out beforehand. Man
 order of sums.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from math import hypot, inf
 
@@ -47,7 +45,7 @@ class Leg:
     zeta: Array = field(default_factory=lambda: np.zeros((0, 2, 0)))
 
     @classmethod
-    def declared(cls, recovery: Recovery, mode: int) -> Leg:
+    def declared(cls, recovery: Recovery, mode: int) -> "Leg":
         """A controller at its declared law, unclipped on the exact state: the clip then adds to no error."""
         grid, law = recovery.grid, recovery.grid.controllers[mode]
         assert isinstance(law, AffineController)
@@ -62,14 +60,14 @@ class Leg:
         return cls(flow, zeta[:, 1] - zeta[:, 0] @ flow.phi.T, flow.period_zonotope.G, law, zeta)
 
     @classmethod
-    def held(cls, recovery: Recovery) -> Leg:
+    def held(cls, recovery: Recovery) -> "Leg":
         """An input that is held from node to node, less what it does: ``input_map`` adds that."""
         grid, flow = recovery.grid, recovery.open_flow
         steps = -grid.mu[: grid.last] @ flow.input_map(grid.system.B).T
         return cls(flow, steps, flow.period_zonotope.G)
 
     @classmethod
-    def any_thrust(cls, recovery: Recovery) -> Leg:
+    def any_thrust(cls, recovery: Recovery) -> "Leg":
         """Anything within the thrust limits."""
         system, held = recovery.grid.system, cls.held(recovery)
         size = np.abs(system.B) @ system.u_max

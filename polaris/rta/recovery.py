@@ -10,8 +10,6 @@ nodes (`Recovery.bow`). So if two successive nodes meet the facets of the cell b
 one to the other does, whoever flies.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,13 +52,10 @@ class Recovery:
     grid: DecisionGrid
 
     @classmethod
-    def certified(cls, grid: DecisionGrid) -> Recovery:
+    def certified(cls, grid: DecisionGrid) -> "Recovery":
         """The conditions, if the initial set meets them at the first node: what every proof starts from.
 
-        Raises
-        ------
-        NotCertified
-            If it does not.
+        Raises `NotCertified` if it does not.
         """
         found, start = cls(grid), grid.schedule.safety.start
         size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))

@@ -30,37 +30,16 @@ class TrainingFlights:
     end to the reference of the first experimental controller (the safe one if that has none), and one less
     where it collides: at most 1 per flight.
 
-    Parameters
-    ----------
-    grid : DecisionGrid
-        Without latency.
-    runs : int
-    inputs : tuple of str
-        As those of `Policy`.
-    input_scale : ndarray, shape (r,), optional
-        By default such that every number is about 1 along the safe reference.
-    length : float, optional
-        [m]; by default a tenth of the way from the reference's start to its end, or of 1 m.
-    effort : float
-        Price of full thrust.
-
-    Attributes
-    ----------
-    k : ndarray of int, shape (R,)
-        Decisions made.
-    x : ndarray, shape (R, n)
-        States.
-    monitor : Monitor or None
-        Decides who flies; without it always the policy does.
+    It has the states `x` (R, n), and `k` (R,), the decisions made.
     """
 
-    grid: DecisionGrid
+    grid: DecisionGrid  # without latency
     runs: int
-    inputs: tuple[str, ...] = ("error",)
-    input_scale: Array | None = None
-    length: float | None = None
-    effort: float = 0.05
-    monitor: Monitor | None = field(default=None, init=False)
+    inputs: tuple[str, ...] = ("error",)  # as those of `Policy`
+    input_scale: Array | None = None  # (r,); by default every number is about 1 along the safe reference
+    length: float | None = None  # [m]; by default a tenth of the reference's way, or of 1 m
+    effort: float = 0.05  # price of full thrust
+    monitor: Monitor | None = field(default=None, init=False)  # who decides who flies; None: the policy does
 
     def __post_init__(self) -> None:
         grid, n = self.grid, self.grid.system.n
@@ -93,10 +72,7 @@ class TrainingFlights:
     def shield(self, reentry: float = REENTRY) -> None:
         """Let the online monitor decide, which assumes nothing of the policy but the thrust limits.
 
-        Raises
-        ------
-        NotCertified
-            If the initial set is not inside the first recoverable set.
+        Raises `NotCertified` if the initial set is not inside the first recoverable set.
         """
         self.monitor = Monitor(self.grid, "thrust_limits", reentry=reentry)
         self.monitor.modes = (1,)  # whoever it is: the policy

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model.errors import ScenarioError
-from ..scenario.scenario import MonteCarloScenario, Scenario, ScheduleScenario, load_scenario
+from ..scenario.scenario import MonteCarloScenario, Scenario, ScheduleScenario, load_scenario, loaded
 from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
@@ -57,8 +57,8 @@ def run(
     executor, fresh
         Of many flights: who flies, and whether others are replaced, as in `run_campaign`.
     black_boxes : mapping, optional
-        What is asked of a schedule's black boxes, by their names: called with a time [s], states (R, n) and
-        the state (n,) of the safe reference, it returns commands (R, m). A scenario file starts no program.
+        What is asked of black boxes, by name: from a time [s], states (R, n) and the state (n,) of the safe
+        reference it returns commands (R, m). A scenario file starts no program.
 
     Raises
     ------
@@ -75,11 +75,7 @@ def run(
     ...     print(folder.summary["safe"], folder.picture().x.shape)
     True (6, 5, 6)
     """
-    stages = stages or Stages()
-    if isinstance(scenario, Scenario):
-        scenario = scenario.with_assignments(overrides)
-    else:
-        scenario = load_scenario(scenario, overrides, only=Scenario)
+    stages, scenario = stages or Stages(), loaded(scenario, overrides, Scenario)
     target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
         return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
@@ -87,8 +83,7 @@ def run(
     assert kind.fly is not None
     if black_boxes and not isinstance(scenario, ScheduleScenario):
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
-    boxes = {"boxes": black_boxes} if black_boxes else {}
-    found = kind.fly(scenario, stages, **boxes)
+    found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
         return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
 

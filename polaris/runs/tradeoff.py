@@ -18,7 +18,7 @@ from ..model.errors import (
 )
 from ..model.version import versions
 from ..scenario.base import parse_assignment
-from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..scenario.scenario import ScheduleScenario, loaded
 from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
@@ -52,9 +52,7 @@ def tradeoff(
 ) -> RunFolder:
     """Find what the time of U costs, or what it hangs on: a scenario's schedules at several values of a key.
 
-    Each point is a run folder of its own, as `polaris.run` writes it. Beside prices of velocity change one
-    more is that of the printed algorithms. Points that are there already, whole and from the same scenario
-    and versions, are kept: what was stopped goes on where it was.
+    Each point is a run folder; points already there, whole and from the same scenario and versions, are kept.
 
     Parameters
     ----------
@@ -67,57 +65,34 @@ def tradeoff(
         scenario by their keys, as in ``navigation.position_error_m``: each is changed alone.
     share : float
         Share of the time under U for which the summary says how far such a field may go.
-    overrides : sequence of str
-        Texts ``key=value`` that hold at all points.
-    draw : callable, optional
-        Puts the figure into the folder: `polaris.draw_run`, which can also do so later.
-    stages : Stages, optional
-        Told how many points there are.
-    executor : concurrent.futures.Executor or Workers, optional
-        Who computes points, as in `run_campaign`; by default this process.
-    black_boxes : mapping, optional
-        As for `polaris.run`; then this process computes all points anew: no folder tells whose they are.
+    overrides, draw, stages, executor, black_boxes
+        As for `polaris.run`; overrides hold at all points, which `executor` computes; with black boxes this
+        process computes all of them anew.
 
     Returns
     -------
     RunFolder
-        Its summary, ``tradeoff.json``, has a row for each point, by value, the printed algorithms' last.
-        What is infeasible with a value of a field is a row, too.
+        ``tradeoff.json`` has a row for each point, infeasible ones too, the printed algorithms' last.
 
     Raises
     ------
-    ScenarioError
-        If the scenario or a price is not valid, or `out` is something else or cannot be written.
-    SynthesisInfeasible, NotCertified
-        As a `PolarisError` with their exit code, if a price has no schedule.
+    PolarisError
+        `ScenarioError` for what is not valid, or `out`; that of a point if a price has no schedule.
     """
     stages = stages or Stages()
     if black_boxes and executor is not None:
-        rule = "must be left out: black boxes are asked here"
-        raise ScenarioError("executor", type(executor).__name__, rule)
-    if isinstance(scenario, ScheduleScenario):
-        scenario = scenario.with_assignments(overrides)
-    else:
-        scenario = load_scenario(scenario, overrides, only=ScheduleScenario)
+        raise ScenarioError(
+            "executor", type(executor).__name__, "must be left out: black boxes are asked here"
+        )
+    scenario = loaded(scenario, overrides, ScheduleScenario)
     if not 0 < number("share", share) <= 1:
         raise ScenarioError("share", share, "must be above 0 and at most 1")
-    swept = isinstance(prices, Mapping)
-    values = _named(prices if isinstance(prices, Mapping) else {PRICE: prices})
-    fields = {field for field, _ in values.values()}
-    for field in fields & {parse_assignment(text)[0] for text in overrides}:
-        raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
-    if PRICE in fields and scenario.model.recoverable.recourse == "none":
-        raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
-    set_to = {name: f"{key}={repr(value).removesuffix('.0')}" for name, (key, value) in values.items()}
-    points = {name: scenario.with_assignments([text]) for name, text in set_to.items()}
-    if not swept:
-        values["printed"] = PRICE, None
-        points["printed"] = scenario.with_assignments([f"{RECOURSE}=none"])
+    values = _named(prices)
+    points, swept = _points(scenario, values, overrides), "printed" not in values
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
-        missing = [(target / name, one, swept, black_boxes) for name, one in points.items()]
-        missing = [point for point in missing if black_boxes or not _whole(*point[:2])]
-        _compute(missing, len(points), target, workers_of(executor), stages.counting("{} of {} points"))
+        every = [(target / name, one, swept, black_boxes) for name, one in points.items()]
+        _compute(every, target, workers_of(executor), stages.counting("{} of {} points"))
         rows = [_row(target, name, *values[name]) for name in points]
     with stages.stage("folder"):
         chosen: list[bool | None] = [None] * len(rows) if swept else [*non_dominated(rows)]
@@ -125,10 +100,26 @@ def tradeoff(
         return write_folder(target, TRADEOFF, scenario, (told, share), draw=draw, stages=stages)
 
 
-def _named(values: Mapping[str, Iterable[float]]) -> dict[str, tuple[str, float | None]]:
-    """Fields and values in order, by the names of their folders."""
+def _points(
+    scenario: ScheduleScenario, values: Values, overrides: Sequence[str]
+) -> dict[str, ScheduleScenario]:
+    """The scenario of every point, by the name of its folder."""
+    fields = {field for field, _ in values.values()}
+    for field in fields & {parse_assignment(text)[0] for text in overrides}:
+        raise ScenarioError("--set", field, "must be left out: its values are those of the trade-off")
+    if PRICE in fields and scenario.model.recoverable.recourse == "none":
+        raise ScenarioError(RECOURSE, "none", "must be left out: without recourse no price is paid")
+    texts = {
+        name: f"{RECOURSE}=none" if value is None else f"{key}={repr(value).removesuffix('.0')}"
+        for name, (key, value) in values.items()
+    }
+    return {name: scenario.with_assignments([text]) for name, text in texts.items()}
+
+
+def _named(values: Iterable[float] | Mapping[str, Iterable[float]]) -> Values:
+    """Fields and values in order, by the names of their folders; beside prices alone none, as printed."""
     out: dict[str, tuple[str, float | None]] = {}
-    for field, given in values.items():
+    for field, given in (values if isinstance(values, Mapping) else {PRICE: values}).items():
         said = "prices" if field == PRICE else field
         found = [number(said, value) + 0.0 for value in given]  # -0 is 0
         if field == PRICE:
@@ -139,7 +130,7 @@ def _named(values: Mapping[str, Iterable[float]]) -> dict[str, tuple[str, float 
         out |= {f"{folder}-{repr(value).removesuffix('.0')}": (field, value) for value in sorted(found)}
     if not out:
         raise ScenarioError("fields", [], "must be at least one")
-    return out
+    return out if isinstance(values, Mapping) else {**out, "printed": (PRICE, None)}
 
 
 def _row(target: Path, name: str, field: str, value: float | None) -> Row:
@@ -176,10 +167,11 @@ def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
 
 
 def _compute(
-    missing: Sequence[Point], count: int, target: Path, workers: Workers, progress: Callable[[int, int], None]
+    points: Sequence[Point], target: Path, workers: Workers, progress: Callable[[int, int], None]
 ) -> None:
-    """Write the run folders of the points that are not there yet, of so many in all."""
-    done = count - len(missing)
+    """Write the run folders of the points that are not there yet, or whose black boxes are asked anew."""
+    missing = [point for point in points if point[3] or not _whole(*point[:2])]
+    count, done = len(points), len(points) - len(missing)
     progress(done, count)
 
     def keep(point: Point, failure: tuple[str, int] | None) -> None:

@@ -1,7 +1,5 @@
 """What scenarios of every kind share: their data, their overrides, and that what was built once is kept."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re
@@ -17,7 +15,7 @@ from ..model.errors import ScenarioError
 from .fields import ScenarioPart
 from .reading import NOTHING, did_you_mean, join_path, printable, validate, write_toml
 
-KINDS: dict[str, type[Scenario]] = {}
+KINDS: dict[str, type["Scenario"]] = {}
 """Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""
 
 _KEY = re.compile(r"[A-Za-z0-9_-]+(\[\d{1,4}\])*(\.[A-Za-z0-9_-]+(\[\d{1,4}\])*)*")

@@ -1,7 +1,5 @@
 """Experimental controllers as a scenario describes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -53,10 +51,8 @@ def read_policies(
 ) -> dict[str, tuple[Path, Policy]]:
     """Networks of a scenario and their files, by the name of their controller.
 
-    Raises
-    ------
-    ScenarioError
-        If feedback is not sampled, a file cannot be read, or a network does not fit the system.
+    Raises `ScenarioError` if feedback is not sampled, a file cannot be read, or a network does not fit the
+    system.
     """
     found: dict[str, tuple[Path, Policy]] = {}
     for path, spec in model.controllers():

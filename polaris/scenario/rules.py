@@ -4,8 +4,6 @@ Each check raises `ScenarioError` with the field as in the TOML, what was given,
 run in an order in which each may rely on those before it (shapes before anything that multiplies).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 

@@ -10,7 +10,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar, cast, overload
 
 from ..model.errors import ScenarioError
 from .base import KINDS, SCHEDULE, Scenario, overridden, parse_assignment
@@ -118,3 +118,10 @@ def load_scenario(
     noted = () if isinstance(overrides, Mapping) else tuple(overrides)
     values = overrides if isinstance(overrides, Mapping) else dict(map(parse_assignment, noted))
     return only._of(overridden(document, values, where), where, None if values else text, noted, path.parent)
+
+
+def loaded(scenario: str | Path | Wanted, overrides: Sequence[str], only: type[Wanted]) -> Wanted:
+    """A scenario by its name or path, or one that is loaded, under texts ``key=value``."""
+    if isinstance(scenario, only):
+        return scenario.with_assignments(overrides)
+    return load_scenario(cast(str | Path, scenario), overrides, only=only)

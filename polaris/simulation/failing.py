@@ -1,7 +1,5 @@
 """Faults that are isolated late as they are flown: one in each flight, when it is worst or at random."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,7 +25,7 @@ class Failing:
     lost: NDArray[np.bool_]
     gap: Array = field(repr=False)
 
-    def pick(self, chosen: NDArray[np.intp]) -> Failing:
+    def pick(self, chosen: NDArray[np.intp]) -> "Failing":
         """Some of the flights."""
         when = self.begins[chosen], self.ends[chosen]
         return Failing(
@@ -40,7 +38,7 @@ class Failing:
         return {name: getattr(self, name)[0].tolist() for name in names}
 
     @classmethod
-    def of(cls, table: dict[str, Any], n: int) -> Failing:
+    def of(cls, table: dict[str, Any], n: int) -> "Failing":
         """One flight with n states from a `table`."""
         return cls(**{name: np.array([x]) for name, x in table.items()}, gap=np.zeros((1, n)))
 

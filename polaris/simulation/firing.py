@@ -1,7 +1,5 @@
 """What thrusters make of commands, and what centred pulses make of a flight."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

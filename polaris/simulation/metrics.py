@@ -1,7 +1,5 @@
 """Metrics of simulated runs, one entry per run, how a summary joins them, and confidence intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -102,7 +100,7 @@ class Metrics:
     nearest: Array
 
     @classmethod
-    def join(cls, parts: Sequence[Metrics]) -> Metrics:
+    def join(cls, parts: Sequence["Metrics"]) -> "Metrics":
         """Metrics of several batches of runs of the same controller, together."""
         if len(parts) == 1:
             return parts[0]

@@ -1,7 +1,5 @@
 """What simulated runs amount to: distances, times to collision, usage and velocity change per run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
 
@@ -54,7 +52,7 @@ class Runs:
     modes: NDArray[np.int_]
     bodies: Mapping[str, Array] = field(default_factory=dict)
 
-    def some(self, chosen: slice | list[int]) -> Runs:
+    def some(self, chosen: slice | list[int]) -> "Runs":
         """Some of the runs."""
         parts = ("states", "inputs", "demanded", "delta_v")
         bodies = {name: states[chosen] for name, states in self.bodies.items()}

@@ -43,34 +43,27 @@ def simulate(
     initial : {"mixed", "center", "random", "corners"}
         States drawn from Theta; ``mixed`` takes corners for half of the runs.
     disturbance : {"mixed", "none", "random", "worst"}
-        ``worst`` is the closed-form worst case of a randomly chosen facet and instant, along the
-        controllers as they fly; ``random`` is piecewise constant, half of it on the bound.
+        ``worst``: in closed form for a random facet and instant; ``random``: half of it on the bound.
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
-        Integration steps per node: by default 4 for continuous feedback, 1 for sampled feedback (which is
-        exact, for pulses too).
+        Integration steps per node: by default 4, or 1 for sampled feedback (exact, for pulses too).
 
     Returns
     -------
     Runs
-
-    Notes
-    -----
-    Feedback is integrated by a fourth-order Runge-Kutta scheme on the exact reference (continuous
-    feedback) or by exact zero-order hold (sampled feedback). Thrusters clip every command. An observer is
-    flown as it would be on board; without one, estimates err within their bounds.
+        By a fourth-order Runge-Kutta scheme on the exact reference, or exact zero-order hold if feedback is
+        sampled. An observer is flown as it would be on board.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
-    whole("simulation.runs", n, 1)
-    whole("simulation.seed", seed, 0)
+    if substeps is None:
+        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
+    for name, value, least in (("runs", n, 1), ("seed", seed, 0), ("substeps", substeps, 1)):
+        whole(f"simulation.{name}", value, least)
     one_of("simulation.initial", initial, INITIALS)
     one_of("simulation.disturbance", disturbance, DISTURBANCES)
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
-    if substeps is None:
-        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
-    whole("simulation.substeps", substeps, 1)
     rng = np.random.default_rng(seed)
     observed = schedule.safety.problem.system.observer is not None
     flight = (Predicting if observed else Integrator)(schedule, flown_modes(schedule, tail, mode), substeps)
@@ -81,12 +74,17 @@ def simulate(
     if initial in ("corners", "mixed") and len(adjoint):
         # The worst disturbance strikes hardest from the corner that lies furthest in its direction.
         x0[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
-    if flight.columns[-1].start < flight.columns[-1].stop and disturbance != "none":
-        # Networks that read where others are read the truth.
-        problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
-        times = np.asarray(np.arange(len(flight.modes) * flight.q + 1) * h, dtype=float)
-        flight.bodies = true_states(problem.unsafe, problem.system, times, n, rng)
+    if disturbance != "none":
+        _show_bodies(flight, n, rng)
     return flight.run(x0, w)
+
+
+def _show_bodies(flight: Integrator, n: int, rng: np.random.Generator) -> None:
+    """Networks that read where others are read the truth."""
+    if flight.columns[-1].start < flight.columns[-1].stop:
+        safety = flight.schedule.safety
+        times = np.asarray(np.arange(len(flight.modes) * flight.q + 1) * safety.tracking.flow.h, dtype=float)
+        flight.bodies = true_states(safety.problem.unsafe, safety.problem.system, times, n, rng)
 
 
 def flown_modes(schedule: Schedule, tail: bool, mode: int | None = None) -> NDArray[np.int_]:

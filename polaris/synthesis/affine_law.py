@@ -1,7 +1,5 @@
 """The data of an affine feedback law: what its tube, its clip and its motion between nodes all read."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -34,7 +32,7 @@ class AffineLaw:
     clips: bool = False
     most: Array | None = None
     _relaxed: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
-    _levels: dict[bytes, AffineLaw] = field(default_factory=dict, repr=False)
+    _levels: dict[bytes, "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         shape = (self.system.m, self.system.n)

@@ -32,59 +32,30 @@ class Arrival:
     Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
     (`polaris.planning.goals.GoalConditions`), but a velocity counts for no more than the length it makes in a
     quarter of the horizon.
-
-    Attributes
-    ----------
-    reached : {True, False, "not_proven"}
-        Whether every admissible flight meets the goal's conditions, within the tolerance, at `by`; False if
-        not even the middle of the tube ever does.
-    by : float or None
-        When [s].
-    distance : float
-        Bound [m] on how far a flight may be from the goal at `by`, or at its best where that is not proven.
-    tolerance : float
-        What counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or what S needs to hold a
-        goal, if that is more.
-    drift : float or None
-        Bound [m] on the secular drift per orbit at that time; None outside Hill's frame.
-    delta_v : float
-        Velocity change until then [m/s], at most.
     """
 
     reached: bool | str
-    by: float | None
-    distance: float
+    """Whether every admissible flight meets the goal's conditions, within the tolerance, at `by`, or
+    ``"not_proven"``; False if not even the middle of the tube ever does."""
+    by: float | None  # when [s]
+    distance: float  # bound on how far a flight may be from the goal then, or at its best if not proven [m]
     tolerance: float
-    drift: float | None
-    delta_v: float
+    """What counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or what S needs to hold a
+    goal, if that is more."""
+    drift: float | None  # bound on the secular drift per orbit at that time [m]; None outside Hill's frame
+    delta_v: float  # velocity change until then, at most [m/s]
 
 
 @dataclass(frozen=True)
 class Upkeep:
-    """What S spends for as long as it flies on after T, once it has forgotten what it took over.
+    """What S spends for as long as it flies on after T, once it has forgotten what it took over."""
 
-    Attributes
-    ----------
-    settled : float
-        From when on [s].
-    spent : float
-        Velocity change until then [m/s], at most.
-    rate : float
-        Velocity change per second from then on [m/s^2], at most.
-    per_orbit : float or None
-        The same per orbit [m/s]; None outside Hill's frame.
-    tank : float or None
-        Velocity change that there is propellant for [m/s], if it is known.
-    lasts : float or None
-        Until when the tank certainly lasts [s]; None if it is not known, or for ever.
-    """
-
-    settled: float
-    spent: float
-    rate: float
-    per_orbit: float | None
-    tank: float | None
-    lasts: float | None
+    settled: float  # from when on [s]
+    spent: float  # velocity change until then, at most [m/s]
+    rate: float  # velocity change per second from then on, at most [m/s^2]
+    per_orbit: float | None  # the same per orbit [m/s]; None outside Hill's frame
+    tank: float | None  # velocity change that there is propellant for [m/s], if it is known
+    lasts: float | None  # until when the tank certainly lasts [s]; None if it is not known, or for ever
 
     def told(self) -> dict[str, float | None]:
         """What a run claims of it."""

@@ -151,10 +151,8 @@ def perceive_unsafe(problem: Problem, cells: int) -> tuple[TimedPolytope, ...]:
 def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope, ...]) -> PlanProblem:
     """The MIP of eqs. 14 to 19, with margins from S's tube and thrust limits tightened by it.
 
-    Raises
-    ------
-    SynthesisInfeasible
-        If correcting the initial error alone may demand more than the thrusters have.
+    Raises `SynthesisInfeasible` if correcting the initial error alone may demand more than the thrusters
+    have.
     """
     system, q, K = problem.system, tracking.feedback.nodes_per_cell, problem.K
     start = problem.initial_set - problem.initial_set.c

@@ -49,16 +49,11 @@ FARTHEST = 1e60
 
 @dataclass(frozen=True, eq=False)
 class FittedSegment(TubeSegment):
-    """A tube of commands that were fitted to samples.
-
-    Attributes
-    ----------
-    fit : ndarray, shape (q, m, n + 2)
-        What is applied from node i on is within ``fit[i, :, n + 1]`` of ``fit[i, :, :n] e + fit[i, :, n]``, e
-        the error there.
-    """
+    """A tube of commands that were fitted to samples."""
 
     fit: Array | None = None
+    """What is applied from node i on is within ``fit[i, :, n + 1]`` of ``fit[i, :, :n] e + fit[i, :, n]``, e
+    the error there; shape (q, m, n + 2)."""
 
     def outside(self, errors: Array, inputs: Array, moved: Array) -> Array:
         """How far inputs (R, q, m) at errors (R, q, n), known up to `moved` (n,), may be off, shape (R,).

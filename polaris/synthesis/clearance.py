@@ -47,15 +47,8 @@ class Tube:
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
     """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
 
-    Parameters
-    ----------
-    tracking : Tracking
-    start : Zonotope
-        Set of errors ``x - xi`` at time 0.
-    rows : ndarray, shape (r, n)
-        Directions; give both signs for a two-sided bound.
-    failing : bool
-        Whether a fault that is isolated late may occur, where any is declared.
+    `start` holds the errors ``x - xi`` at time 0, `rows` (r, n) directions. With `failing` a fault that is
+    isolated late may occur, where any is declared.
     """
     radius = float(start.norm_bound(tracking.W))
     curvature = tracking.curvature(rows)

@@ -4,8 +4,6 @@ Every controller flies one planning step at a time in error coordinates ``e = x 
 safe reference, so that its tube is compared with the recoverable sets directly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -121,7 +119,7 @@ class AffineController(AffineLaw):
             above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
             most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)
 
-    def _like(self, **known: Any) -> AffineController:
+    def _like(self, **known: Any) -> "AffineController":
         """The same law while it commands no more than so much, or knows its state so well."""
         if (system := known.get("system")) is self.system:
             return self
@@ -160,7 +158,7 @@ class AffineController(AffineLaw):
         segment = TubeSegment(error, bow, end.reduce(order), refused, slopes)
         return segment, np.minimum(commanded + noise, self.system.u_max)
 
-    def along(self, reference: Reference, tracking: Tracking) -> AffineController:
+    def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
         """The same law beside another safe reference; one that shares the safe reference shares that one."""
         own = reference if self.own is self.reference else self.own
         return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={}, _levels={})
@@ -201,7 +199,7 @@ class AnyThrust:
     reference: Reference
     tracking: Tracking
 
-    def along(self, reference: Reference, tracking: Tracking) -> AnyThrust:
+    def along(self, reference: Reference, tracking: Tracking) -> "AnyThrust":
         """The same beside another safe reference."""
         return replace(self, reference=reference, tracking=tracking)
 

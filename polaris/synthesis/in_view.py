@@ -89,15 +89,7 @@ def neighbours(mask: Mask) -> Iterator[Mask]:
 class Windows:
     """Windows for S along the path of one law, and the least velocity change with each.
 
-    Parameters
-    ----------
-    printed : Schedule
-        What the printed algorithms find: problem, tracker, a first plan.
-    law : AffineController
-        Whose path the reference follows outside the windows.
-    mode : int
-        The law's mode.
-    worth : Worth
+    `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
     """
 
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:

@@ -7,8 +7,6 @@ searches under stricter dwell times too. Neither depends on the rules asked for,
 what was found: loosening a rule never makes the result worse.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -29,8 +27,8 @@ class _Place:
     k: int
     reached: Zonotope
     mode: int = SAFETY
-    before: _Place | None = None
-    after: dict[int, _Place | None] = field(default_factory=dict)
+    before: "_Place | None" = None
+    after: dict[int, "_Place | None"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,6 @@ Its tube is that of `reach.networks.loop.NetworkLoop` in error coordinates about
 proposition and its proof stand in docs/theory.md.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -75,7 +73,7 @@ class NeuralController:
         """Sampled, as the safety controller's."""
         return self.tracking.feedback
 
-    def along(self, reference: Reference, tracking: Tracking) -> NeuralController:
+    def along(self, reference: Reference, tracking: Tracking) -> "NeuralController":
         """The same beside another safe reference; one that shares the safe reference shares that one."""
         own = reference if self.own is self.reference else self.own
         return replace(self, reference=reference, own=own, tracking=tracking)

@@ -1,7 +1,5 @@
 """What a network reads, and what it commands: the part of it that knows nothing of sets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -21,22 +19,15 @@ OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
 
 @dataclass(frozen=True, eq=False)
 class Senses:
-    """Everything that a policy may read, from the state and what it is told of bodies.
-
-    Attributes
-    ----------
-    system : LinearSystem
-    bodies : tuple of obstacles
-        Of each it is told position [m] and velocity [m/s], side by side.
-    """
+    """Everything that a policy may read, from the state and what it is told of bodies."""
 
     system: LinearSystem
-    bodies: tuple[RigidObstacle | SatelliteObstacle, ...]
+    bodies: tuple[RigidObstacle | SatelliteObstacle, ...]  # of each, position [m] and velocity [m/s]
 
     @classmethod
     def of(
         cls, system: LinearSystem, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
-    ) -> Senses:
+    ) -> "Senses":
         """Those that some inputs need, of a scene with some unsafe sets; names the field if one is none."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)

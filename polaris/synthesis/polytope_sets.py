@@ -285,19 +285,16 @@ class PolytopeSets:
         where = coarse[lags[:, None], index] > room
         lag, row, limit = np.broadcast_to(lags[:, None], index.shape)[where], index[where], room[where]
         need = errors @ carried[lag, row].T + radius[:, None] * weight[lag, row] + disturbance[lag, row]
-        return np.asarray(
-            np.all(need <= limit, axis=1) & (radius <= self._far[min(node, len(self._far) - 1)])
-        )
+        far = self._far[min(node, len(self._far) - 1)]
+        return np.asarray(np.all(need <= limit, axis=1) & (radius <= far))
 
     def radius(self, node: int) -> float:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         tracking = self.clearance.tracking
         carried, disturbance, curvature, _ = self.carried
         lags, cell, place = self._targets(node)
-        per_unit = (
-            np.linalg.norm(carried @ tracking.W_inverse, axis=-1) + curvature * tracking.decay_before[:, None]
-        )
-        index = self.index[cell]
+        per_unit = np.linalg.norm(carried @ tracking.W_inverse, axis=-1)
+        per_unit, index = per_unit + curvature * tracking.decay_before[:, None], self.index[cell]
         spare = self.room[cell, place] - np.take_along_axis(disturbance[lags], index, axis=1)
         near = np.min(spare / np.take_along_axis(per_unit[lags], index, axis=1), initial=np.inf)
         return float(max(min(near, self._far[min(node, len(self._far) - 1)]), 0.0))

@@ -29,10 +29,7 @@ def check_safety(safety: Safety, problem: Problem) -> None:
 
     Its kind of recoverable set and its share of thrust may be others than the problem asks for.
 
-    Raises
-    ------
-    ScenarioError
-        Naming the part, what it has, and what it must have.
+    Raises `ScenarioError`, naming the part, what it has, and what it must have.
     """
     _same("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
     _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
@@ -50,10 +47,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
 
     Of a class of one's own only what it shows can be compared: `system`, `reference`, `tracking`, `own`.
 
-    Raises
-    ------
-    ScenarioError
-        Naming the controller, what it has, and what it must have.
+    Raises `ScenarioError`, naming the controller, what it has, and what it must have.
     """
     if not isinstance(getattr(controller, "name", None), str) or not callable(
         getattr(controller, "fly", None)
@@ -91,10 +85,7 @@ def check_controller(controller: Controller, safety: Safety) -> None:
 def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Safety) -> TubeSegment:
     """What a controller of a class of one's own returns: sets of the right shapes that hold the start.
 
-    Raises
-    ------
-    ScenarioError
-        If it is no tube from that start over one step.
+    Raises `ScenarioError` if it is no tube from that start over one step.
     """
     if type(controller) in (AffineController, AnyThrust, NeuralController) and isinstance(tube, TubeSegment):
         return tube

@@ -1,7 +1,5 @@
 """The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
@@ -113,7 +111,7 @@ class Schedule:
     steps: tuple[Step, ...]
     final: Zonotope
     seconds: Mapping[str, float] = field(default_factory=dict)
-    library: tuple[Schedule, ...] = ()
+    library: tuple["Schedule", ...] = ()
     worth: Callable[[Mapping[int, float], float, float], float] | None = None
     statement: Statement | None = None
 
@@ -214,7 +212,7 @@ class Schedule:
         """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
         return powered(self.safety, [(step.mode, step.tube) for step in self.steps])
 
-    def aborted(self, k: int) -> Schedule:
+    def aborted(self, k: int) -> "Schedule":
         """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
 
         Raises

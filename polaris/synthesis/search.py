@@ -1,7 +1,5 @@
 """The choices that Algorithm 2 leaves: which controller comes first, how long it lasts, how many switches."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -131,7 +129,7 @@ class Search:
         experimental: Sequence[Controller] | None,
         rules: SwitchingRules | None,
         progress: Callable[[int, int], None] | None,
-    ) -> Search:
+    ) -> "Search":
         """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
 
         What does not belong together is refused because its tubes would mean nothing.

@@ -8,11 +8,9 @@ from scipy.linalg import expm
 
 from ..model.prediction import prediction_error
 from ..model.system import Array, LinearSystem
+from ..model.timing import WHOLE
 from ..model.tolerances import ROUNDING
 from ..model.transient import Transient
-
-WHOLE = 1e-9
-"""Share by which a delay may exceed a whole number of periods and count as one."""
 
 
 def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Array:

@@ -1,7 +1,5 @@
 """What a schedule is worth: what the search for references with U in view compares schedules by."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -30,7 +28,7 @@ class Worth:
     until: float  # instant [s] until which it is proven safe
 
     @classmethod
-    def beside(cls, printed: Schedule, rules: SwitchingRules) -> Worth:
+    def beside(cls, printed: Schedule, rules: SwitchingRules) -> "Worth":
         """Worth of the schedules of one scene, in units of what S alone would spend there."""
         problem = printed.safety.problem
         most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass

@@ -1,7 +1,5 @@
 """Metrics of a trace: distances, times to collision, usage, switches, running times."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,7 +38,7 @@ class Spread:
     share: float  # of the time with a finite value
 
     @classmethod
-    def of(cls, values: Array, t: Array) -> Spread:
+    def of(cls, values: Array, t: Array) -> "Spread":
         """Of values (N,) at times t (N,), inf among them."""
         finite, weight = np.isfinite(values), weights(t)
         mean = float(np.sum(values * weight)) if finite.all() else np.inf
@@ -168,7 +166,7 @@ class _Measurement:
     trace: Trace
     d: int | None
     wanted: Velocity
-    drift: Drift | None
+    drift: "Drift | None"
     radius: float
     notes: list[str]
 

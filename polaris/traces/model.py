@@ -1,7 +1,5 @@
 """What a trace holds, in memory: the stamped states and modes of agents, the stamped unsafe sets."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -223,7 +221,7 @@ class Trace:
         if not self.agents:
             raise ScenarioError("agents", {}, "must hold at least one agent")
 
-    def same_as(self, other: Trace) -> bool:
+    def same_as(self, other: "Trace") -> bool:
         """Whether both hold the same names, in the same order, and the same numbers."""
         pairs = (self.agents, other.agents), (self.unsafe, other.unsafe)
         return all(list(a) == list(b) and all(map(_same, a.values(), b.values())) for a, b in pairs)

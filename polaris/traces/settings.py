@@ -148,10 +148,7 @@ def restamp(trace: Trace) -> Trace:
     force from its time on (N-1 modes for N states). Unsafe sets that carry such stamps are treated the same;
     others keep theirs.
 
-    Raises
-    ------
-    ScenarioError
-        If an agent does not carry such stamps.
+    Raises `ScenarioError` if an agent does not carry such stamps.
     """
     for name, agent in trace.agents.items():
         if not stamped_by_simulator(agent.times):

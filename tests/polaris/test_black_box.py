@@ -17,10 +17,10 @@ from numpy.testing import assert_allclose
 from scipy.stats import binom
 
 import polaris
+from polaris.certificate.argument import check_statement
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import digest
 from polaris.certificate.inputs import _check_asked
-from polaris.certificate.samples import check_statement
 from polaris.certificate.verdict import Rejected
 from polaris.model.errors import NoAnswer, PolarisError, ScenarioError
 from polaris.rta.arena import compare_methods

@@ -29,10 +29,12 @@ from polaris.certificate.balls import (
     widths,
 )
 from polaris.certificate.checker import verify_document
+from polaris.certificate.coasting import prolonged
 from polaris.certificate.document import Document, digest
+from polaris.certificate.limits import Limits, Target
 from polaris.certificate.loop import Memory, Needs
 from polaris.certificate.motion import Plant, Push
-from polaris.certificate.recovery import Limits, Recovery, Target
+from polaris.certificate.recovery import Recovery
 from polaris.certificate.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
 from polaris.runs.certificate import certificate, hexadecimal
@@ -259,10 +261,10 @@ def test_an_orbit_followed_beyond_the_tail_keeps_its_precision(monkeypatch):
     path, document = argument.reference(), argument.document
     monkeypatch.setattr(document, "horizon", "infinite")
     forgetting = SimpleNamespace(periods=document.cells * document.q)
-    assert len(argument.prolonged(path, forgetting)[0].arcs) == document.steps + document.cells
+    assert len(prolonged(document, path, forgetting)[0].arcs) == document.steps + document.cells
     flint.ctx.prec = 24
     with pytest.raises(Imprecise, match="before the loop has forgotten"):
-        argument.prolonged(path, forgetting)
+        prolonged(document, path, forgetting)
 
 
 def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):

@@ -21,8 +21,8 @@ from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasibl
 from polaris.planning.problem import Progress
 from polaris.report.figures import FIGURES, draw_figures
 from polaris.runs.stages import planner_line
+from polaris.scenario.doubts import doubts
 from polaris.scenario.scenario import bundled_files, load_scenario
-from polaris.scenario.schedule import doubts
 
 from .tiny import TINY, flown, synthesised
 

@@ -13,7 +13,8 @@ pytest.importorskip("flint")
 from polaris.certificate.artefacts import SUMMARY
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import canonical, digest
-from polaris.certificate.inputs import _check_goal, _check_initial_set
+from polaris.certificate.inputs import _check_initial_set
+from polaris.certificate.own import check_goal
 from polaris.certificate.parts import UnsafeSet
 from polaris.certificate.perception import _check_obstacle, _row_support
 from polaris.certificate.repeated import _check_reason
@@ -91,7 +92,7 @@ def test_what_limits_the_initial_set_is_a_limit(lie):
 def test_a_scenario_has_an_orbit_to_end_in_only_in_hills_frame():
     spec = {"kind": "linear_nmt", "amplitude_max_m": 1e9}
     with pytest.raises(Rejected, match="Hill"):
-        _check_goal(spec, SimpleNamespace(mean_motion=None), [0.0] * 6, "goal", "the reference")
+        check_goal(spec, SimpleNamespace(mean_motion=None), [0.0] * 6, "goal", "the reference")
 
 
 @pytest.mark.parametrize("name", ["hasty", "s"])

@@ -9,11 +9,11 @@ import flint
 import numpy as np
 import pytest
 
+from polaris.certificate.argument import Argument
 from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document, digest
 from polaris.certificate.lemma import Stated
 from polaris.certificate.plants import precision_for
-from polaris.certificate.powered import WithAborts
 from polaris.certificate.verdict import Record
 from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.report.html.run_report import aborts
@@ -268,7 +268,7 @@ def verified(scenario, schedule):
     known = Stated(orbit=table["goal"] if orbit["kind"] == "goal" else orbit)
     before, flint.ctx.prec, record = flint.ctx.prec, precision_for(document), Record()
     try:
-        WithAborts(document, record, known).run()
+        Argument(document, record, known).run()
     finally:
         flint.ctx.prec = before
     return "powered_abort" in dict(record.checked)

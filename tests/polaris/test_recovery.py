@@ -10,9 +10,10 @@ pytest.importorskip("flint")
 from flint import arb
 
 from polaris.certificate.balls import column, identity, matrix
+from polaris.certificate.limits import Limits, Target
 from polaris.certificate.loop import Memory, Needs
 from polaris.certificate.motion import Plant
-from polaris.certificate.recovery import Limits, Recovery, Target
+from polaris.certificate.recovery import Recovery
 from polaris.certificate.verdict import Rejected
 from polaris.certificate.zonotopes import Zonotope
 

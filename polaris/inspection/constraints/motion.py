@@ -11,8 +11,6 @@ row that no admissible input can make negative within the period gets ``-inf``: 
 which there is no bound gets ``inf``: no input satisfies it. The proofs are in ``docs/inspection-theory.md``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +62,7 @@ class SampledData:
             raise ScenarioError("period", D, rule)
         return 1 / rest
 
-    def motion(self, z: Array, drift: Array, n: float, thrust: Array) -> Motion:
+    def motion(self, z: Array, drift: Array, n: float, thrust: Array) -> "Motion":
         """Bounds over the period, from states z (..., 6) at the sample, of deputies or relative ones.
 
         `drift` (..., 6) are their natural rates, n the mean motion [rad/s], `thrust` (...) the largest
@@ -77,7 +75,7 @@ class SampledData:
         along = a - (1 - 1 / np.sqrt(3)) * thrust
         return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float), along)
 
-    def held(self, z: Array, rates: Array, n: float, thrust: Array) -> Motion:
+    def held(self, z: Array, rates: Array, n: float, thrust: Array) -> "Motion":
         """As `motion`, of known thrust: `rates` (..., 6) have what it gives, `thrust` (...) is its length."""
         D, speed = self.period, length(z[..., 3:])
         a = self._acceleration(length(rates[..., 3:]), speed, n)
@@ -104,7 +102,7 @@ class Motion:
     thrust: Array
     along: Array
 
-    def __getitem__(self, place: NDArray[np.intp] | slice) -> Motion:
+    def __getitem__(self, place: NDArray[np.intp] | slice) -> "Motion":
         """The bounds of some states."""
         parts = (self.speed, self.acceleration, self.jerk, self.thrust, self.along)
         return Motion(self.period, *(part[..., place] for part in parts))

@@ -3,8 +3,6 @@
 Values are short, escaped, and never NaN, infinity or null in front of a reader.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -143,7 +141,7 @@ class Measure:
     percent: bool
 
     @classmethod
-    def of(cls, key: str) -> Measure:
+    def of(cls, key: str) -> "Measure":
         """From its key, whose end names the unit; metrics nobody has heard of are shown too."""
         share = key.endswith("_share") or "_ratio" in key
         suffix = "" if share else next((end for end in SUFFIXES if key.endswith(end)), "")
@@ -151,7 +149,7 @@ class Measure:
         return cls(key, title, "%" if share else SUFFIXES.get(suffix, ""), share)
 
     @classmethod
-    def known(cls, *tables: Mapping[str, Any]) -> list[Measure]:
+    def known(cls, *tables: Mapping[str, Any]) -> list["Measure"]:
         """All that occur in some tables, in the order of `TITLES`; those nobody has heard of last."""
         keys = {key for table in tables for key in table}
         return [cls.of(key) for key in (*(key for key in TITLES if key in keys), *sorted(keys - set(TITLES)))]

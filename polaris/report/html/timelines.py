@@ -10,6 +10,7 @@ the pilot's, ``step`` if it is held until the next sample, and perhaps a ``band`
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,8 +70,7 @@ def flight_data(
             found = signed_distances(picture.obstacles, t, positions, picture.system).min(axis=0)
             band = runs.nearest[[0, 2]][:, chosen]
             distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
-        total = picture.velocity_change(runs)[:, chosen]
-        spent.append({"pilot": one.key, "runs": plain(total)})
+        spent.append({"pilot": one.key, "runs": plain(picture.velocity_change(runs)[:, chosen])})
         span = runs.input_range[:, held] if isinstance(runs, Flights) else None
         drawn.append((one.key, runs.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
@@ -87,20 +87,13 @@ def flight_data(
     if picture.obstacles:
         title = "Distance to the nearest unsafe set"
         panels.insert(0, panel("distance", title, "m", [limit(0.0, "unsafe", "below")], distances))
-
-    def named(mode: int) -> tuple[str, str]:
-        if mode == UNKNOWN:
-            return "filtered input, or not known", "#9A9A9A"
-        known = 0 <= mode < len(picture.controllers)
-        return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
-
     present = np.concatenate([picture.modes, *(np.ravel(one.runs.modes) for one in flown)])
     opened = picture.closest if opened is None else opened
     return {
         "scene": scene_data(scene),
         "end": max((one["t"][-1] for one in pilots), default=plain(opened)),
         "open": plain(opened),
-        "modes": modes_present(present, named),
+        "modes": modes_present(present, partial(_named, picture)),
         "modes_title": WHO,
         "by": by,
         "marks": [{"t": plain(picture.reached), "text": picture.arrival}]
@@ -109,6 +102,14 @@ def flight_data(
         "pilots": pilots,
         "panels": panels,
     }
+
+
+def _named(picture: Picture, mode: int) -> tuple[str, str]:
+    """Name and colour of who flies."""
+    if mode == UNKNOWN:
+        return "filtered input, or not known", "#9A9A9A"
+    known = 0 <= mode < len(picture.controllers)
+    return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> NDArray[np.intp]:

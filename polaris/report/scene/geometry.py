@@ -1,7 +1,5 @@
 """Outlines and surfaces of sets, ready to be drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -24,11 +22,11 @@ class Shape:
     points: Array
     faces: NDArray[np.intp] | None = None
 
-    def along(self, axes: list[int]) -> Shape:
+    def along(self, axes: list[int]) -> "Shape":
         """The same, its coordinates in another order."""
         return Shape(self.kind, self.points[:, axes], self.faces)
 
-    def moved(self, shift: Array) -> Shape:
+    def moved(self, shift: Array) -> "Shape":
         """The same elsewhere."""
         return Shape(self.kind, self.points + shift, self.faces)
 

@@ -1,7 +1,5 @@
 """The scene of a schedule: what is shown of space, or of a line over time, and all in it but the flights."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -164,7 +162,7 @@ class Stretch:
     high: float
 
     @classmethod
-    def of(cls, picture: Picture, paths: Sequence[Array] | None) -> Stretch:
+    def of(cls, picture: Picture, paths: Sequence[Array] | None) -> "Stretch":
         """Room for paths (N, 1) [m], the initial set, the goal, and limits that are not far away."""
         if paths is None:
             paths = [picture.positions(flights) for flights in picture.flights.values()]

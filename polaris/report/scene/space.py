@@ -1,7 +1,5 @@
 """The part of space that a scene shows, and the sets and the goal in it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -30,7 +28,7 @@ class Space:
     high: Array
 
     @classmethod
-    def of(cls, picture: Picture, paths: Sequence[Array] | None = None) -> Space:
+    def of(cls, picture: Picture, paths: Sequence[Array] | None = None) -> "Space":
         """Room for the safe path and the reference, what they come near, and paths (N, d) [m] near them."""
         flat = picture.frame.flat
         start = picture.initial_positions
@@ -67,7 +65,7 @@ class Space:
             size = np.maximum(size, 0.35 * size[x])
         return cls(picture, middle - size / 2, middle + size / 2)
 
-    def wider(self, share: float) -> Space:
+    def wider(self, share: float) -> "Space":
         """The same with more room on every side of the plane, as a share of its size."""
         more = np.zeros(len(self.low))
         flat = self.picture.frame.flat

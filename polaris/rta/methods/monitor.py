@@ -10,8 +10,6 @@ meets the facets there, the path between nodes too (`polaris.rta.recovery`), and
 is recoverable again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -102,7 +100,7 @@ class Monitor(Method):
         return f"state estimate within its error bound, U obeys {what}{self.chosen}"
 
     @classmethod
-    def on(cls, grid: DecisionGrid, **options: Any) -> Monitor:
+    def on(cls, grid: DecisionGrid, **options: Any) -> "Monitor":
         """A monitor along that safe reference, the schedule's or one of its library, that is worth most.
 
         Of several experimental controllers it lets all fly, or one alone, whatever is worth more. Each is

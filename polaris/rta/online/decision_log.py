@@ -5,8 +5,6 @@ times are not among it: the same inputs give the same bytes. What is not a finit
 text ``nan``, ``inf`` or ``-inf``; what is no number at all as ``{"unreadable": kind}``.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 from math import isfinite
@@ -68,7 +66,7 @@ class DecisionLog:
         else:
             self._stream.flush()
 
-    def __enter__(self) -> DecisionLog:
+    def __enter__(self) -> "DecisionLog":
         return self
 
     def __exit__(self, *_: object) -> None:

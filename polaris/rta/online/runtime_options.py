@@ -1,7 +1,5 @@
 """What can go wrong in flight, what the runtime of the online monitor tolerates, and what it answers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -91,7 +89,7 @@ class RuntimeOptions:
             if name in ("reacquire", "min_dwell") or getattr(self, name) is not None:
                 whole(name, getattr(self, name), 1)
 
-    def limits(self, grid: DecisionGrid) -> Limits:
+    def limits(self, grid: DecisionGrid) -> "Limits":
         """All of them as numbers for one scene.
 
         Raises

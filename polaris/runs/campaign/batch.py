@@ -1,7 +1,5 @@
 """One task of a campaign, and what a kind of run brings to it; only text and plain arrays travel."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -39,7 +37,7 @@ class Case:
 class Task:
     """One batch of runs of one case (TOML); a worker with another `version` of this package refuses."""
 
-    kind: Kind
+    kind: "Kind"
     case: int
     batch: int
     text: str

@@ -1,7 +1,5 @@
 """What a campaign is: its cases, runs and seeds, and the digest by which its results are recognised."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json
@@ -77,7 +75,7 @@ class CampaignPlan:
         text = json.dumps(data, sort_keys=True, ensure_ascii=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def asking(self, boxes: Mapping[str, Ask] | None) -> CampaignPlan:
+    def asking(self, boxes: Mapping[str, Ask] | None) -> "CampaignPlan":
         """The same with what is asked of black boxes, by their names: to be flown by this process alone.
 
         No manifest knows more of them than that; to go on, or to fly a run again, give them again.
@@ -135,7 +133,7 @@ class CampaignPlan:
         }
 
     @classmethod
-    def from_data(cls, data: dict[str, Any]) -> CampaignPlan:
+    def from_data(cls, data: dict[str, Any]) -> "CampaignPlan":
         """The plan of a manifest; raises ValueError, KeyError or TypeError if it is none."""
         if data.get("format") != FORMAT or data.get("format_version") != VERSION:
             raise ValueError(f"not a {FORMAT} of version {VERSION}")

@@ -1,7 +1,5 @@
 """Campaigns of schedules: a case is synthesised once per process, its runs are simulated and measured."""
 
-from __future__ import annotations
-
 import hashlib
 import threading
 import tomllib
@@ -149,7 +147,7 @@ class ScheduleRuns(Kind):
         return super().data() | {"boxes": sorted(self.boxes.asks) if self.boxes else None}
 
     @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> ScheduleRuns:
+    def from_data(cls, data: Mapping[str, Any]) -> "ScheduleRuns":
         """As `Kind.from_data`; what is asked of black boxes is given, not read."""
         named = data["boxes"]
         return super().from_data({**data, "boxes": Boxes(dict.fromkeys(named)) if named else None})

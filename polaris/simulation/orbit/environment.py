@@ -1,7 +1,5 @@
 """The forces on two craft in low orbit: central gravity, J2, drag of a resting atmosphere."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +55,7 @@ class Environment:
     j2: bool = True
 
     @classmethod
-    def of(cls, scenario: Any) -> Environment:
+    def of(cls, scenario: Any) -> "Environment":
         """The environment a scenario declares.
 
         Raises

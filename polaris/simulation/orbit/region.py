@@ -1,7 +1,5 @@
 """The states that a mission visits, as boxes per step: what a bound on the model error must hold over."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class Region:
     upper: Array
 
     @classmethod
-    def join(cls, parts: Sequence[Region]) -> Region:
+    def join(cls, parts: Sequence["Region"]) -> "Region":
         """All boxes of several regions."""
         return cls(
             tuple(name for part in parts for name in part.what),

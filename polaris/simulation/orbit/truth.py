@@ -82,10 +82,7 @@ def fly_true(
     rng = np.random.default_rng(seed)
     modes = flown_modes(schedule, tail)
     x = initial_states(schedule, n, rng, initial)
-    # J2 itself moves the inclination by a few hundredths of a degree.
-    steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
-    inclination = np.where(rng.random(n) < 0.5, steepest, rng.uniform(0, 1, n) * steepest)
-    target = near_circular(env, rng.uniform(0, 2 * np.pi, n), inclination)
+    target = _targets(env, n, rng)
     ballistic = np.maximum(env.ballistic + rng.choice([-1.0, 1.0], n) * env.ballistic_difference, 0.0)
     push = rng.normal(size=(n, 3))
     push *= env.other / np.linalg.norm(push, axis=1, keepdims=True)
@@ -108,6 +105,14 @@ def fly_true(
     target = runs.states[..., 6:]
     runs = replace(runs, states=runs.states[..., :6])
     return TrueFlights(runs, flight.residual.T, target, ballistic, declared(env, target))
+
+
+def _targets(env: Environment, n: int, rng: np.random.Generator) -> Array:
+    """Where the targets are at the start, half of them on the steepest orbits."""
+    # J2 itself moves the inclination by a few hundredths of a degree.
+    steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
+    inclination = np.where(rng.random(n) < 0.5, steepest, rng.uniform(0, 1, n) * steepest)
+    return near_circular(env, rng.uniform(0, 2 * np.pi, n), inclination)
 
 
 class _TrueMotion(Integrator):
