@@ -30,6 +30,9 @@ PLACE = ROOT / ".pytest_cache" / "kept"
 LIBRARIES = ("numpy", "scipy", "control", "pulp", "highspy", "gurobipy", "daqp", "pydantic")
 GENERATIONS = 3
 
+CONTINUOUS = "feedback={kind='continuous'}"
+"""Where tests do not care about the sampling: fewer, finer or other steps are flown."""
+
 
 @cache
 def digest():
@@ -89,14 +92,14 @@ def kept(name, make):
 
 
 @cache
-def scheduled(name):
-    """(scenario, schedule) of a bundled scenario."""
+def scheduled(name, *more):
+    """(scenario, schedule) of a bundled scenario, with overrides."""
 
     def make():
-        scenario = load_scenario(name)
+        scenario = load_scenario(name, [*more])
         return scenario, synthesize(scenario)
 
-    return kept(name, make)
+    return kept("-".join([name, *more]), make)
 
 
 @cache

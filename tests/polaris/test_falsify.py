@@ -26,13 +26,12 @@ from polaris.synthesis.policy import Policy
 from polaris.synthesis.synthesize import synthesize
 from reach.networks.network import Activation, Affine, Network
 
-from ..kept import printed
+from ..kept import CONTINUOUS, printed
 from .conftest import synthesised
 from .tiny import TINY
 from .tiny import flown as tiny_flown
 from .tiny import synthesised as tiny
 
-CONTINUOUS = "feedback={kind='continuous'}"
 BUNDLED = ["static", "dynamic", "keep_out", "hold_point", "robot"]
 STIFF = {"recoverable.recourse": "none", "recoverable.kind": "paper_ball", "tracking.R": [400.0] * 3}
 """The printed ball does not know the thrust limits; a stiff tracker runs into them."""

@@ -22,9 +22,8 @@ from polaris.simulation.orbit.truth import declared, fly_true
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from ..kept import printed
+from ..kept import CONTINUOUS, printed
 
-CONTINUOUS = "feedback={kind='continuous'}"  # where many fine steps are flown: fewer of them
 SPACECRAFT = ["static", "dynamic", "keep_out", "hold_point"]
 ETA = 0.0012
 FULL = Environment(ETA, np.radians(51.7), 5e3, 4.0, 1.5e-3, 3.8e-9, 14e3, 2.2e-3, 6.6e-5, 0.0)
