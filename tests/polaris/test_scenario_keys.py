@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("flint")
 
 from docs.generate.scenario_docs import schema
-from polaris.certificate.inputs import GOALS
+from polaris.certificate.own import GOALS
 from polaris.certificate.perception import RIGID
 from polaris.certificate.scenario_keys import SCENARIO, check_keys
 from polaris.certificate.structure import Either, Kinds, Real, Rows, Text, Whole, conform, strict_json
