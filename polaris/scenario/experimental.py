@@ -20,10 +20,10 @@ from ..planning.solve import plan
 from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
+from ..synthesis.lqr import lqr_gain
 from ..synthesis.neural import NEEDS_SAMPLES, NeuralController
 from ..synthesis.policy import Policy, Senses
 from ..synthesis.problem import Problem
-from ..synthesis.tracking import lqr_gain
 from .goal_tables import hill_rate
 from .scene_tables import Affine, Experimental, Neural
 from .scene_tables import AnyThrust as AnyThrustTable

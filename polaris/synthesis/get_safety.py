@@ -19,11 +19,12 @@ from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition
 from .error_bounds import ErrorBounds, get_err_bounds
+from .lqr import lqr_gain
 from .passive import FreeFlight
 from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet, directed
-from .tracking import Tracking, choose_feedback, lqr_gain
+from .tracking import Tracking, choose_feedback
 
 SHARES = (0.5, 1.0)
 """Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""

@@ -1,17 +1,16 @@
-"""The tracking controller of section III-A: LQR gain, its error dynamics, and the tight error tube."""
+"""The tracking controller of section III-A: its error dynamics, and the tight error tube."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem, as_finite
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from .profile import profile, summed
 from .transients import lost, moved
@@ -19,45 +18,6 @@ from .transients import lost, moved
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
 but collected in one ball. Smaller: more rows per recoverable set, and a larger ball."""
-
-
-def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
-    """Solve the algebraic Riccati equation (eq. 7); return P and the gain ``R^-1 B' P``.
-
-    Q is positive semidefinite, R positive definite.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no stabilising solution: (A, B) is not stabilisable, or Q leaves a mode on or
-        right of the imaginary axis unobserved.
-    """
-    import control
-
-    try:
-        # Always scipy's method: with the other one the result would depend on what is installed.
-        P, _, gain = control.care(A, B, Q, R, method="scipy")
-        gain = np.atleast_2d(np.asarray(gain, dtype=float))
-        worst = float(np.max(np.linalg.eigvals(A - B @ gain).real))
-    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
-        rule = f"the Riccati equation has no stabilising solution ({error})"
-        raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule) from error
-    if not worst < 0:
-        rule = f"the closed loop must be stable; its slowest eigenvalue has real part {worst:.3g}"
-        raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule)
-    return np.asarray(P, dtype=float), gain
-
-
-def lqr_gain(system: LinearSystem, Q: ArrayLike, R: ArrayLike) -> Array:
-    """LQR gain, shape (m, n), for weights given as matrices or as diagonals (Proposition 1)."""
-    weights = []
-    for name, value, size in (("tracking.Q", Q, system.n), ("tracking.R", R, system.m)):
-        matrix = as_finite(name, value, 1 if np.ndim(value) == 1 else 2)
-        matrix = as_finite(name, np.diag(matrix) if matrix.ndim == 1 else matrix, 2)
-        if matrix.shape != (size, size):
-            raise ScenarioError(name, matrix.shape, f"must be {size} numbers or a {size} x {size} matrix")
-        weights.append((matrix + matrix.T) / 2)
-    return solve_are(system.A, system.B, *weights)[1]
 
 
 def at_nodes(parts: Array) -> Array:

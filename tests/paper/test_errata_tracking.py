@@ -11,7 +11,8 @@ from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
 from polaris.synthesis.error_bounds import get_err_bounds
 from polaris.synthesis.get_safety import get_recover
-from polaris.synthesis.tracking import Feedback, Tracking, choose_feedback, lqr_gain
+from polaris.synthesis.lqr import lqr_gain
+from polaris.synthesis.tracking import Feedback, Tracking, choose_feedback
 
 from ..polaris.conftest import small_safety
 

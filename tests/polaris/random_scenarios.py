@@ -189,7 +189,7 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
             entry["R"] = np.full(m, rng.uniform(1, 8))
         else:
             from polaris.model.system import LinearSystem
-            from polaris.synthesis.tracking import lqr_gain
+            from polaris.synthesis.lqr import lqr_gain
 
             system = LinearSystem(plant.A, plant.B, plant.D, plant.limit, C=np.eye(n)[:1])
             entry["gain"] = lqr_gain(system, plant.weights, np.full(m, 5.0)) * rng.uniform(0.9, 1.1)

@@ -16,7 +16,7 @@ from polaris.certificate.lqr import check_gain, check_hurwitz, positive_definite
 from polaris.certificate.verdict import Rejected, Undecided
 from polaris.model.hill import cw_matrix
 from polaris.model.system import LinearSystem
-from polaris.synthesis.tracking import lqr_gain
+from polaris.synthesis.lqr import lqr_gain
 
 
 @pytest.fixture(autouse=True)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
-from polaris.synthesis.tracking import solve_are
+from polaris.synthesis.lqr import solve_are
 
 SADDLE, BOTH = np.diag([1.0, -1.0]), np.ones((2, 1))
 CHAIN, PUSH = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])

@@ -11,9 +11,9 @@ from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.lqr import lqr_gain
 from polaris.synthesis.problem import Problem
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import lqr_gain
 from reach.sets.zonotope import Zonotope
 
 from ..kept import scheduled

@@ -26,10 +26,10 @@ from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
 from polaris.synthesis.controllers import AffineController, AnyThrust
 from polaris.synthesis.get_safety import get_safety
+from polaris.synthesis.lqr import lqr_gain
 from polaris.synthesis.polytope_sets import PolytopeSets
 from polaris.synthesis.problem import Problem
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import lqr_gain
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
