@@ -193,9 +193,8 @@ class PoweredSafety:
             found: tuple[float | None, ...] = (None,) * len(TOLD)
             if way.branch is not None:
                 branch = self.branches[way.branch]
-                until = branch.safety.end.until
-                times = branch.step * delta, way.cell * delta
-                found = *times, way.delta_v, until if np.isfinite(until) else None
+                ends = until if np.isfinite(until := branch.safety.end.until) else None
+                found = branch.step * delta, way.cell * delta, way.delta_v, ends
             steps.append({"step": k, **dict(zip(TOLD, found, strict=True)), "why": way.why or None})
         return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
 
@@ -247,9 +246,9 @@ def _branches(
 
 def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: int) -> Branch | str:
     """A branch of n steps towards the orbit, after the last of some steps; or why there is none."""
-    goal = asked.goal or safety.problem.goal
-    b, tracking, tolerance = taken[-1].k + 1, safety.tracking, asked.tolerance
-    problem = replace(safety.problem, K=b + n, goal=goal, goal_tolerance=tolerance, abort=None, powered=None)
+    b, goal, tracking = taken[-1].k + 1, asked.goal or safety.problem.goal, safety.tracking
+    aborted = replace(safety.problem, K=b + n, abort=None, powered=None)
+    problem = replace(aborted, goal=goal, goal_tolerance=asked.tolerance)
     tail = tail_length(tracking)
     unsafe = perceive_unsafe(problem, problem.K + tail)
     most = min(problem.planner.max_linear_programs, PROGRAMS)
@@ -266,7 +265,8 @@ def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: in
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
     made = replace(safety, problem=problem, plan=replace(found, chi=path.chi, nu=nu), reference=reference)
-    return Branch(b, replace(made, clearance=clearance, recoverable=recoverable, end=end))
+    made = replace(made, clearance=clearance, recoverable=recoverable, end=end)
+    return Branch(b, replace(made, start_margin=recoverable.margin_at(0, safety.start)))
 
 
 def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:

@@ -174,7 +174,7 @@ FORGED = {
     "inputs": of_branch("inputs", lambda rows: [[scaled(x, 0.9) for x in u] for u in rows]),
     "cheaper": cheaper,
     "facets": of_branch("facets", lambda rows: [[(f + 1) % 4 for f in row] for row in rows]),
-    "tail": of_branch("tail", lambda x: [scaled(x[0], 1.2) if float.fromhex(x[0]) else (0.5).hex(), *x[1:]]),
+    "tail": of_branch("tail", lambda x: [(float.fromhex(x[0]) + 0.5).hex(), *x[1:]]),
     "tolerance": of_branch("tolerance", lambda x: scaled(x, 2.0)),
     "horizon": of_branch("horizon", lambda _: "infinite"),
     "until": of_branch("until", lambda x: scaled(x, 1.5)),
