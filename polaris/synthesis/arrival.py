@@ -65,6 +65,9 @@ class Upkeep:
 
 Held = tuple[tuple[Zonotope, int], ...]
 """Sets that each hold all errors, where S takes over for good and at T, with how many nodes it is until T."""
+CAUSED = 0.045
+"""Most, as a share of the rest, that errors of scheduled commands count in what S needs for ever: they fade,
+and bounds on how fast differ between here and a checker."""
 
 
 def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
@@ -171,7 +174,8 @@ def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
 def _to_hold(safety: Safety, rows: Array) -> float:
     """What S needs along the rows for ever, the jump into the tail apart [m]."""
     tracking, clearance = safety.tracking, safety.clearance
-    need = _settled(tracking, rows) + clearance.scheduled(rows)[-1, -1]
+    settled = _settled(tracking, rows)
+    need = settled + np.minimum(clearance.scheduled(rows)[-1, -1], CAUSED * settled)
     need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
     return float(np.max(need, initial=0.0)) * (1 + _spare(tracking))
 
