@@ -17,6 +17,9 @@ def require_square(name: str, M: Array) -> None:
         raise ReachError(f"{name} must be a square matrix, got shape {M.shape}")
 
 
+LARGE = 1024.0  # entries of ``B h`` from which its unit is changed
+
+
 @checked
 def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     """Exact zero-order-hold pair ``(e^{A h}, int_0^h e^{A s} ds B)``.
@@ -31,11 +34,14 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     if B.ndim != 2 or len(B) != len(A):
         raise ReachError(f"B must have {len(A)} rows as A has, got shape {B.shape}")
     n, m = B.shape
+    # Inputs in small units would cost e^{A h} digits: B is divided by a power of two, exactly.
+    large = float(np.abs(B).max(initial=0.0)) * h
+    unit = 2.0 ** np.ceil(np.log2(large)) if LARGE < large < np.inf else 1.0
     block = np.zeros((n + m, n + m))
     block[:n, :n] = A
-    block[:n, n:] = B
+    block[:n, n:] = B / unit
     E = _exponential((block * h).tobytes(), n + m).copy()
-    return E[:n, :n], E[:n, n:]
+    return E[:n, :n], E[:n, n:] * unit
 
 
 @lru_cache(maxsize=1024)

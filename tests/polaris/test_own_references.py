@@ -17,6 +17,7 @@ from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
 from polaris.scenario.experimental import _settled
+from reach.numerics.linear import discretize
 
 STEPS = 12
 
@@ -145,3 +146,11 @@ def test_natural_motions(seed):
     drifting = made.chi[0] + np.array([0.0, 0.0, 0.0, 0.0, 1e-5, 0.0])
     made = Reference.propagate(system, delta, drifting, np.zeros((STEPS, 3)))
     assert check(made.chi, made.nu) == "Rejected"
+
+
+def test_inputs_in_small_units_cost_the_motion_no_digits():
+    """A state that decays fast beside entries of B of a million: its exponential is exact for its size."""
+    A = np.diag([-1.9361, 0.05])
+    small, large = (discretize(A, unit * np.eye(2), 1.12)[0] for unit in (1.0, 1936051.0))
+    np.testing.assert_allclose(large, small, rtol=1e-13, atol=0)
+    np.testing.assert_allclose(np.diag(large), np.exp(1.12 * np.diag(A)), rtol=1e-13)
