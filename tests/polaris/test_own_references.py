@@ -149,8 +149,11 @@ def test_natural_motions(seed):
 
 
 def test_inputs_in_small_units_cost_the_motion_no_digits():
-    """A state that decays fast beside entries of B of a million: its exponential is exact for its size."""
-    A = np.diag([-1.9361, 0.05])
-    small, large = (discretize(A, unit * np.eye(2), 1.12)[0] for unit in (1.0, 1936051.0))
-    np.testing.assert_allclose(large, small, rtol=1e-13, atol=0)
-    np.testing.assert_allclose(np.diag(large), np.exp(1.12 * np.diag(A)), rtol=1e-13)
+    """A state that decays fast beside a large entry of B: its exponential is exact for its own size."""
+    A, B = (
+        np.array([[0.0, 1.0, 0.0], [0.03, 0.05, 1.0], [0.0, 0.0, -1.9361]]),
+        np.array([[0.0], [0.0], [1e9]]),
+    )
+    np.testing.assert_allclose(
+        discretize(A, B, 1.12)[0][2], [0, 0, np.exp(-1.9361 * 1.12)], rtol=5e-14, atol=0
+    )
