@@ -27,6 +27,7 @@ from .motion import Motion, Plant, Push
 from .networks import Policy
 from .parts import Law, Matrix
 from .periods import Period, around, clip, command_ranges, secant
+from .spending import Flight, Spell
 from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
@@ -111,17 +112,19 @@ class Pilot:
             return path.arcs[k]
         return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
 
-    def spent(self, period: Period, d: Zonotope, u: arb_mat) -> arb:
-        """Bound on the integral of the 1-norm of the thrust over a period from a set about the base arc."""
-        tops = self.plant.u_max
+    def spell(self, period: Period, d: Zonotope, u: arb_mat) -> Spell:
+        """The thrust over a period from a set about the base arc."""
+        plant, tops, alone = self.plant, self.plant.u_max, self.law.kind in GUESSED and period.push is None
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
             most = d.through(self.commands).tops()
-            if not self.plant.sampled:
-                most = period.within(self.commands, d, most)
-            tops = self.clipped(command_ranges(u, most))
-        return self.plant.spent(tops)
+            tops = self.clipped(
+                command_ranges(u, most if plant.sampled else period.within(self.commands, d, most))
+            )
+        if not alone or not plant.sampled or plant.jitter:
+            return Spell(plant.spent(tops), u)
+        return Spell(plant.spent(tops), u - self.gain * d.c, (self.noise, plant.thruster_error(tops)))
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
@@ -190,10 +193,11 @@ class Pilot:
 class Flown:
     """One step flown."""
 
+    start: Zonotope  # errors at its start
     end: Zonotope  # errors at its end
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
-    spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
+    flight: Flight
     nodes: list[Zonotope]  # errors at the nodes within it
 
 
@@ -224,12 +228,13 @@ def fly(
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent, nodes, since = arb(0), list[Zonotope](), list[list[arb]]()
+    spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
+    first = d.G
     for i in range(pilot.plant.q):
         knowing = pilot.after(since)
         period = knowing.period(d, base, k, i)
         since.append(period.commands or pilot.plant.u_max)
-        spent += knowing.spent(period, d, base.u)
+        spells.append(knowing.spell(period, d, base.u))
         end, extra = period.ends(d), period.extra(rows, d)
         if departures is not None:
             moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
@@ -256,7 +261,8 @@ def fly(
             d = merging.reduced(d)
         nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
+    flight = Flight(pilot.law, pilot.plant, None if pilot.law.gain is None else pilot.gain, first, spells)
+    return Flown(start, leave, list(map(smallest, lows)), list(map(largest, highs)), flight, nodes[:-1])
 
 
 def _clipped(
