@@ -8,7 +8,7 @@ from itertools import accumulate, groupby, islice
 
 from flint import arb, arb_mat, arb_poly
 
-from .balls import above, column, identity, magnitude, row_sums, smallest, sums
+from .balls import above, column, identity, magnitude, row_sums, smallest
 from .motion import Plant
 from .parts import Law
 

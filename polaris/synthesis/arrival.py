@@ -22,8 +22,9 @@ SOON = 0.25
 """Share of the horizon in which a velocity error has become the length that it counts for."""
 
 
-SPARE = 0.1
-"""Share by which claims are loosened where errors of thrusters grow with commands."""
+SPARE, FLOWN = 0.1, 0.02
+"""Shares by which claims are loosened where errors of thrusters grow with commands: those that rest on a
+profile, and on sets that are flown."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
         distance=float(most[best]),
         tolerance=tolerance,
         drift=_drift(safety, held, states[best], best, after),
-        delta_v=(taken * (1 + _spare(tracking)) + _correcting(safety, held, best, after)) * (1 + ROUNDING),
+        delta_v=(taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, best, after))
+        * (1 + ROUNDING),
     )
 
 
@@ -185,13 +187,13 @@ def _needs(
     need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
     need = need + _spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
-        need = np.minimum(need, after.along(rows, nodes) + away)
+        need = np.minimum(need, (after.along(rows, nodes) + away) * (1 + FLOWN))
     return need, centre
 
 
-def _spare(tracking: Tracking) -> float:
+def _spare(tracking: Tracking, share: float = SPARE) -> float:
     """Share by which bounds are larger than found: a checker sums errors that fall with time its own way."""
-    return ROUNDING if tracking.profile is None else SPARE
+    return ROUNDING if tracking.profile is None else share
 
 
 def _settled(tracking: Tracking, rows: Array) -> Array:
@@ -224,8 +226,9 @@ def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.at_step(K).command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
-    most = min(float(np.maximum(at[:-1], at[1:]).sum()), spent(after.until(nodes), nodes))
-    return most * tracking.flow.h / system.mass * (1 + _spare(tracking))
+    apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + _spare(tracking))
+    flown = spent(after.until(nodes), nodes) * (1 + _spare(tracking, FLOWN))
+    return min(apart, flown) * tracking.flow.h / system.mass
 
 
 def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
@@ -248,7 +251,7 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
     until = (
-        taken * (1 + _spare(tracking)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
+        taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
     ) * (1 + ROUNDING) + ahead
     before = system.m * system.timing.carried / system.mass  # what an orbit may find left
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before

@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 
 from reach.numerics.linear import powers
 
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from .controllers import AffineController, Controller, TubeSegment
 from .neural import NeuralController
@@ -54,15 +54,24 @@ class Spell:
         system, sampled = law.system, law.feedback.sampled
         centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
         middle, known = np.minimum(np.abs(centre), system.u_max), 0 * spread
+        told, hidden = _limited(system, centre, spread), system.timing.hidden
         if isinstance(law, AffineController):  # a network flies on exact states
-            known = known + system.at_step(k).command_error(law.gain)
-        told = np.minimum((np.abs(centre) + (spread + known)) * (1 + ROUNDING), system.u_max)
+            at = system.at_step(k)
+            known = known + at.command_error(law.gain)
+            told = _limited(system, centre, spread + known)
+            for i in range(hidden, q + 1 if hidden else 0):  # what is measured by then (Lemma 44)
+                known[i] = at.command_error(law.gain, told[i - hidden : i].max(axis=0))
+                told[i] = _limited(system, centre[i], spread[i] + known[i])
         most, alone = system.spent(told), tube.slopes is None and not system.timing.jitter
         if not sampled:
             return cls(law, tube, (middle[:-1] + middle[1:]) / 2, np.maximum(most[:-1], most[1:]))
         linear = isinstance(law, AffineController) and alone
         errors = (known[:-1], system.thrusters.error(told[:-1])) if linear else ()
         return cls(law, tube, middle[:-1], most[:-1], errors)
+
+
+def _limited(system: LinearSystem, centre: Array, spread: Array) -> Array:
+    return np.asarray(np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), system.u_max))
 
 
 def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
