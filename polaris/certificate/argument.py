@@ -121,7 +121,7 @@ class Argument:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(further, chosen, memory, sets, scheduled)
         if self.stated.goal is not None and self.document.guarantee != "none":
-            taken = spent(step.flight for step in flown) / self.document.mass
+            taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
             arrival = Arrival(

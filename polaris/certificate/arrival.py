@@ -237,7 +237,7 @@ class Arrival:
             tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
             self._summed.append(self._summed[-1] + plant.spent(tops))
         if nodes not in self._joint:
-            self._joint[nodes] = spent([step.flight for step in self.after(nodes)], nodes)
+            self._joint[nodes] = spent(self.after(nodes), nodes)
         return smallest([self._summed[nodes], self._joint[nodes]]) / doc.mass
 
     def tops(self, node: int, u: list[float]) -> list[arb]:

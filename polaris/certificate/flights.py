@@ -26,18 +26,14 @@ from .limits import Barrier
 from .motion import Motion, Plant, Push
 from .networks import Policy
 from .parts import Law, Matrix
-from .periods import Period, around, clip, command_ranges, secant
-from .spending import Flight, Spell
+from .periods import Period, Spell, around, clip, command_ranges, secant
 from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
-GUESSES = 3
-"""How often it is guessed how much is commanded in a period before all that there is is taken for it."""
-GUESSED = "safety", "affine", "saturated_affine"
-"""Kinds of laws of which that is guessed."""
-ROUNDS = 5
-"""How often the range of a clipped command is narrowed by the thrust that it allows."""
+GUESSES, ROUNDS = 3, 5
+"""How often a period's commands are guessed before the limits are taken, and a clip's range is narrowed."""
+GUESSED = "safety", "affine", "saturated_affine"  # kinds of laws of which they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,19 +108,19 @@ class Pilot:
             return path.arcs[k]
         return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
 
-    def spell(self, period: Period, d: Zonotope, u: arb_mat) -> Spell:
-        """The thrust over a period from a set about the base arc."""
-        plant, tops, alone = self.plant, self.plant.u_max, self.law.kind in GUESSED and period.push is None
+    def spell(self, period: Period, d: Zonotope, u: arb_mat, k: int) -> Spell:
+        """The thrust over a period of step k from a set about the base arc."""
+        plant, tops = self.plant, self.plant.u_max
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
             most = d.through(self.commands).tops()
-            tops = self.clipped(
-                command_ranges(u, most if plant.sampled else period.within(self.commands, d, most))
-            )
-        if not alone or not plant.sampled or plant.jitter:
-            return Spell(plant.spent(tops), u)
-        return Spell(plant.spent(tops), u - self.gain * d.c, (self.noise, plant.thruster_error(tops)))
+            most = most if plant.sampled else period.within(self.commands, d, most)
+            tops = self.clipped(command_ranges(u, most))
+        linear = self.law.kind == "safety" or (self.law.kind in GUESSED and self.slopes[k] is None)
+        linear = linear and period.push is None and plant.sampled and not plant.jitter
+        errors = (self.noise, plant.thruster_error(tops)) if linear else ()
+        return Spell(plant.spent(tops), u - self.gain * d.c if linear else u, errors)
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
@@ -193,11 +189,12 @@ class Pilot:
 class Flown:
     """One step flown."""
 
+    pilot: Pilot
     start: Zonotope  # errors at its start
     end: Zonotope  # errors at its end
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
-    flight: Flight
+    spells: list[Spell]
     nodes: list[Zonotope]  # errors at the nodes within it
 
 
@@ -229,12 +226,11 @@ def fly(
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
-    first = d.G
     for i in range(pilot.plant.q):
         knowing = pilot.after(since)
         period = knowing.period(d, base, k, i)
         since.append(period.commands or pilot.plant.u_max)
-        spells.append(knowing.spell(period, d, base.u))
+        spells.append(knowing.spell(period, d, base.u, k))
         end, extra = period.ends(d), period.extra(rows, d)
         if departures is not None:
             moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
@@ -261,8 +257,9 @@ def fly(
             d = merging.reduced(d)
         nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    flight = Flight(pilot.law, pilot.plant, None if pilot.law.gain is None else pilot.gain, first, spells)
-    return Flown(start, leave, list(map(smallest, lows)), list(map(largest, highs)), flight, nodes[:-1])
+    return Flown(
+        pilot, start, leave, list(map(smallest, lows)), list(map(largest, highs)), spells, nodes[:-1]
+    )
 
 
 def _clipped(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate, groupby, islice
 
-from flint import arb, arb_mat, arb_poly
+from flint import arb, arb_poly
 
 from .balls import above, column, identity, magnitude, row_sums, smallest
-from .motion import Plant
-from .parts import Law
+from .flights import Flown
+from .periods import Spell
 
 LONGEST, SQUARED = 4000, 4
 """Most periods that are looked at all at once; how often the power of a response is squared for its peak."""
@@ -19,78 +19,50 @@ TOP = 2 ** (SQUARED + 1)
 """The power of the response that it is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spell:
-    """The thrust in one period of a controller."""
-
-    spent: arb  # bound on its integral over the period, in the 1-norm
-    middle: arb_mat  # commanded in the middle of the set, (m, 1)
-    errors: tuple[list[arb], ...] = ()
-    """Bounds on those of estimates and of thrusters, as inputs; none where the law is not linear, or late."""
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """One step of a controller, flown from a set of generators about the middle."""
-
-    law: Law
-    plant: Plant
-    gain: arb_mat | None
-    start: arb_mat
-    spells: list[Spell]
-
-
-def spent(flights: Iterable[Flight], periods: int | None = None) -> arb:
+def spent(flights: Iterable[Flown], periods: int | None = None) -> arb:
     """Bound on the integral of the thrust over so many periods on end, of flights that follow each other."""
     total, left = arb(0), periods
-    for (_, linear), parts in groupby(flights, lambda one: (id(one.law), bool(one.spells[0].errors))):
+    alike = groupby(flights, lambda one: (id(one.pilot.law), all(spell.errors for spell in one.spells)))
+    for (_, linear), parts in alike:
         run = list(parts)
         spells = list(islice((spell for one in run for spell in one.spells), left))
         left = None if left is None else left - len(spells)
         apart = sum((spell.spent for spell in spells), arb(0))
-        joint = linear and all(spell.errors for spell in spells) and 0 < len(spells) <= LONGEST
+        joint = linear and 0 < len(spells) <= LONGEST
         total += smallest([apart, together(run[0], spells)]) if joint else apart
     return total
 
 
-def together(first: Flight, spells: Sequence[Spell]) -> arb:
+def together(first: Flown, spells: Sequence[Spell]) -> arb:
     """The same of periods under one linear law from a set, all at once (Proposition 45)."""
-    plant, count = replace(first.plant, estimate=()), len(spells)
-    assert first.gain is not None
-    loop, m = plant.loop(first.gain), plant.B.ncols()
-    rows = list(accumulate(range(count - 1), lambda row, _: row * loop.phi, initial=first.gain))
+    plant, count = first.pilot.plant, len(spells)
+    loop, m = plant.loop(first.pilot.gain), plant.B.ncols()
+    rows = list(accumulate(range(count - 1), lambda row, _: row * loop.phi, initial=first.pilot.gain))
     stacked = above(*rows)
     pushes = loop.disturbance_gain(stacked)
     since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
     base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
-    base = sum([*row_sums(stacked * first.start), *since], base)
+    base = sum([*row_sums(stacked * first.start.G), *since], base)
     push = -(loop.gamma * plant.B)
     answers = [row * push for row in rows]
-    size = magnitude(answers[0])
-    for answer in answers[1:]:
-        size += magnitude(answer)
+    size = sum(map(magnitude, answers[1:]), magnitude(answers[0]))
     commanded, applied = size, size + identity(m)
     for a in range(m):
         own = [answer[a, a] for answer in answers]
         commanded[a, a] = smallest([commanded[a, a], peak(own)])
         applied[a, a] = smallest([applied[a, a], peak([arb(1), *own]).max(arb(1))])
     within = magnitude(loop.X) * magnitude(loop.over) * magnitude(plant.B) * (plant.h**2 / 2)
-    total = magnitude(rows[0])
-    for row in rows[1:]:
-        total += magnitude(row)
-    rest = total * within
+    rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * within
     known, made = (
         column([_long(each, count) for each in zip(*part, strict=True)])
         for part in zip(*(spell.errors for spell in spells), strict=True)
     )
-    if plant.carried:
-        most, more = (
-            applied * known + (commanded + rest) * made,
-            sum((x for s in spells for x in s.errors[1]), arb(0)),
-        )
-    else:
-        pulses = plant.bit - replace(plant, thrusters=plant.prompt).bit
-        most, more = (applied + rest) * (known + made), arb(count * m) * pulses
+    if plant.carried:  # what is commanded, and the errors of what is made of it
+        most, more = applied * known + (commanded + rest) * made, arb(0)
+        more += sum((x for spell in spells for x in spell.errors[1]), more)
+    else:  # what is applied, but for errors that stand for pulses
+        more = arb(count * m) * (plant.bit - replace(plant, thrusters=plant.prompt).bit)
+        most = (applied + rest) * (known + made)
     return (base + sum(most.entries(), more)) * plant.h
 
 
