@@ -76,11 +76,9 @@ class Attempts:
         self.clock.lap("plan")
         yield from self._references(found)
         for _ in range(AFRESH):
-            again = None if self.margin.inside else self._allowing(asked)
-            if again is None:
+            if (more := self._allowing(asked)) is None:
                 break
-            asked = again
-            found = find_plan(asked, self.problem.planner)
+            asked, found = more, find_plan(more, self.problem.planner)
             self.clock.lap("plan")
             yield from self._references(found)
         if not self.margin.inside:
@@ -97,6 +95,8 @@ class Attempts:
         That is errors by the time of the flight, as large as along that plan, and what the bounds here on the
         reference's bow between nodes, which a checker shares, are larger than those of the planner.
         """
+        if self.margin.inside:
+            return None
         system, K, q = self.problem.system, self.problem.K, self.tracking.feedback.nodes_per_cell
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
         rooms = (facet_room(self.tracking, last, unsafe, q).min(axis=1) for unsafe in asked.unsafe)
@@ -106,10 +106,8 @@ class Attempts:
             return None
         caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
         margins = tuple(
-            margin
-            + np.clip(bow, 0, 1.1 * short)
-            + caused.along(-unsafe.normals @ system.position).max(axis=1)
-            for unsafe, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
+            margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.normals @ system.position).max(axis=1)
+            for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
         )
         limit = np.maximum(asked.u_limit - caused.along(gain).max(axis=1), 0.0)
         return replace(asked, margins=margins, u_limit=limit)
