@@ -362,6 +362,7 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
         (7002, ("timing.delay_s=0.05",)),  # a state that nothing disturbs
         (8083, pulsing(exact(8083), "navigation_lost")),  # pulses that cost next to nothing
         (9049, ("navigation.phases=[{from_s=1.0}]",)),  # estimates that are exact in every phase
+        (9060, ("navigation={position_error_m=3e-9,phases=[{from_s=600.0,position_error_m=[1e-9,3e-9,1e-9]}]}",)),
     ],
 )
 def test_runs_are_verified_where_there_is_next_to_no_error(seed, more, tmp_path):
