@@ -21,7 +21,7 @@ from .powered import check_aborts
 from .recovery import Recovery
 from .scheduled import Scheduled
 from .timing import measured_error
-from .transients import lost, moved, upset
+from .transients import lost, misled, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
@@ -134,8 +134,11 @@ class Argument:
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
         """What errors need along rows, a fault that is isolated late included."""
         needs = Needs(self.loop, memory, rows)
-        boxes = [*self.upsets, *lost(self.document, self.loop, memory)]
-        return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+        boxes, doc = [*self.upsets, *lost(self.document, self.loop, memory)], self.document
+        if not boxes or doc.observer is None:
+            return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+        off = misled(doc, self.plant, len(memory.powers))
+        return replace(needs, upset=upset(needs, boxes, self.gain, off))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""

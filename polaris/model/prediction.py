@@ -55,7 +55,7 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     return np.asarray((carried + pushed) * (1 + ROUNDED))
 
 
-def _unseen(system: LinearSystem, tau: float) -> Array:
+def unseen_by(system: LinearSystem, tau: float) -> Array:
     """What a unit of errors of every input may add to a prediction over tau [s], shape (n, m)."""
     if not tau > 0:
         return np.zeros((system.n, system.m))
@@ -275,7 +275,7 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:
         errors = [[prediction_error(system, each, least, age) for each in known] for age in ages.tolist()]
-        unseen = _unseen(system, ages[-1])
+        unseen = unseen_by(system, ages[-1])
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error

@@ -81,13 +81,13 @@ class Predicting(Integrator):
         """As they are given: what comes of noise is worked out on the way."""
         return eta
 
-    def _observed(self, start: int, missing: NDArray[np.bool_]) -> Array:
-        """An observer's estimates (R, n) from all it has measured up to a step, at which some runs do not."""
+    def _observed(self, start: int) -> Array:
+        """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
         if self.measured < 0:
             self.filtered, self.measured = self.seen[start], start
-            self.since = np.zeros(len(missing), dtype=int)
+            self.since = np.zeros(len(self.filtered), dtype=int)
             if observer.initial is not None and self.eta is not None:
                 off = np.sign(self.eta[start]) * observer.initial
                 period = np.linalg.matrix_power(Ad, self.substeps)
@@ -102,6 +102,9 @@ class Predicting(Integrator):
             if self.eta is not None:
                 used = min(self.measured + self.lag, self.steps - 1)
                 off = off + observer.noise * np.sign(self.eta[used] @ observer.measures.T)
+            missing = self.ages[(self.measured + self.lag) // self.substeps] > 0
+            if self.failing is not None:
+                missing |= self.failing.missing(np.full(len(missing), self.measured))
             gain = gains[np.minimum(self.since, len(gains) - 1)]
             update = np.einsum("rnm,rm->rn", gain, off)
             self.filtered = self.filtered + np.where(missing[:, None], 0.0, update)
@@ -119,14 +122,14 @@ class Predicting(Integrator):
         if self.failing is not None:
             ages = np.where(missing, ages + (asked - self.failing.begins) // self.substeps + 1, ages)
         if self.system.observer is not None:  # what it has not measured it predicts
-            ages, late = np.zeros(len(x)), (ages > 0) | missing
+            ages = np.zeros(len(x))
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if start < 0:
                 continue
             y = self.seen[start, runs]
             if self.system.observer is not None:
-                y = self._observed(start, late)[runs]
+                y = self._observed(start)[runs]
             elif self.eta is not None:
                 y = y + self.noise[start] * self.eta[start, runs]
             for at in range(start, step):

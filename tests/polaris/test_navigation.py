@@ -234,7 +234,7 @@ def test_without_phases_everything_is_as_it_was():
         (("navigation.phases=[{from_s=12.0,within_m=9.0}]",), "navigation.phases[0].from_s"),
         (("navigation.phases=[{from_s=3.0,within_m=[9.0]}]",), "navigation.phases[0].within_m"),
         (("navigation.phases=[{from_s=3.0,within_m=9.0}]", "abort={drift_s=3.0}"), "abort.keep_in"),
-        ((*MEASURED, "faults=[{kind='navigation_lost',lasts_s=1.0}]"), "faults"),
+        ((*MEASURED, "faults=[{kind='navigation_lost',lasts_s=1.0}]", "timing.missed_periods=1"), "faults"),
     ],
 )
 def test_bad_tables_are_refused_by_name(assignments, field):
@@ -314,8 +314,8 @@ def test_forged_observers_are_refused(more, tmp_path):
     assert len(measured_errors(document, honest)) == (13 if more == FORGED else 1)
     forged = copy(document)
     forged.transients = [{"name": "stuck_on"}]
-    with pytest.raises(Rejected, match="an observer with faults"):
-        measured_errors(forged, honest)
+    with pytest.raises(Rejected, match="faults isolated late"):
+        measured_errors(forged, honest | {"timing": {"missed_periods": 1}})
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
