@@ -149,9 +149,11 @@ def test_networks_fly_where_a_fault_may_be_isolated_late(fault):
     steeper = dataclasses.replace(transient, networks=100 * transient.networks)
     calm = dataclasses.replace(transient, networks=None)
     gain = schedule.safety.tracking.gain
-    least, found, most = (moved(system, each, gain, 0.25) for each in (calm, transient, steeper))
+    least, found, most = (
+        moved(system, each, gain, 0.25, np.zeros((1, 4))) for each in (calm, transient, steeper)
+    )
     free = dataclasses.replace(calm, share=1.0, thrust=transient.pushes + 2 * system.u_max)
-    limit = moved(system, free, gain, 0.25)
+    limit = moved(system, free, gain, 0.25, np.zeros((1, 4)))
     assert np.all(least <= found) and np.all(found <= most) and np.allclose(most, limit)
 
 
