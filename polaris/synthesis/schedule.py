@@ -218,7 +218,9 @@ class Schedule:
     @cached_property
     def powered(self) -> PoweredSafety | None:
         """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
-        return powered(self.safety, [(step.mode, step.tube) for step in self.steps])
+        flown = [(step.mode, step.tube) for step in self.steps]
+        most = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
+        return powered(self.safety, flown, most / self.safety.problem.system.mass)
 
     def aborted(self, k: int) -> "Schedule":
         """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
