@@ -24,7 +24,7 @@ SOON = 0.25
 
 SPARE, FLOWN = 0.1, 0.02
 """Shares by which claims are loosened where errors of thrusters grow with commands: those that rest on a
-profile, and on sets that are flown."""
+profile, and velocity changes that rest on sets which are flown."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def _needs(
     need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
     need = need + _spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
-        need = np.minimum(need, (after.along(rows, nodes) + away) * (1 + FLOWN))
+        need = np.minimum(need, after.along(rows, nodes) + away)
     return need, centre
 
 

@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 
 from reach.numerics.linear import powers
 
-from ..model.system import Array, LinearSystem
+from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .controllers import AffineController, Controller, TubeSegment
 from .neural import NeuralController
@@ -22,26 +22,15 @@ SQUARED = 4
 
 @dataclass(frozen=True, eq=False)
 class Spell:
-    """The thrust in the q periods of one step.
-
-    Attributes
-    ----------
-    law : Controller
-    tube : TubeSegment
-    middle : ndarray, shape (q, m)
-        Commanded along the middle of the tube [N].
-    most : ndarray, shape (q, m)
-        Bound on what is applied on average in every period [N].
-    errors : tuple of ndarray
-        Bounds on those of estimates and of thrusters, as inputs, (q, m) each [N]; none where the law is not
-        linear, or its commands may come early or late.
-    """
+    """The thrust in the q periods of one step."""
 
     law: Controller
     tube: TubeSegment
-    middle: Array
-    most: Array
+    middle: Array  # commanded along the middle of the tube [N], (q, m)
+    most: Array  # bound on what is applied on average in every period [N], (q, m)
     errors: tuple[Array, ...] = ()
+    """Bounds on those of estimates and of thrusters, as inputs [N], (q, m) each; none where the law is not
+    linear, or its commands may come early or late."""
 
     @classmethod
     def of(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
@@ -54,24 +43,19 @@ class Spell:
         system, sampled = law.system, law.feedback.sampled
         centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
         middle, known = np.minimum(np.abs(centre), system.u_max), 0 * spread
-        told, hidden = _limited(system, centre, spread), system.timing.hidden
-        if isinstance(law, AffineController):  # a network flies on exact states
-            at = system.at_step(k)
-            known = known + at.command_error(law.gain)
-            told = _limited(system, centre, spread + known)
-            for i in range(hidden, q + 1 if hidden else 0):  # what is measured by then (Lemma 44)
-                known[i] = at.command_error(law.gain, told[i - hidden : i].max(axis=0))
-                told[i] = _limited(system, centre[i], spread[i] + known[i])
-        most, alone = system.spent(told), tube.slopes is None and not system.timing.jitter
+        told, hidden, at = centre + 0.0, system.timing.hidden, system.at_step(k)
+        for i in range(q + 1):
+            if isinstance(law, AffineController):  # a network flies on exact states
+                before = told[i - hidden : i].max(axis=0) if i >= hidden > 0 else None  # Lemma 44
+                known[i] = at.command_error(law.gain, before)
+            top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
+            told[i] = np.minimum(top, system.u_max)
+        most = system.spent(told)
         if not sampled:
             return cls(law, tube, (middle[:-1] + middle[1:]) / 2, np.maximum(most[:-1], most[1:]))
-        linear = isinstance(law, AffineController) and alone
-        errors = (known[:-1], system.thrusters.error(told[:-1])) if linear else ()
+        alone = isinstance(law, AffineController) and tube.slopes is None and not system.timing.jitter
+        errors = (known[:-1], system.thrusters.error(told[:-1])) if alone else ()
         return cls(law, tube, middle[:-1], most[:-1], errors)
-
-
-def _limited(system: LinearSystem, centre: Array, spread: Array) -> Array:
-    return np.asarray(np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), system.u_max))
 
 
 def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
