@@ -78,6 +78,7 @@ def _spent(ax: Any, picture: Picture) -> None:
 def _input(ax: Any, picture: Picture) -> None:
     """Input under Polaris: nominal run, band over all runs, limits shaded."""
     flights, limit = picture.flights["polaris"], picture.system.u_max
+    assert flights.input_range is not None  # known of controllers
     label, names = palette.input_labels(picture.system)
     same = bool(np.all(limit == limit[0]))
     scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)

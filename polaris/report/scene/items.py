@@ -19,7 +19,6 @@ from .geometry import Shape, flat_outline, gapped, stretches
 from .space import Space
 
 if TYPE_CHECKING:
-    from ...rta.arena import Shown
     from ...simulation.baselines import Flights
 
 
@@ -106,7 +105,7 @@ class Scene:
         return [item for role in roles for item in self.items if item.role == role]
 
 
-def modes_per_node(runs: Flights | Shown) -> NDArray[np.int_]:
+def modes_per_node(runs: Flights) -> NDArray[np.int_]:
     """Who flies from each node to the next in every run, shape (r, N)."""
     if np.ndim(runs.modes) == 2:
         return np.asarray(runs.modes)
