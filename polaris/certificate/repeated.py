@@ -259,7 +259,8 @@ def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dic
     weight = spec.get("weight", "auto")
     along = [1.0] * n if isinstance(weight, str) else weight
     named = [[along[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
-    repeated = (key.removesuffix("?") for key in GAINS["system"])
+    system: Any = GAINS["system"]
+    repeated = (key.removesuffix("?") for key in system)
     expected = {
         "law": LAW,
         "system": {key: document.system.get(key) for key in repeated} | {"mass_kg": document.mass},
