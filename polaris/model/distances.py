@@ -128,6 +128,12 @@ def mode_shares(t: ArrayLike, modes: ArrayLike) -> dict[int, Array]:
     return {int(mode): np.where(values == mode, lengths, 0.0).sum(axis=-1) for mode in np.unique(values)}
 
 
+def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
+    """First and one-past-last index of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
 def count_switches(
     modes: ArrayLike, t: ArrayLike | None = None
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:

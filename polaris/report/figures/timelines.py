@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
+from ...model.distances import stretches
 from ...runs.picture import Picture
 from ..scene import palette
-from ..scene.geometry import stretches
 from ..scene.palette import BLACK, GREEN, GREY, PILOTS, RED, mode_colour, shades, tint
 from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, step_edges
 
