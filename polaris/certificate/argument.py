@@ -26,10 +26,11 @@ from .upkeep import check_upkeep
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
-ORDERS = (24, 80, 400)
-"""Generators per dimension that sets keep from one step to the next: what is tried in turn."""
+ORDERS = ((24, 1), (80, 1), (400, 3), (400, 1))
+"""Generators per dimension that sets keep from one step to the next, and how many periods in a row have theirs
+made one: what is tried in turn. Long flights under errors need the third, of which no box takes much."""
 
-NETWORK_ORDER = 30
+NETWORK_ORDER = 30, 1
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
 NARROWER = (
@@ -81,7 +82,7 @@ class Argument:
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
         for order in (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS:
-            merging = Merging(order)
+            merging = Merging(*order)
             try:
                 self.flights(path, merging)
                 break

@@ -116,7 +116,8 @@ def forgetting(system: LinearSystem, observer: Observer, h: float) -> tuple[Arra
     """
     loop, count = observer.rest @ np.asarray(expm(system.A * h)), 1
     while True:
-        last = np.abs(np.linalg.matrix_power(loop, count))
+        with np.errstate(over="ignore", invalid="ignore"):
+            last = np.abs(np.linalg.matrix_power(loop, count))
         if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
             return loop, last, count
         if count >= LONGEST or not np.all(np.isfinite(last)):
