@@ -125,7 +125,10 @@ class Arrival:
         final, claimed = self.held[-1][0], claim["distance_m"]
         most = arb(claim["delta_v_max_m_s"]) * (1 + SLACK)
         size, found = final.size(), list[tuple[float, int]]()
-        every = range(self._last + 1)
+        far = 1
+        while far < self._last and not self.spent + self.correcting(far) > most:
+            far *= 2
+        every = range(min(far, self._last) + 1)
         late = bisect_right(every, most, key=lambda node: self.spent + self.correcting(node))
         for node in every[: max(late, 1)]:
             lag = min(node, self.memory.periods)

@@ -39,7 +39,7 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
     loop, m = plant.loop(first.pilot.gain), plant.B.ncols()
     rows = list(accumulate(range(count - 1), lambda row, _: row * loop.phi, initial=first.pilot.gain))
     stacked = above(*rows)
-    pushes = loop.disturbance_gain(stacked)
+    pushes = loop.gains_over(stacked, loop.disturbances, 1)[0]
     since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
     base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
     base = sum([*row_sums(stacked * first.start.G), *since], base)
