@@ -24,13 +24,13 @@ class Failing:
     share: Array
     lost: NDArray[np.bool_]
     gap: Array = field(repr=False)
+    latched: bool = True  # S flies to the end, else nobody because of it
 
     def pick(self, chosen: NDArray[np.intp]) -> "Failing":
         """Some of the flights."""
         when = self.begins[chosen], self.ends[chosen]
-        return Failing(
-            *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
-        )
+        known = *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
+        return Failing(*known, self.latched)
 
     def table(self) -> dict[str, Any]:
         """The first of the flights, as `of` reads it."""
@@ -52,7 +52,15 @@ class Failing:
 
     def by_s(self, step: int) -> NDArray[np.bool_]:
         """Whether S flies because of it."""
-        return np.asarray(np.where(self.lost, self.begins, self.ends) <= step)
+        return np.asarray(self.latched & (np.where(self.lost, self.begins, self.ends) <= step))
+
+    def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
+        """Whether S flies from the node `effect` on, whatever is decided on what is measured at node k.
+
+        Nothing is measured, or it was before a fault was isolated.
+        """
+        before = ~self.lost & (k < self.ends) & (self.ends <= effect)
+        return np.asarray(before | (self.lost & self.on(k)))
 
     def added(self, u: Array, step: int) -> Array:
         """What a thruster that fails adds to commands u, which ask of it what lies along it."""

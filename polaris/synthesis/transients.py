@@ -1,6 +1,7 @@
 """What faults add to the states until they are isolated (docs/theory.md, Lemma 41)."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -27,6 +28,14 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Arra
     return np.asarray(np.min([_spread(system, fault, h, *each) for each in both], axis=0))
 
 
+def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
+    """What wrong thrust may add to states by the time that predictions know of it, shape (n,)."""
+    ended = (replace(fault, lasts=0.0) for fault in system.transients if len(fault.thrust))
+    return np.max(
+        [np.zeros(system.n), *(moved(system, fault, gain, h).max(axis=0) for fault in ended)], axis=0
+    )
+
+
 def _spread(system: LinearSystem, fault: Transient, h: float, gains: Array, wrong: Array) -> Array:
     """The same under laws with gains up to these, inputs being off by a row of `wrong` (J, m) besides."""
     timing, thrusters, n = system.timing, system.thrusters, system.n
@@ -49,5 +58,6 @@ def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array
     measured = np.array(timing.measured or system.navigation) + system.displaced
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
     found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
-    first = np.maximum(system.navigation, np.abs(expm(system.A * h)) @ system.navigation)
+    carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
+    first = np.max(carried, axis=0)
     return np.asarray((found + left(every, first[None])[-1].T) * (1 + ROUNDING))
