@@ -76,8 +76,8 @@ class DecisionGrid:
         half_widths : array_like, optional
             Largest error of the state estimate that decisions are made on, one number or one per state; 0
             where it is exact. By default that of the estimate that S and U act on (``[navigation]``, or that
-            of predictions with ``[timing]``). By what jitter displaces states they grow, and by what faults that
-            are isolated late add to predictions.
+            of predictions with ``[timing]``). By what jitter displaces states they grow, and by what faults
+            that are isolated late add to predictions.
 
         Raises
         ------

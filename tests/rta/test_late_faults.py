@@ -24,8 +24,9 @@ from ..polaris.test_transients import SOFT, made
 from ..polaris.tiny import TINY
 
 TWOS = [f"thrusters.directions={[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2}"]
-TWOS += ["thrusters.thrust_max_N=1.0", "horizon.duration_s=24.0", "tracking.R=[400.0,400.0]"]
+TWOS += ["thrusters.thrust_max_N=1.0", "horizon.duration_s=16.0", "tracking.R=[400.0,400.0]"]
 ON, LOST = 'kind="stuck_on",isolation_s=0.3', 'kind="navigation_lost",lasts_s=2.0'
+WEAK = 'kind="loss",share=0.1,isolation_s=0.3'
 PROVEN = ("monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
 
 
@@ -36,7 +37,7 @@ def tiny(told):
 
 
 def hostile(schedule, seed=0):
-    """U at full thrust, towards the first obstacle where seed is 0, else a way that each flight keeps for long."""
+    """U at full thrust: towards the first obstacle where seed is 0, else some way for a while."""
     tracking, rng = schedule.safety.tracking, np.random.default_rng(seed)
     system, ways = tracking.system, rng.choice([-1.0, 1.0], (5, 10_000, tracking.system.m))
 
@@ -84,7 +85,7 @@ def test_a_fault_at_any_instant_is_survived_under_the_monitor(told):
         tracking = replace(schedule.safety.tracking, system=left_out)
         naive = DecisionGrid.of(replace(schedule, safety=replace(schedule.safety, tracking=tracking)))
         found = flown(naive, "monitor", conditions)
-        assert found.min_distance.min() < 0 and np.nanmax(found.max_thrust_ratio_safety) > 1
+        assert np.nanmax(found.max_thrust_ratio_safety) > 1.05
 
 
 @pytest.mark.slow
@@ -113,22 +114,21 @@ def test_comparisons_fly_a_fault_in_every_second_run():
     on = [drawn.failing.on(node) for node in range(grid.last)]
     assert np.array_equal(np.any(on, axis=0), np.arange(20) % 2 == 1)
     schedule, method = (METHODS[key].on(grid) for key in ("schedule", "monitor"))
-    modes, latest = fly(grid, schedule, drawn).modes[1::2], drawn.failing.ends[1::2]
-    assert all(not np.any(one[end:]) for one, end in zip(modes, latest, strict=True))  # S to the end
-    assert np.any([one[end + 1 :].any() for one, end in zip(fly(grid, method, drawn).modes[1::2], latest)])
+    after = np.arange(grid.last) >= drawn.failing.ends[1::2, None]
+    assert not np.any(fly(grid, schedule, drawn).modes[1::2][after])  # S to the end
+    assert np.any(fly(grid, method, drawn).modes[1::2][after])
 
 
-def test_what_pushes_unasked_is_no_lie_and_isolation_ends_what_was_decided_before():
-    h = tiny(ON).safety.tracking.flow.h
-    grid = DecisionGrid.of(tiny(ON), latency=h)
-    online = OnlineMonitor(Monitor(grid))
-    loop, x, (Ad, Bd, _) = FlightLoop(online), grid.xi[0], grid.held
-    for k in range(4):
-        answer = loop.decide(k, k * h, Measurement(k * h, x), applied=np.zeros(2))
-        assert not answer.faults and answer.mode == 1
+def test_what_a_fault_does_is_no_lie_and_isolation_ends_what_was_decided_before():
+    h = tiny(WEAK).safety.tracking.flow.h
+    grid = DecisionGrid.of(tiny(WEAK), latency=h)
+    loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.held
+    for k in range(10):
+        answer = loop.decide(k, k * h, Measurement(k * h, x), applied=grid.mu[max(k - 1, 0)])
         command = loop.command(k * h, x)
-        assert command.mode == (k > 0)
-        x = Ad @ x + Bd @ np.array([0.0, 1.0])  # with a thruster that is stuck, and nothing commanded
+        assert not answer.faults and (k < 6 or answer.mode == command.mode == 1)
+        x = Ad @ x + Bd @ (grid.mu[k] - [0.0, 0.09 * (k > 7)])  # less than is commanded
     loop.isolated()
-    assert loop.command(4 * h, x).mode == 0
-    assert loop.decide(5, 5 * h, Measurement(5 * h, x)).mode in (0, 1)
+    assert loop.command(10 * h, x).mode == 0
+    assert loop.decide(10, 10 * h, Measurement(10 * h, x), applied=grid.mu[9]).mode == 1
+    assert loop.command(11 * h, x).mode == 1
