@@ -14,7 +14,6 @@ from ..model.checks import non_negative, of_kind, positive
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
-from ..model.transient import Transient
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import Clearance
 from ..synthesis.controllers import AffineController, Controller
@@ -106,8 +105,7 @@ class DecisionGrid:
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
             q = per_step * nodes
-        faults = _judged(known.system.transients, (nodes - 1) * known.flow.h, nodes + delay)
-        system = replace(known.system, transients=faults)
+        system = _judged(known.system, (nodes - 1) * known.flow.h, nodes + delay)
         tracking = Tracking(system, known.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
@@ -243,11 +241,13 @@ def _at_nodes(arcs: Array) -> Array:
     return np.concatenate([arcs[:, :-1].reshape(-1, *arcs.shape[2:]), arcs[-1, -1:]])
 
 
-def _judged(faults: tuple[Transient, ...], wait: float, unseen: int) -> tuple[Transient, ...]:
+def _judged(system: LinearSystem, wait: float, unseen: int) -> LinearSystem:
     """Faults as decisions meet them: `wait` [s] until one takes effect, after so many periods unseen."""
-    return tuple(
-        replace(fault, lasts=fault.lasts + wait * bool(len(fault.thrust)), unseen=unseen) for fault in faults
-    )
+    if not (faults := system.transients):
+        return system
+    lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
+    met = (replace(fault, lasts=x, unseen=unseen) for fault, x in zip(faults, lasts, strict=True))
+    return replace(system, transients=tuple(met))
 
 
 def _parts(name: str, whole: float, part: float, rule: str) -> int:
