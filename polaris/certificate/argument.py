@@ -128,7 +128,7 @@ class Argument:
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if self.document.powered is not None:
-            known = self.loop, self.gain, self.noise, sets, flown, self.stated.orbit
+            known = self.loop, self.gain, self.noise, sets, flown, self.stated.orbit, self.upsets
             self.record.holds("powered_abort", check_aborts(self.document, *known))
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:

@@ -25,6 +25,7 @@ from .parts import Branch, Way
 from .plants import within_limits
 from .recovery import Recovery
 from .scheduled import Scheduled
+from .transients import lost, upset
 from .verdict import Rejected
 from .zonotopes import Zonotope, widest
 
@@ -39,10 +40,12 @@ def check_aborts(
     sets: list[Zonotope],
     flown: list[Flown],
     orbit: dict[str, Any] | None,
+    upsets: list[arb_mat],
 ) -> str:
     """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
 
-    The sets are those that the schedule reaches; returned is what is confirmed.
+    The sets are those that the schedule reaches; one of the boxes `upsets` holds what a fault adds until
+    isolated. Returned is what is confirmed.
     """
     asked = document.powered
     assert asked is not None
@@ -56,9 +59,10 @@ def check_aborts(
         since = k + 1 if mode else since
     if every := [z for taken in takeovers.values() for z in taken.sets]:
         profile = [[arb(x) for x in most] for most in document.profile]
-        memory = Memory.of(loop, widest([*sets, *every]), document.q, profile)
+        memory = Memory.of(loop, widest([*sets, *every], upsets), document.q, profile)
+        boxes = [*upsets, *lost(document, loop, memory)]
         facets = [row for branch in asked.branches for row in branch.facets]
-        common = Common(loop, gain, noise, memory, facets, orbit)
+        common = Common(loop, gain, noise, memory, facets, orbit, boxes)
         for place, branch in enumerate(asked.branches):
             along = Along(branched(document, branch), branch, common)
             served = [taken for taken in takeovers.values() if taken.way.branch == place]
@@ -98,11 +102,16 @@ class Common:
     memory: Memory
     facets: list[list[int]]  # of all branches, so that they have the same rows of limits
     orbit: dict[str, Any] | None
+    boxes: list[arb_mat]  # of what faults that are isolated late add
     _known: dict[Any, Needs] = field(default_factory=dict, repr=False)
 
     def needs(self, of: Any, rows: arb_mat) -> Needs:
-        """What errors need along rows, once; `of` tells them apart."""
-        return self._known.setdefault(of, Needs(self.loop, self.memory, rows))
+        """What errors need along rows, and a fault that is isolated late, once; `of` tells them apart."""
+        if of not in self._known:
+            found = Needs(self.loop, self.memory, rows)
+            upsets = upset(found, self.boxes) if self.boxes else []
+            self._known[of] = replace(found, upset=upsets)
+        return self._known[of]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +211,7 @@ class Along:
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
         doc, plant, m = self.document, self.common.loop.plant, len(self.document.u_max)
-        (needs, jump), total = self._commands, m * arb(doc.carried)
+        (needs, jump), total, unasked = self._commands, m * arb(doc.carried), [arb(0)]
         for c in range(taken.k, cell):
             known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.common.gain)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
@@ -210,7 +219,11 @@ class Along:
             both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)
             tops = [smallest((top, largest((a, b)) + abs(u) + e)) for a, b, u, e, top in both]
             total += plant.spent(tops) * doc.q
-        return total / doc.mass
+        for fault in doc.transients:  # what wrong thrust spends
+            pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
+            wrong = [sum(push, arb(0)) + sum(plant.thruster_part(push), arb(0)) for push in pushes]
+            unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
+        return (total + largest(unasked)) / doc.mass
 
     def _most(self, needs: Needs, taken: Takeover, cell: int, until: int) -> list[arb]:
         """What errors of an abort in a step need along rows between the starts of two cells."""

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .thrusters import Thrusters
+
 
 @dataclass(frozen=True, eq=False)
 class Transient:
@@ -24,3 +26,7 @@ class Transient:
     def pushes(self) -> NDArray[np.float64]:
         """How far inputs may be from what is commanded meanwhile: a row for each kind, shape (J, m) [N]."""
         return np.asarray(np.unique(np.abs(self.thrust) * self.share, axis=0))
+
+    def wrong(self, thrusters: Thrusters) -> NDArray[np.float64]:
+        """The same with the errors that it brings along of thrusters."""
+        return np.asarray(self.pushes + thrusters.part(self.pushes))

@@ -173,8 +173,8 @@ class Abort(ScenarioPart):
     """How long that may take, from the step of the abort on. An orbit of its own needs it."""
     delta_v_max_m_s: f.Positive | None = unit("m/s", "Budget of velocity change for it.", default=None)
 
-    def check(self, system: LinearSystem, step: float, late: bool) -> None:
-        """Refuse what takes too long, and what is not covered; `late`: faults are isolated late."""
+    def check(self, system: LinearSystem, step: float) -> None:
+        """Refuse what takes too long, and what is not covered."""
         drift, powered, within = self.build(system), self.powered(system), self.within_s
         if drift is not None and drift.cells(step) > MAX_STEPS:
             given = self.drift_orbits, self.drift_s
@@ -182,8 +182,6 @@ class Abort(ScenarioPart):
         if within is not None and not 2 * step <= within <= MAX_STEPS * step:
             rule = f"must be at least two steps of {step:g} s, and at most {MAX_STEPS}"
             raise ScenarioError("abort.within_s", within, rule)
-        if powered is not None and late:
-            raise ScenarioError("abort.orbit", "orbit", "is not covered with faults that are isolated late")
         if powered is not None and powered.goal is not None and system.error_by_step is not None:
             rule = "of its own is not covered with errors of navigation by phase, which are the schedule's"
             raise ScenarioError("abort.orbit", powered.goal.describe(), rule)

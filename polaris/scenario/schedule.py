@@ -68,7 +68,7 @@ class ScheduleScenario(Scenario):
             rule = "must be false where phases of navigation have within_m, of which a drift needs nothing"
             raise ScenarioError("abort.keep_in", True, rule)
         if model.abort is not None:
-            model.abort.check(system, self.step, bool(late))
+            model.abort.check(system, self.step)
 
     def outline(self) -> str:
         """What it describes, on one line."""

@@ -69,8 +69,8 @@ class BoxMotion:
 
     def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
         self.system, self.longest, self._grain = system, longest, TIME * period
-        pushes = np.vstack([np.zeros((1, system.m)), *(fault.pushes for fault in system.transients)])
-        self.unasked = (pushes + system.thrusters.part(pushes)).max(axis=0)  # by faults not isolated yet
+        wrong = (fault.wrong(system.thrusters) for fault in system.transients)
+        self.unasked = np.vstack([np.zeros((1, system.m)), *wrong]).max(axis=0)  # by faults not isolated yet
         self.most = system.u_max + system.thrusters.error(system.u_max) + self.unasked
         one, two = (float(np.linalg.norm(power, 1)) for power in (system.A, system.A @ system.A))
         rate = max(sqrt(two), 1e-3 * one)  # norm(A^i) <= lead rate^i: two factors at a time
