@@ -19,6 +19,7 @@ class Transient:
     where it is navigation that is lost, and S flies on at once."""
     share: float  # of its thrust that is lost, or pushes without being asked to
     gains: NDArray[np.float64]  # largest sizes of the entries of all experimental controllers' gains, (m, n)
+    asked: bool = False  # whether black boxes fly, whose answers may be any
     networks: NDArray[np.float64] | None = None  # the same of networks: how steep they are in the state
     unseen: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost
 

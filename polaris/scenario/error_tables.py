@@ -130,15 +130,30 @@ def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
 
 
 def transients(
-    faults: Sequence[Fault], made: Allocation | None, gains: Sequence[Array], networks: Sequence[Array]
+    faults: Sequence[Fault],
+    made: Allocation | None,
+    gains: Sequence[Array],
+    networks: Sequence[Array],
+    asked: bool,
 ) -> tuple[Transient, ...]:
-    """What faults do until they are isolated, if that takes time; gains of laws, and of networks."""
+    """What faults do until they are isolated, if that takes time; gains of laws, and of networks.
+
+    `asked` says whether there are black boxes.
+    """
     found, steep = [], np.max(networks, axis=0) if len(networks) else None
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
             thrust = made.directions * made.limits[:, None]
-        known = fault.name, fault.isolation, thrust, 1 - fault.left, np.max(np.abs(gains), axis=0), steep
+        known = (
+            fault.name,
+            fault.isolation,
+            thrust,
+            1 - fault.left,
+            np.max(np.abs(gains), axis=0),
+            asked,
+            steep,
+        )
         found += [Transient(*known)] if fault.isolation > 0 else []
     return tuple(found)
 

@@ -219,7 +219,8 @@ class ScheduleScenario(Scenario):
         unsteered = np.zeros((system.m, system.n))
         networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
         steepest = [each.steepest(system, self.obstacles()) for each in networks]
-        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest)
+        boxes = any(isinstance(spec, BlackBox) for spec in self.model.experimental)
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest, boxes)
         system = replace(system, transients=late)
         return Problem(
             system=system,

@@ -18,25 +18,28 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Arra
     """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
 
     Every law answers with no more than its gain times the deviation, whatever clips it (Gronwall's
-    inequality), a network also with no more than twice the limits. What a delay hides from it counts as if
-    the fault lasted longer. Periods are of h [s].
+    inequality); a network also with no more than twice the limits from the first node after the fault on, a
+    black box with that alone. What a delay hides counts as if it lasted longer. Periods are of h [s].
     """
     most, pushes = np.maximum(fault.gains, np.abs(gain)), fault.pushes
-    if fault.networks is None:
-        return _spread(system, fault, h, most, pushes)
-    both = (most, pushes + 2 * system.u_max), (np.maximum(most, fault.networks), pushes)
-    return np.asarray(np.min([_spread(system, fault, h, *each) for each in both], axis=0))
+    found = _spread(system, fault.lasts, h, most, pushes)
+    answered = h * (ceil(fault.lasts / h * (1 - WHOLE)) - 1)
+    if answered > 0 and (fault.asked or fault.networks is not None):
+        found = found + _spread(system, answered, h, most, 2 * system.u_max[None])
+    if fault.networks is None or fault.asked:
+        return found
+    steep = np.maximum(most, fault.networks)
+    return np.minimum(found, _spread(system, fault.lasts, h, steep, pushes))
 
 
 def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
     """What wrong thrust may add to states by the time that predictions know of it, shape (n,)."""
     ended = (replace(fault, lasts=0.0) for fault in system.transients if len(fault.thrust))
-    return np.max(
-        [np.zeros(system.n), *(moved(system, fault, gain, h).max(axis=0) for fault in ended)], axis=0
-    )
+    found = (moved(system, fault, gain, h).max(axis=0) for fault in ended)
+    return np.max([np.zeros(system.n), *found], axis=0)
 
 
-def _spread(system: LinearSystem, fault: Transient, h: float, gains: Array, wrong: Array) -> Array:
+def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, wrong: Array) -> Array:
     """The same under laws with gains up to these, inputs being off by a row of `wrong` (J, m) besides."""
     timing, thrusters, n = system.timing, system.thrusters, system.n
     late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed)
@@ -44,7 +47,7 @@ def _spread(system: LinearSystem, fault: Transient, h: float, gains: Array, wron
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ gains
     block[:n, n:] = np.eye(n)
-    spread = expm(block * (fault.lasts + late))[:n, n:] @ np.abs(system.B)
+    spread = expm(block * (lasts + late))[:n, n:] @ np.abs(system.B)
     return np.asarray((wrong + thrusters.part(wrong)) @ spread.T * (1 + ROUNDING))
 
 
