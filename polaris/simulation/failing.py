@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
 
+TOLD = "begins", "ends", "thrust", "share", "lost"
+"""What a saved case says of a fault."""
+
 
 @dataclass(frozen=True, eq=False)
 class Failing:
@@ -24,23 +27,22 @@ class Failing:
     share: Array
     lost: NDArray[np.bool_]
     gap: Array = field(repr=False)
-    latched: bool = True  # S flies to the end, else nobody because of it
+    latched: bool = field(default=True, kw_only=True)  # S flies to the end, else nobody because of it
 
     def pick(self, chosen: NDArray[np.intp]) -> "Failing":
         """Some of the flights."""
         when = self.begins[chosen], self.ends[chosen]
         known = *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
-        return Failing(*known, self.latched)
+        return Failing(*known, latched=self.latched)
 
     def table(self) -> dict[str, Any]:
         """The first of the flights, as `of` reads it."""
-        names = ("begins", "ends", "thrust", "share", "lost")
-        return {name: getattr(self, name)[0].tolist() for name in names}
+        return {name: getattr(self, name)[0].tolist() for name in TOLD}
 
     @classmethod
     def of(cls, table: dict[str, Any], n: int) -> "Failing":
         """One flight with n states from a `table`."""
-        return cls(**{name: np.array([x]) for name, x in table.items()}, gap=np.zeros((1, n)))
+        return cls(*(np.array([table[name]]) for name in TOLD), np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Whether the fault lasts."""

@@ -29,14 +29,14 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float) -> Arra
     if fault.networks is None or fault.asked:
         return found
     steep = np.maximum(most, fault.networks)
-    return np.minimum(found, _spread(system, fault.lasts, h, steep, pushes))
+    return np.asarray(np.minimum(found, _spread(system, fault.lasts, h, steep, pushes)))
 
 
 def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
     """What wrong thrust may add to states by the time that predictions know of it, shape (n,)."""
     ended = (replace(fault, lasts=0.0) for fault in system.transients if len(fault.thrust))
     found = (moved(system, fault, gain, h).max(axis=0) for fault in ended)
-    return np.max([np.zeros(system.n), *found], axis=0)
+    return np.asarray(np.max([np.zeros(system.n), *found], axis=0))
 
 
 def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, wrong: Array) -> Array:

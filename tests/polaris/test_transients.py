@@ -149,8 +149,7 @@ def test_networks_fly_where_a_fault_may_be_isolated_late(fault):
     calm = dataclasses.replace(transient, networks=None)
     gain = schedule.safety.tracking.gain
     least, found, most = (moved(system, each, gain, 0.25) for each in (calm, transient, steeper))
-    free = dataclasses.replace(calm, share=1.0, thrust=transient.pushes + 2 * system.u_max)
-    limit = moved(system, free, gain, 0.25)
+    limit = moved(system, dataclasses.replace(calm, asked=True), gain, 0.25)
     assert np.all(least <= found) and np.all(found <= most) and np.allclose(most, limit)
 
 
