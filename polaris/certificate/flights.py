@@ -251,9 +251,7 @@ def fly(
                     if not need <= there:
                         where = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
                         require("separation", there - need, f"{where} of {plain(there)} m")
-        d = period.after(end)
-        if d.G.ncols() > 2 * merging.order * n:
-            d = merging.reduced(d)
+        d = merging.after(end, period.after(end))
         nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
     return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])

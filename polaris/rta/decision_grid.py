@@ -245,6 +245,9 @@ def _judged(system: LinearSystem, wait: float, unseen: int) -> LinearSystem:
     """Faults as decisions meet them: `wait` [s] until one takes effect, after so many periods unseen."""
     if not (faults := system.transients):
         return system
+    if system.observer is not None:
+        rule = "isolated late are not covered by run-time methods where an observer makes the estimates"
+        raise ScenarioError("faults", faults[0].name, rule)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
     met = (replace(fault, lasts=x, unseen=unseen) for fault, x in zip(faults, lasts, strict=True))
     return replace(system, transients=tuple(met))

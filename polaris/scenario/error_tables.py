@@ -59,6 +59,9 @@ class Thrusters(ScenarioPart):
         if self.impulse_bit_N_s > 0 and period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        if period is not None and self.impulse_bit_N_s > (most := float(system.u_max.min()) * period):
+            rule = f"must be at most what full thrust makes in a period, {most:.6g} N s"
+            raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         if self.pulse != "held" and (period is None or self.directions is not None):
             rule = "needs sampled feedback (feedback.kind = 'sampled'), and thrusters without directions"
             raise ScenarioError("thrusters.pulse", self.pulse, rule)

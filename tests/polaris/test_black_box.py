@@ -631,8 +631,9 @@ class Refusing:
 def test_a_box_that_fails_elsewhere_is_one_error():
     with pytest.raises(NoAnswer, match="no memory left"):
         box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-    with pytest.raises(NoAnswer, match="must answer finite numbers"):
+    with pytest.raises(NoAnswer, match="must answer finite numbers") as error:
         box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+    assert str(error.value.__cause__) == "part of a graph"
 
 
 def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
@@ -713,7 +714,7 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     (known,) = system.transients
     for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
         faults = (replace(known, lasts=lasts * h, asked=asked) for asked in (True, False))
-        more, none = (moved(system, one, gain, h) for one in faults)
+        more, none = (moved(system, one, gain, h, np.zeros((1, 4))) for one in faults)
         least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
         assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
     asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}
