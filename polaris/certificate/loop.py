@@ -115,7 +115,8 @@ class Needs:
     def _steady(self) -> list[list[arb]]:
         """Response at node L to what does not depend on commands, from rest, for L = 0 ... N + 1."""
         found = [[arb(0)] * self.rows.nrows()]
-        for gains in self._split(self.motion.disturbance_gain(above(*self.carried[:-1]))):
+        stacked = above(*self.carried[:-1])
+        for gains in self._split(self.motion.gains_over(stacked, self.motion.disturbances, 1)[0]):
             found.append([x.upper() for x in sums(found[-1], gains)])
         return found
 

@@ -151,13 +151,9 @@ class Update:
 
         So does all that has pushed over its periods, each of `PARTS` parts.
         """
-        noisy, settled = known
-        rows, more = left * self.rest, magnitude(left * self.gain) * noisy
-        more = (more + magnitude(left * self.other) * settled).entries()
-        for _ in range(PARTS * self.periods):
-            more = sums(more, *(part.push_gain(rows, push) for push in pushes))
-            rows = rows * part.phi
-        return [x.upper() for x in more]
+        come = magnitude(left * self.gain) * known[0] + magnitude(left * self.other) * known[1]
+        pushed, _ = part.gains_over(left * self.rest, pushes, PARTS * self.periods)
+        return [x.upper() for x in sums(come.entries(), pushed)]
 
 
 def _check_settled(
@@ -170,8 +166,8 @@ def _check_settled(
     past comes by one of as many periods in a row as there are kinds of updates.
     """
     (settled, first), (loop, noisy), known = bounds, filtering, column(bounds[0])
-    errors, part = plant.push(plant.thruster_error(plant.u_max)), replace(plant, h=plant.h / PARTS).open
-    pushes = [plant.disturbance, *plant.carry, *([errors] if errors else [])]
+    part, errors = replace(plant, h=plant.h / PARTS).open, plant.thruster_error(plant.u_max)
+    pushes = Motion(plant, plant.A, plant.A, None, errors).disturbances
     left, passed, n = identity(len(settled)), 0, len(settled)
     come = [[arb(0)] * n for _ in range(LONGEST + len(updates) + 1)]
 

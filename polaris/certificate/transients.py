@@ -154,7 +154,7 @@ def misled(document: Document, plant: Plant, count: int) -> Iterator[list[list[a
             found.append(_peak([found[-1], one.entries()]))
         return [(over * column(one)).entries() for one in reversed(found)]
 
-    gains = [_added(part, rows * rest) for rows in left] if thrust else []
+    gains = [magnitude(part.unit_gains(rows * rest, PARTS)) for rows in left] if thrust else []
     early = plant.unseen if delay > 0 else arb_mat(n, plant.B.ncols())
     for each, length in zip(thrust, lasting, strict=True):
         for push in each["pushes"]:
@@ -166,17 +166,6 @@ def misled(document: Document, plant: Plant, count: int) -> Iterator[list[list[a
         if not each.get("pushes"):
             box = column(predicted(plant, _seen(document, n), arb(each["lasts"]) + plant.h))
             yield falling([magnitude(rows * rest) * box for rows in left[: count + P]])
-
-
-def _added(part: Motion, rows: arb_mat) -> arb_mat:
-    """What a unit of each input adds along rows within a period of `PARTS` parts, shape (r, m)."""
-    plant, n = part.plant, rows.nrows()
-    pushes = [Push.in_box(column(each), [arb(1)]) for each in plant.B.transpose().tolist()]
-    found = [[arb(0)] * n for _ in pushes]
-    for _ in range(PARTS):
-        found = [sums(x, part.push_gain(rows, push)) for x, push in zip(found, pushes, strict=True)]
-        rows = rows * part.phi
-    return magnitude(arb_mat(len(pushes), n, [x for each in found for x in each]).transpose())
 
 
 def _peak(lists: list[list[arb]]) -> list[arb]:

@@ -68,7 +68,7 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
     """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
 
     Just after a measurement, with every pattern of missed periods that may be. `moved` bounds by how much
-    states are displaced when they are measured (docs/theory.md, Propositions 40 and 45).
+    states are displaced when they are measured (docs/theory.md, Propositions 40 and 40a).
 
     Raises
     ------

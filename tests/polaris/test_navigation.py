@@ -268,6 +268,16 @@ def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them(fir
     assert np.all(most <= 1 + 1e-6) and most.max() > 0.9
 
 
+def test_missed_periods_cost_what_the_theory_says():
+    measured = "navigation.measurement.position_error_m=0.1"
+    given = ["feedback.kind=sampled", "feedback.period_s=2.0", measured]
+    static, found = load_scenario("static").with_assignments(given), []
+    for missed in (1, 3):
+        system = static.with_assignments([f"timing.missed_periods={missed}"]).system()
+        found.append(np.max(np.array(system.timing.measured) / static.system().navigation))
+    assert np.round(found, 2).tolist() == [1.04, 1.11]
+
+
 @pytest.mark.parametrize("more", [(), (SMALL, "timing.delay_s=0.3", "thrusters.pulse='centred'", NEAR)])
 def test_observers_go_with_missed_periods(more):
     schedule = observed("-".join(["missed", *more]), MISSED, *more)
@@ -372,6 +382,7 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
             if seed % 8 > 2 and not hill:
                 more.append(f"navigation.measurement.initial.state_error={(3 * widths).tolist()}")
             more += ["thrusters.pulse='centred'"] if seed % 4 == 1 else []
+            more += [f"timing.missed_periods={seed % 3}"] if seed % 5 < 2 else []
             bit = 0.01 * problem.period * problem.system.u_max.min()
             more += (
                 [f"thrusters.impulse_bit_N_s={bit}", "thrusters.remainder='carried'"] if seed % 4 == 2 else []
