@@ -42,7 +42,8 @@ class Failing:
     @classmethod
     def of(cls, table: dict[str, Any], n: int) -> "Failing":
         """One flight with n states from a `table`."""
-        return cls(*(np.array([table[name]]) for name in TOLD), np.zeros((1, n)))
+        begins, ends, thrust, share, lost = (np.array([table[name]]) for name in TOLD)
+        return cls(begins, ends, thrust, share, lost, np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Whether the fault lasts."""
