@@ -29,7 +29,7 @@ from polaris.synthesis.synthesize import synthesize
 from .closed_loops import attack
 from .forging import CERTIFICATE, COARSE, Forger, make
 from .test_error_sources import exact, tables
-from .test_transients import LATE, SOFT, failing
+from .test_transients import LATE, SOFT
 from .tiny import TINY
 
 ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
@@ -329,7 +329,7 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("errors", [False, True, "late"])
+@pytest.mark.parametrize("errors", [False, True])
 def test_many_aborted_flights_reach_their_orbit(errors):
     """Every other scene with errors, the rest without."""
     scenes, flights, tight = 0, 0, []
@@ -337,8 +337,7 @@ def test_many_aborted_flights_reach_their_orbit(errors):
         scenario = exact(seed)
         table = random_orbit(scenario, seed) if seed % 3 else 'abort.orbit={kind="goal"}'
         try:
-            more = tables(scenario, seed, 0.05) if errors is True else []
-            more = failing(scenario, seed) if errors == "late" else more
+            more = tables(scenario, seed, 0.05) if errors else []
             scenario = scenario.with_assignments([table, *more])
             schedule = synthesize(scenario)
         except PolarisError:
