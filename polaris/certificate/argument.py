@@ -27,9 +27,8 @@ from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
 ORDERS = ((24, 1), (80, 1), (400, 3), (400, 1))
-"""Generators per dimension that sets keep from one step to the next, and how many periods in a row have theirs
-made one: what is tried in turn. Long flights under errors need the third, of which no box takes much."""
-
+"""What is tried in turn: generators per dimension that sets keep from one step to the next, and how many
+periods in a row have theirs made one. Long flights under errors need the third; no box needs many."""
 NETWORK_ORDER = 30, 1
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 

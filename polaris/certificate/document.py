@@ -74,6 +74,7 @@ class Document:
             raise Rejected("format", f"{type(error).__name__}: {error}") from error
 
     def _take_system(self, system: dict[str, Any], sampling: dict[str, Any]) -> None:
+        self.system = system
         self.steps: int = sampling["steps"]
         self.q: int = sampling["nodes_per_step"]
         self.delta: float = sampling["step"]

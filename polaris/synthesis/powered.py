@@ -73,7 +73,7 @@ class Takeover:
     @property
     def size(self) -> Array:
         """Bound on all errors there, elementwise, shape (n,)."""
-        return np.asarray((np.abs(self.sets.c) + self.sets.half_widths).max(axis=0) * (1 + ROUNDING))
+        return np.asarray(self.sets.extent.max(axis=0) * (1 + ROUNDING))
 
     def margin(self, q: int, sets: RecoverableSet) -> Margin | None:
         """How far they are outside the recoverable sets along some reference; None if they are inside."""
