@@ -27,8 +27,8 @@ from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
 ORDERS = ((24, 1), (80, 1), (400, 3), (400, 1))
-"""Generators per dimension that sets keep from one step to the next, and how many periods in a row have theirs
-made one: what is tried in turn. Long flights under errors need the third, of which no box takes much."""
+"""Generators per dimension that sets keep from one step to the next, and how many periods in a row have
+their own made one: tried in turn. Long flights under errors need the third, of which boxes take little."""
 
 NETWORK_ORDER = 30, 1
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""

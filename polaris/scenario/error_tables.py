@@ -186,7 +186,11 @@ class Abort(ScenarioPart):
             rule = f"must be at least two steps of {step:g} s, and at most {MAX_STEPS}"
             raise ScenarioError("abort.within_s", within, rule)
         if powered is not None and late:
-            raise ScenarioError("abort.orbit", "orbit", "is not covered with faults that are isolated late")
+            raise ScenarioError(
+                "abort.orbit",
+                self.orbit and self.orbit.kind,
+                "is not covered with faults that are isolated late",
+            )
         if powered is not None and powered.goal is not None and system.error_by_step is not None:
             rule = "of its own is not covered with errors of navigation by phase, which are the schedule's"
             raise ScenarioError("abort.orbit", powered.goal.describe(), rule)
