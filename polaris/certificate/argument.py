@@ -21,15 +21,14 @@ from .powered import check_aborts
 from .recovery import Recovery
 from .scheduled import Scheduled
 from .timing import measured_error
-from .transients import lost, moved, upset
+from .transients import lost, misled, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
 ORDERS = ((24, 1), (80, 1), (400, 3), (400, 1))
-"""Generators per dimension that sets keep from one step to the next, and how many periods in a row have
-their own made one: tried in turn. Long flights under errors need the third, of which boxes take little."""
-
+"""What is tried in turn: generators per dimension that sets keep from one step to the next, and how many
+periods in a row have theirs made one. Long flights under errors need the third; no box needs many."""
 NETWORK_ORDER = 30, 1
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
@@ -129,14 +128,18 @@ class Argument:
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if self.document.powered is not None:
-            known = self.loop, self.gain, self.noise, sets, flown, self.stated.orbit
+            asked = self.stated.orbit, self.stated.tank
+            known = self.loop, self.gain, self.noise, sets, flown, asked
             self.record.holds("powered_abort", check_aborts(self.document, *known))
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
         """What errors need along rows, a fault that is isolated late included."""
         needs = Needs(self.loop, memory, rows)
-        boxes = [*self.upsets, *lost(self.document, self.loop, memory)]
-        return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+        boxes, doc = [*self.upsets, *lost(self.document, self.loop, memory)], self.document
+        if not boxes or doc.observer is None:
+            return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+        off = misled(doc, self.plant, len(memory.powers))
+        return replace(needs, upset=upset(needs, boxes, self.gain, off))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""

@@ -74,6 +74,7 @@ class Document:
             raise Rejected("format", f"{type(error).__name__}: {error}") from error
 
     def _take_system(self, system: dict[str, Any], sampling: dict[str, Any]) -> None:
+        self.system = system
         self.steps: int = sampling["steps"]
         self.q: int = sampling["nodes_per_step"]
         self.delta: float = sampling["step"]
@@ -186,6 +187,7 @@ class Document:
             raise ValueError("unsafe sets must be known for as long as the reference")
         sizes |= {"two": 2, "sets": sets, "n+2": n + 2, "covered": covered}
         sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
+        sizes["missed"] = self.timing.get("missed", 0)
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():

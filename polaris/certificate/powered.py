@@ -38,34 +38,39 @@ def check_aborts(
     noise: list[arb],
     sets: list[Zonotope],
     flown: list[Flown],
-    orbit: dict[str, Any] | None,
+    asked: tuple[dict[str, Any] | None, float | None],
 ) -> str:
     """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
 
-    The sets are those that the schedule reaches; returned is what is confirmed.
+    So for the tank, of which the scenario tells besides. The sets are those that the schedule reaches;
+    returned is what is confirmed.
     """
-    asked = document.powered
-    assert asked is not None
-    if document.error_by_step and any(b.step != document.steps or b.inputs for b in asked.branches):
+    powered, (orbit, tank), before = document.powered, asked, arb(0)
+    assert powered is not None
+    if document.error_by_step and any(b.step != document.steps or b.inputs for b in powered.branches):
         raise Rejected(CLAIM, "errors of estimates by step are those of the schedule's own path")
     takeovers, since = dict[int, Takeover](), 0
-    for k, (mode, way) in enumerate(zip(document.modes, asked.steps, strict=True)):
+    for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
+        spent, before = before, before + flown[k].spent / document.mass
+        if way is not None and tank is not None:
+            left = arb(tank) * (1 + SLACK) - (before if mode else spent) - way.delta_v
+            require(CLAIM, left, f"abort in step {k}: the tank of {tank:.6g} m/s")
         if way is not None:
             takeovers[k] = Takeover(way, k, (k if mode else since) * document.q, reached)
         since = k + 1 if mode else since
     if every := [z for taken in takeovers.values() for z in taken.sets]:
         profile = [[arb(x) for x in most] for most in document.profile]
         memory = Memory.of(loop, widest([*sets, *every]), document.q, profile)
-        facets = [row for branch in asked.branches for row in branch.facets]
+        facets = [row for branch in powered.branches for row in branch.facets]
         common = Common(loop, gain, noise, memory, facets, orbit)
-        for place, branch in enumerate(asked.branches):
+        for place, branch in enumerate(powered.branches):
             along = Along(branched(document, branch), branch, common)
             served = [taken for taken in takeovers.values() if taken.way.branch == place]
             along.recovers(served)
             for taken in served if orbit is not None else ():
                 along.arrives(taken)
-    return f"{len(takeovers)} of {document.steps} steps, along {len(asked.branches)} branches"
+    return f"{len(takeovers)} of {document.steps} steps, along {len(powered.branches)} branches"
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,7 +90,8 @@ class Timing(ScenarioPart):
     """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback."""
     missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
     """Periods in a row for which there may be no new measurement or command: commands for so many periods
-    ahead are sent each time. Needs sampled feedback."""
+    ahead are sent each time. Needs sampled feedback; at most 20 with an observer, and none if faults are
+    isolated late besides."""
     clock_error_s: f.NonNegative = unit("s", default=0.0)
     """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
     obstacles of kind `satellite`."""
@@ -226,7 +227,10 @@ class Abort(ScenarioPart):
 
 
 class Tank(ScenarioPart):
-    """Propellant: how long it lasts is told with the velocity change of the safety controller."""
+    """Propellant: how long it lasts is told with the velocity change of the safety controller.
+
+    An abort with thrust is proven only where it is enough for what was spent before, and for that.
+    """
 
     delta_v_m_s: f.Positive = unit("m/s")
     """Velocity change that there is propellant for from the start on, the sum over the axes counted."""

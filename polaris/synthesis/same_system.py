@@ -101,7 +101,7 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
         raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
     rows = np.vstack([np.eye(n), -np.eye(n)])
     for told, inner, outer in (("nodes", start, tube.nodes[0]), ("end", tube.nodes[-1], tube.end)):
-        size = np.abs(inner.c) + inner.half_widths
+        size = inner.extent
         short = inner.support(rows) - outer.support(rows) - ROUNDING * np.concatenate([size, size])
         if not np.all(short <= 0):
             rule = "must contain " + ("the set it starts from" if told == "nodes" else "its last node")

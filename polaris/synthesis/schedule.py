@@ -177,10 +177,13 @@ class Schedule:
     @cached_property
     def delta_v(self) -> tuple[float, float]:
         """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
-        problem = self.safety.problem
-        parts = [_pushed(self.controllers[step.mode], step, problem.delta) for step in self.steps]
-        middle, most = np.sum(parts, axis=0) / problem.system.mass
+        middle, most = np.sum(self._pushed, axis=0) / self.safety.problem.system.mass
         return float(middle), float(most) * (1 + ROUNDING)
+
+    @cached_property
+    def _pushed(self) -> list[tuple[float, float]]:
+        delta = self.safety.problem.delta
+        return [_pushed(self.controllers[step.mode], step, delta) for step in self.steps]
 
     @cached_property
     def _held(self) -> Held:
@@ -210,7 +213,8 @@ class Schedule:
     @cached_property
     def powered(self) -> PoweredSafety | None:
         """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
-        return powered(self.safety, [(step.mode, step.tube) for step in self.steps])
+        flown, (_, most) = [(step.mode, step.tube) for step in self.steps], np.transpose(self._pushed)
+        return powered(self.safety, flown, most / self.safety.problem.system.mass)
 
     def aborted(self, k: int) -> "Schedule":
         """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.

@@ -630,8 +630,9 @@ class Refusing:
 def test_a_box_that_fails_elsewhere_is_one_error():
     with pytest.raises(NoAnswer, match="no memory left"):
         box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-    with pytest.raises(NoAnswer, match="must answer finite numbers"):
+    with pytest.raises(NoAnswer, match="must answer finite numbers") as error:
         box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+    assert str(error.value.__cause__) == "part of a graph"
 
 
 def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
+from polaris.model.distances import stretches
 from polaris.model.errors import PolarisError
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
@@ -19,7 +20,7 @@ from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.style import style
 from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.geometry import faces, flat_outline, stretches, tube_support
+from polaris.report.scene.geometry import faces, flat_outline, tube_support
 from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
 from polaris.report.scene.palette import (
     GREEN,

@@ -603,6 +603,16 @@ def test_program_that_runs_out_of_time_is_not_infeasible(monkeypatch):
         assert answer.status == "time_limit"
 
 
+def test_costs_in_small_units_do_not_leave_a_program_without_an_answer():
+    def solved(unit):
+        program = GrowingLP(unit * np.linspace(0.5, 2, 6), np.zeros(6), np.full(6, 2.0))
+        rng = np.random.default_rng(0)
+        program.add(rng.uniform(-1, 1, (8, 6)), rng.uniform(-0.5, 0.5, 8), np.inf)
+        return program.solve(5.0)[0] / unit
+
+    assert solved(1e18) == pytest.approx(solved(1.0))
+
+
 def test_phase_given_up_early_does_not_cost_the_plan(monkeypatch):
     monkeypatch.setattr(effort, "SPARE_SHARE", 0.0)
     monkeypatch.setattr(PathSearch, "first", lambda self: None)

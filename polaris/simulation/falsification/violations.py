@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...synthesis.recoverable import directed
-from ..integration import Integrator
+from ..delayed import flight_of
 from .attacks import Attack
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 
@@ -88,6 +88,6 @@ def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | Non
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
     finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
-    flight = Integrator(claims.schedule, claims.modes, substeps)
+    flight = flight_of(claims.schedule, claims.modes, substeps)
     failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
     return None if failure is None else (failure, finer, substeps)
