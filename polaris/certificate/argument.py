@@ -20,6 +20,7 @@ from .plants import plant_of, within_limits
 from .powered import check_aborts
 from .recovery import Recovery
 from .scheduled import Scheduled
+from .spending import spent
 from .timing import measured_error
 from .transients import lost, misled, moved, upset
 from .upkeep import check_upkeep
@@ -120,10 +121,12 @@ class Argument:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(further, chosen, memory, sets, scheduled)
         if self.stated.goal is not None and self.document.guarantee != "none":
-            spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
+            taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
-            arrival = Arrival(self.document, path, self.loop, memory, held, spent, scheduled)
+            arrival = Arrival(
+                self.document, path, self.loop, memory, held, taken, self.pilots[0], merging, scheduled
+            )
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
