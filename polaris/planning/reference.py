@@ -44,8 +44,7 @@ class Reference:
     def propagate(cls, system: LinearSystem, delta: float, x0: Array, nu: Array) -> "Reference":
         """Build from an initial state and inputs by exact zero-order-hold discretization (eq. 13)."""
         Ad, Bd = (part[1] for part in _held(system, delta, 1))
-        pushed = (Bd @ u for u in nu)
-        chi = [*accumulate(pushed, lambda x, push: Ad @ x + push, initial=np.asarray(x0, dtype=float))]
+        chi = [*accumulate((Bd @ u for u in nu), lambda x, v: Ad @ x + v, initial=np.asarray(x0, float))]
         return cls(system, delta, np.array(chi), np.array(nu, dtype=float))
 
     @property
@@ -68,8 +67,7 @@ class Reference:
         """
         moved, pushed = _held(self.system, self.delta, q)
         arcs = np.einsum("qij,kj->kqi", moved, self.chi[:-1])
-        arcs += np.einsum("qij,kj->kqi", pushed, self.nu)
-        return np.asarray(arcs)
+        return np.asarray(arcs + np.einsum("qij,kj->kqi", pushed, self.nu))
 
     def rates(self, nodes: Array) -> Array:
         """Elementwise bound on ``|x'|`` over each of the q parts between the nodes of `fine`, (K, q, n)."""
