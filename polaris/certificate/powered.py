@@ -54,8 +54,8 @@ def check_aborts(
     takeovers, since = dict[int, Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
-        spent, taken = before, sum((spell.spent for spell in flown[k].spells), arb(0))
-        before += taken / document.mass
+        spent, step = before, sum((spell.spent for spell in flown[k].spells), arb(0))
+        before += step / document.mass
         if way is not None and tank is not None:
             left = arb(tank) * (1 + SLACK) - (before if mode else spent) - way.delta_v
             require(CLAIM, left, f"abort in step {k}: the tank of {tank:.6g} m/s")
