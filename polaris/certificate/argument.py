@@ -124,9 +124,8 @@ class Argument:
             taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
-            arrival = Arrival(
-                self.document, path, self.loop, memory, held, taken, self.pilots[0], merging, scheduled
-            )
+            given = self.document, path, self.loop, memory, held, taken, scheduled
+            arrival = Arrival(*given, self.pilots[0], merging)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))

@@ -45,9 +45,9 @@ class Arrival:
     memory: Memory
     held: tuple[tuple[Zonotope, int], ...]
     spent: arb
-    pilot: Pilot
-    merging: Merging
     scheduled: Scheduled | None = None
+    pilot: Pilot | None = None  # S, where it is flown on
+    merging: Merging = field(default_factory=lambda: Merging(80))
     _flown: list[Flown] = field(default_factory=list, repr=False)
     _joint: dict[int, arb] = field(default_factory=dict, repr=False)
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
@@ -151,6 +151,7 @@ class Arrival:
         """S from T on, for at least so many periods."""
         doc = self.document
         reached = self.held[-1][0].grown(diagonal(magnitude(self.path.jump).entries()))
+        assert self.pilot is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
             pilot = self.pilot.knowing(doc.known_to(k))

@@ -198,8 +198,8 @@ def derived(forger):
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
-    pilot, merging = argument.pilots[0], Merging(80)
-    found = checked.Arrival(document, path, argument.loop, memory, held, taken, pilot, merging)
+    given = document, path, argument.loop, memory, held, taken
+    found = checked.Arrival(*given, pilot=argument.pilots[0])
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 
@@ -338,7 +338,7 @@ def test_rules_are_the_scenario_s(forgers, key):
 
 def test_a_drift_needs_hill_s_frame(forgers):
     document = SimpleNamespace(system_kind="linear", mean_motion=1e-3)
-    found = checked.Arrival(document, None, None, None, None, arb(0), None, Merging(80))
+    found = checked.Arrival(document, None, None, None, None, arb(0))
     found._drift(None, 0)
     with pytest.raises(Rejected, match="Hill"):
         found._drift(5.0, 0)
