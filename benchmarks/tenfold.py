@@ -82,16 +82,17 @@ def cell(found: Found) -> str:
 def table(
     found: Mapping[str, Found], scenes: Sequence[str], errors: Sequence[str], times: Sequence[float]
 ) -> str:
-    """A row for each scene and error."""
+    """A row for each scene and error of which all sizes are known."""
     sizes = " | ".join("once" if size == 1 else f"{size:g} times" for size in times)
     lines = [f"| Scene | Error | {sizes} | velocity change, m/s | attacked | proven/least |"]
     lines.append("|---" * (len(times) + 5) + "|")
     for scene in scenes:
         for error in errors:
-            row = [found[f"{scene}, {error}, {size:g}"] for size in times]
-            spent = " to ".join(
-                f"{one['delta_v_m_s']:.2f}" for one in (row[0], row[-1]) if "reason" not in one
-            )
+            row = [found[name] for size in times if (name := f"{scene}, {error}, {size:g}") in found]
+            if len(row) < len(times):
+                continue
+            ends = (one for one in (row[0], *row[1:][-1:]) if "reason" not in one)
+            spent = " to ".join(f"{one['delta_v_m_s']:.2f}" for one in ends) or "-"
             attack = row[-1].get("attacks")
             said = ["-", "-"]
             if attack is not None:
@@ -109,12 +110,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--times", type=float, nargs="+", default=TIMES, help="sizes, in ascending order")
     parser.add_argument("--attacks", type=int, default=2000, help="trajectories at the largest size")
     parser.add_argument("--out", type=Path, default=Path("runs/tenfold"))
+    parser.add_argument("--kept", action="store_true", help="tell what has been found, and compute nothing")
     parser.add_argument("--write", action="store_true", help="put the table into the page")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     kept, errors = given.out / "tenfold.json", given.only or list(ERRORS)
     found: dict[str, Found] = json.loads(kept.read_text()) if kept.is_file() else {}
-    for size in reversed(given.times):
+    for size in () if given.kept else reversed(given.times):
         attacks = given.attacks if size == given.times[-1] else 0
         for scene in given.scenes:
             for error in errors:

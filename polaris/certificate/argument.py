@@ -130,8 +130,8 @@ class Argument:
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if self.document.powered is not None:
-            asked = self.stated.orbit, self.stated.tank
-            known = self.loop, self.gain, self.noise, sets, flown, asked
+            asked, late = (self.stated.orbit, self.stated.tank), (self.upsets, self._needs)
+            known = self.loop, self.gain, self.noise, sets, flown, asked, late
             self.record.holds("powered_abort", check_aborts(self.document, *known))
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:

@@ -150,8 +150,6 @@ class Document:
         self.drift = None if drift is None else abort_of(drift, self.q)
         sets, powered = [len(item["normals"]) for item in read["unsafe_sets"]], read.get("powered")
         self.powered: Powered | None = None if powered is None else powered_of(powered, self.delta, sets)
-        if powered is not None and self.transients:
-            raise ValueError("aborts with thrust are not covered with faults isolated late")
         self.laws = [
             Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
             for law in read["controllers"]

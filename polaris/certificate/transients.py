@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
 from math import ceil
 from typing import Any
@@ -80,31 +81,31 @@ def moved(document: Document, plant: Plant, networks: list[Policy]) -> list[arb_
     """Boxes, one of which holds what thrust that is not as commanded has added to the states, (n, 1) each.
 
     Every law answers with no more than its gain times the deviation, whatever clips it; networks also with
-    no more than twice the limits, so that of two bounds each entry is the smaller.
+    no more than twice the limits from the first node after the fault on, so that of two bounds each entry is
+    the smaller; black boxes with that.
     """
-    if document.transients and any(law.kind == "black_box" for law in document.laws):
-        raise Undecided("controllers", "black boxes under faults isolated late are not followed")
+    asked = any(law.kind == "black_box" for law in document.laws)
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
     found, both = [], gains + [_steepest(policy) for policy in networks if document.transients]
     misleading = misled(document, plant, 0)
     for each in document.transients:
+        lasts = arb(each["lasts"])
+        answered = ceil(float((lasts / plant.h).mid()) * (1 - WHOLE)) - 1
         for push in each.get("pushes") or []:
             size, off = [arb(x) for x in push], next(misleading)[0]
-            wrong = [x + 2 * top for x, top in zip(size, plant.u_max, strict=True)]
-            found.append(_spread(document, plant, each, both, (size, off)))
-            if networks:
-                free = _spread(document, plant, each, gains, (wrong, off))
-                pairs = zip(found.pop().entries(), free.entries(), strict=True)
-                found.append(column([smallest(x.upper() for x in pair) for pair in pairs]))
+            spread, limits = partial(_spread, document, plant), [2 * top for top in plant.u_max]
+            free = spread(lasts, gains, (size, off))
+            if answered > 0 and (asked or networks):
+                free += spread(answered * plant.h, gains, (limits, [0 * x for x in off]))
+            if networks and not asked:
+                pairs = zip(free.entries(), spread(lasts, both, (size, off)).entries(), strict=True)
+                free = column([smallest(x.upper() for x in pair) for pair in pairs])
+            found.append(free)
     return found
 
 
 def _spread(
-    document: Document,
-    plant: Plant,
-    fault: dict[str, Any],
-    gains: list[arb_mat],
-    given: tuple[list[arb], list[arb]],
+    document: Document, plant: Plant, lasts: arb, gains: list[arb_mat], given: tuple[list[arb], list[arb]]
 ) -> arb_mat:
     """The same under laws with gains up to these; `given` is how far inputs and estimates are off."""
     n, m, (size, off) = plant.B.nrows(), plant.B.ncols(), given
@@ -112,7 +113,7 @@ def _spread(
     along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
     answer = diagonal([1 + arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
     growth = absolute(plant.A) + absolute(plant.B) * answer * most
-    late = exponential(growth, arb(fault["lasts"]) + _hidden(document, plant))[1] * absolute(plant.B)
+    late = exponential(growth, lasts + _hidden(document, plant))[1] * absolute(plant.B)
     wrong = [a + b for a, b in zip(size, plant.thruster_part(size), strict=True)]
     return magnitude(late * (column(wrong) + answer * most * column(off)))
 

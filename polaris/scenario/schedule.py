@@ -69,7 +69,7 @@ class ScheduleScenario(Scenario):
             rule = "must be false where phases of navigation have within_m, of which a drift needs nothing"
             raise ScenarioError("abort.keep_in", True, rule)
         if model.abort is not None:
-            model.abort.check(system, self.step, bool(late))
+            model.abort.check(system, self.step)
 
     def outline(self) -> str:
         """What it describes, on one line."""
@@ -220,7 +220,8 @@ class ScheduleScenario(Scenario):
         unsteered = np.zeros((system.m, system.n))
         networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
         steepest = [each.steepest(system, self.obstacles()) for each in networks]
-        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest)
+        boxes = any(isinstance(spec, BlackBox) for spec in self.model.experimental)
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest, boxes)
         system = replace(system, transients=late)
         return Problem(
             system=system,

@@ -10,6 +10,9 @@ from ..model.system import Array, LinearSystem
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
 
+PAST = 100
+"""Periods before the start whose noise counts, where an observer has long been at work."""
+
 
 class Predicting(Integrator):
     """A flight whose controllers predict the state from measurements that are late; sampled feedback.
@@ -77,10 +80,6 @@ class Predicting(Integrator):
             noise = np.minimum(noise, left[used])
         return np.asarray(noise)
 
-    def noted(self, w: Array, eta: Array | None) -> Array | None:
-        """As they are given: what comes of noise is worked out on the way."""
-        return eta
-
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
@@ -88,11 +87,15 @@ class Predicting(Integrator):
         if self.measured < 0:
             self.filtered, self.measured = self.seen[start], start
             self.since = np.zeros(len(self.filtered), dtype=int)
-            if observer.initial is not None and self.eta is not None:
-                off = np.sign(self.eta[start]) * observer.initial
-                period = np.linalg.matrix_power(Ad, self.substeps)
-                past = -(-self.lag // self.substeps)  # updates before the first that is flown
-                self.filtered = self.filtered + off @ np.linalg.matrix_power(observer.rest @ period, past).T
+            if self.eta is not None:  # past updates, and those before the first that is flown
+                told, left = np.sign(self.eta[start]), observer.gain
+                off = np.zeros_like(told) if observer.initial is None else told * observer.initial
+                loop = observer.rest @ np.linalg.matrix_power(Ad, self.substeps)
+                for _ in range(PAST if observer.initial is None else 0):
+                    off = off + observer.noise * np.sign(self.eta[start] @ left) @ left.T
+                    left = loop @ left
+                before = -(-self.lag // self.substeps)
+                self.filtered = self.filtered + off @ np.linalg.matrix_power(loop, before).T
         gains = np.array([observer.gain, *observer.after])
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
@@ -157,7 +160,6 @@ class Predicting(Integrator):
 
 
 def flight_of(schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> Integrator:
-    """A flight as attacks fly it: an observer is flown step by step where not noise alone counts."""
-    system = schedule.safety.problem.system
-    stepwise = system.observer is not None and (system.timing.missed or system.transients)
-    return (Predicting if stepwise else Integrator)(schedule, modes, substeps)
+    """A flight as attacks fly it: an observer as it is on board, all else by the errors of what it makes."""
+    observed = schedule.safety.problem.system.observer is not None
+    return (Predicting if observed else Integrator)(schedule, modes, substeps)

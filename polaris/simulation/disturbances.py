@@ -150,7 +150,7 @@ def adjoint_worst_case(
 def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) -> tuple[Array, Array]:
     """Worst errors of estimates in a step along `direction` (R, p + n), in which disturbances and they count.
 
-    Of an observer its noise, as `followed` reads it: `later` (R, n) is how much its error counts at the end
+    Of an observer its noise, as `Predicting` reads it: `later` (R, n) is how much its error counts at the end
     of the step, returned with how much it does before, and counted in `direction`.
     """
     observer, known, (Ad, _, Dd), p = flight.system.observer, flight.known[step], flight.held, flight.system.p

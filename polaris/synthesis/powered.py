@@ -89,7 +89,7 @@ class Takeover:
         Each of shape (cells, r), zero in the cells before step k, where nothing is aborted.
         """
         box = Zonotope(np.zeros(len(self.size)), np.diag(self.size))
-        need = error_tube(tracking, box, rows, failing=False).need
+        need = error_tube(tracking, box, rows).need
         q, end = tracking.feedback.nodes_per_cell, len(need) - 1
         within, at = np.zeros((2, cells, len(rows)))
         for c in range(self.k, cells):
@@ -173,6 +173,8 @@ class Branch:
         most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])
         most = np.minimum(most + command_errors(system, tracking.gain, end), system.u_max)
         spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
+        wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
+        spent += float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
         return (spent + system.m * system.timing.carried) / system.mass * (1 + SPARE)
 
 

@@ -15,6 +15,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.errors import ScenarioError, SynthesisInfeasible
 from ..model.system import Array
 from ..model.tolerances import REFERENCE, ROUNDING
+from .black_box import BlackBox
 from .controllers import AffineController, AnyThrust, Controller, TubeSegment
 from .get_safety import Safety, get_safety
 from .neural import NeuralController
@@ -65,7 +66,8 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
             within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
-        if not within and not isinstance(controller, AnyThrust):
+        anything = isinstance(controller, AnyThrust) or (isinstance(controller, BlackBox) and fault.asked)
+        if not within and not anything:
             rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
     own, K = getattr(controller, "own", reference), problem.K

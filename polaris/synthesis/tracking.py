@@ -22,8 +22,8 @@ but collected in one ball. Smaller: more rows per recoverable set, and a larger 
 
 def at_nodes(parts: Array) -> Array:
     """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
-    before = [(0, 0)] * (parts.ndim - 2)
-    left, right = (np.pad(parts, [*before, ends, (0, 0)]) for ends in ((0, 1), (1, 0)))
+    end = np.zeros((*parts.shape[:-2], 1, parts.shape[-1]))
+    left, right = np.concatenate([parts, end], axis=-2), np.concatenate([end, parts], axis=-2)
     return np.asarray(np.maximum(left, right))
 
 

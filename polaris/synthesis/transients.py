@@ -1,6 +1,7 @@
 """What faults add to the states until they are isolated (docs/theory.md, Lemma 41)."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -21,19 +22,28 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float, off: Ar
     """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
 
     Every law answers with no more than its gain times the deviation, whatever clips it (Gronwall's
-    inequality), a network also with no more than twice the limits. What a delay hides from it counts as if
-    the fault lasted longer. Periods are of h [s]; an observer is misled by `off` (J, n) at most.
+    inequality); a network also with no more than twice the limits from the first node after the fault on, a
+    black box with that alone. What a delay hides counts as if it lasted longer. Periods are of h [s]; an
+    observer is misled by `off` (J, n) at most.
     """
-    most, pushes = np.maximum(fault.gains, np.abs(gain)), fault.pushes
-    if fault.networks is None:
-        return _spread(system, fault, h, most, (pushes, off))
-    both = (most, (pushes + 2 * system.u_max, off)), (np.maximum(most, fault.networks), (pushes, off))
-    return np.asarray(np.min([_spread(system, fault, h, *each) for each in both], axis=0))
+    most, given = np.maximum(fault.gains, np.abs(gain)), (fault.pushes, off)
+    found, later = _spread(system, fault.lasts, h, most, given), h * (ceil(fault.lasts / h * (1 - WHOLE)) - 1)
+    if later > 0 and (fault.asked or fault.networks is not None):
+        found = found + _spread(system, later, h, most, (2 * system.u_max[None], 0 * off[:1]))
+    if fault.networks is None or fault.asked:
+        return found
+    steep = np.maximum(most, fault.networks)
+    return np.asarray(np.minimum(found, _spread(system, fault.lasts, h, steep, given)))
 
 
-def _spread(
-    system: LinearSystem, fault: Transient, h: float, gains: Array, given: tuple[Array, Array]
-) -> Array:
+def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
+    """What wrong thrust may add to states by the time that predictions know of it, shape (n,)."""
+    ended = (replace(fault, lasts=0.0) for fault in system.transients if len(fault.thrust))
+    found = (moved(system, fault, gain, h, np.zeros((1, system.n))).max(axis=0) for fault in ended)
+    return np.asarray(np.max([np.zeros(system.n), *found], axis=0))
+
+
+def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, given: tuple[Array, Array]) -> Array:
     """The same under laws with gains up to these; `given` is how far inputs (J, m) and estimates are off."""
     (wrong, off), timing, thrusters, n = given, system.timing, system.thrusters, system.n
     late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed)
@@ -41,7 +51,7 @@ def _spread(
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ gains
     block[:n, n:] = np.eye(n)
-    spread = expm(block * (fault.lasts + late))[:n, n:] @ np.abs(system.B)
+    spread = expm(block * (lasts + late))[:n, n:] @ np.abs(system.B)
     pushed = wrong + thrusters.part(wrong) + off @ gains.T @ answer.T
     return np.asarray(pushed @ spread.T * (1 + ROUNDING))
 
@@ -90,7 +100,8 @@ def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array
     measured = np.array(timing.measured or system.navigation) + system.displaced
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
     found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
-    first = np.maximum(system.navigation, np.abs(expm(system.A * h)) @ system.navigation)
+    carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
+    first = np.max(carried, axis=0)
     return np.asarray((found + left(every, first[None])[-1].T) * (1 + ROUNDING))
 
 

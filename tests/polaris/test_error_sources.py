@@ -196,6 +196,14 @@ def test_bad_tables_are_refused_by_name(assignment, field):
     assert error.value.field.startswith(field)
 
 
+def test_less_feedback_is_tried_where_errors_of_thrusters_leave_no_safe_reference():
+    scenario = load_scenario("keep_out").with_assignments(["thrusters.misalignment_deg=20"])
+    with pytest.raises(SynthesisInfeasible, match="cross-track thrust"):
+        get_safety(scenario.set("tracking.thrust_share", 0.5).problem())
+    found = get_safety(scenario.problem())
+    assert found.problem.thrust_share == 0.35 and found.start_margin.inside
+
+
 def test_in_hills_frame_errors_have_units():
     scenario = load_scenario("static").with_assignments(
         ["navigation.position_error_m=[1, 2, 3]", "navigation.velocity_error_m_s=0.5"]

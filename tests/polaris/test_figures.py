@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from functools import cache, lru_cache
 
 import matplotlib
 import numpy as np
@@ -49,7 +50,9 @@ def picture():
     return replace(picture_of(schedule), flights={key: item.flights for key, item in flown().items()})
 
 
+@lru_cache(maxsize=16)
 def drawn(name, picture, dpi=150):
+    """A figure to look at, not to change."""
     with style():
         figure = FIGURES[name](picture)
         figure.set_dpi(dpi)
@@ -181,7 +184,7 @@ def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path,
 
 def test_the_users_settings_come_back(picture):
     before = dict(matplotlib.rcParams)
-    drawn("modes", picture)
+    drawn.__wrapped__("modes", picture)
     assert dict(matplotlib.rcParams) == before
 
 
@@ -246,6 +249,7 @@ LINE = LinearSystem(np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.arr
 HILL = clohessy_wiltshire(0.0012, 10.0, 0.1)
 
 
+@cache
 def random_picture(seed):
     """A flight by modes in one to three dimensions, with every kind of set and goal, in units of any size."""
     rng = np.random.default_rng(seed)

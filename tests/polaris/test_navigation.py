@@ -20,7 +20,6 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.delayed import Predicting
 from polaris.simulation.disturbances import adjoint_worst_case, limit_rows
 from polaris.simulation.falsification.search import falsify
-from polaris.simulation.integration import Integrator
 from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis.synthesize import synthesize
 
@@ -147,27 +146,25 @@ def test_first_errors_of_an_observer_fade_as_its_loop_says():
 
 @pytest.mark.parametrize("more", [(), ("timing.delay_s=0.5",)])
 def test_an_observer_is_attacked_by_its_noise(more):
-    """What the falsifier flies is what a filter on board makes of the same noise; no other goes further."""
+    """The falsifier flies the filter, within its bounds, and no other noise goes further."""
     schedule, rng = observed("-".join(["noise", *more]), FIRST, *more), np.random.default_rng(0)
     modes, rows, runs = flown_modes(schedule, False), limit_rows(schedule), 30
-    plain, filtering = Integrator(schedule, modes, 1), Predicting(schedule, modes, 1)
-    rows, targets = rows[rng.integers(0, len(rows), runs)], rng.integers(5, plain.steps + 1, runs)
-    w, _, _ = adjoint_worst_case(plain, rows, targets)
+    flight = Predicting(schedule, modes, 1)
+    rows, targets = rows[rng.integers(0, len(rows), runs)], rng.integers(5, flight.steps + 1, runs)
+    w, _, _ = adjoint_worst_case(flight, rows, targets)
     x0 = np.repeat(schedule.safety.problem.initial_set.c[None], runs, axis=0)
-    filtering.prepare(runs, rng)
-    flown = plain.run(x0, w)
-    assert np.all(np.abs(plain.eta) <= plain.known * (1 + 1e-9)) and plain.eta[0].any()
-    if not more:  # before the first measurement that is late a flight on board knows less
-        assert np.allclose(flown.states, filtering.run(x0, w).states, atol=1e-12)
+    flown = flight.run(x0, w)
+    assert np.all(flight.off <= 1 + 1e-9) and flight.off.max() > 0.5
 
     def far(states):
         return np.einsum("rn,rn->r", rows, states[np.arange(runs), targets])
 
     for _ in range(3):
         other = w.copy()
-        noise = other[..., plain.columns[1]]
-        other[..., plain.columns[1]] = noise * rng.choice([-1.0, 1.0], (*noise.shape[:2], 1))
-        assert np.all(far(plain.run(x0, other).states) <= far(flown.states) + (1e-9 if not more else 1e-3))
+        noise = other[..., flight.columns[1]]
+        other[..., flight.columns[1]] = noise * rng.choice([-1.0, 1.0], (*noise.shape[:2], 1))
+        more_far = far(flight.run(x0, other).states) - far(flown.states)
+        assert more_far.max() < 0.01 and more_far.mean() < -0.005  # some commands clip, and some are early
 
 
 def test_bounds_hold_within_a_range_that_is_kept():

@@ -20,6 +20,7 @@ from polaris.report.html.run_report import aborts
 from polaris.runs.certificate import certificate
 from polaris.runs.tables import abort_told
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.failing import Failing
 from polaris.simulation.falsification.aborting import Aborted
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
@@ -28,9 +29,11 @@ from polaris.synthesis.synthesize import synthesize
 from .closed_loops import attack
 from .forging import CERTIFICATE, COARSE, Forger, make
 from .test_error_sources import exact, tables
+from .test_transients import LATE, SOFT
 from .tiny import TINY
 
 ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
+STUCK = 'faults=[{kind="stuck_off"}]'
 OWN = f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"
 
 
@@ -296,6 +299,33 @@ def verified(scenario, schedule):
     finally:
         flint.ctx.prec = before
     return "powered_abort" in dict(record.checked)
+
+
+def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
+    """In the aborted flight each thruster fails right before the orbit is claimed to be reached."""
+
+    def least(schedule, k=5):
+        (fault,) = schedule.safety.problem.system.transients
+        tried, count = Aborted(schedule, k, 8, np.random.default_rng(0)), len(fault.thrust)
+        q, h = schedule.safety.clearance.q, schedule.safety.tracking.flow.h
+        ends = np.full(count, schedule.powered.ways[k].cell * q)
+        share = np.full(count, -1.0 if fault.name == "stuck_on" else fault.share)
+        begins, on_board = ends - int(fault.lasts / h + 1e-9), np.zeros(count, dtype=bool)
+        failing = Failing(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
+        tried.attack = replace(tried.attacker.worst(count), failing=failing)
+        tried.runs = tried.attack.fly(tried.attacker.flight)
+        return tried.exceeded()[2]
+
+    schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, OWN]))
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    assert len(proven(schedule)) == 12 and least(schedule) >= 0
+    assert falsify(schedule, 400, 0).failure is None
+    twos = f"thrusters.directions={[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2}"
+    naive = load_scenario(TINY).with_assignments([*SOFT, twos, "thrusters.thrust_max_N=1.0", STUCK, OWN])
+    late = naive.with_assignments([STUCK.replace("off", "on").replace("}", ",isolation_s=3.0}")])
+    schedule = synthesize(naive)
+    object.__setattr__(schedule.safety.problem.system, "transients", late.problem().system.transients)
+    assert least(schedule) < -0.1
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from polaris.certificate.repeated import limit_names
 from polaris.certificate.transients import check_withheld
 from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
-from polaris.rta.decision_grid import DecisionGrid
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import guarantee
@@ -149,11 +148,9 @@ def test_networks_fly_where_a_fault_may_be_isolated_late(fault):
     steeper = dataclasses.replace(transient, networks=100 * transient.networks)
     calm = dataclasses.replace(transient, networks=None)
     gain = schedule.safety.tracking.gain
-    least, found, most = (
-        moved(system, each, gain, 0.25, np.zeros((1, 4))) for each in (calm, transient, steeper)
-    )
-    free = dataclasses.replace(calm, share=1.0, thrust=transient.pushes + 2 * system.u_max)
-    limit = moved(system, free, gain, 0.25, np.zeros((1, 4)))
+    off = np.zeros((1, 4))
+    least, found, most = (moved(system, each, gain, 0.25, off) for each in (calm, transient, steeper))
+    limit = moved(system, dataclasses.replace(calm, asked=True), gain, 0.25, off)
     assert np.all(least <= found) and np.all(found <= most) and np.allclose(most, limit)
 
 
@@ -298,7 +295,7 @@ def test_bad_tables_are_refused_by_name(fault):
     assert error.value.field.startswith("faults")
 
 
-def test_what_cannot_be_survived_or_is_not_covered_is_named():
+def test_what_cannot_be_survived_is_named():
     scenario = load_scenario(TINY).with_assignments(SOFT)
     faults = 'faults=[{kind="loss",share=0.3,isolation_s=0.8},{kind="navigation_lost",lasts_s=1.0}]'
     short = r"loss \(0.8 s\) leaves input . [0-9.]+ short in step \d+ \(t = .* none is found with this fault"
@@ -307,9 +304,6 @@ def test_what_cannot_be_survived_or_is_not_covered_is_named():
     assert "navigation_lost (1 s) leaves enough; one is found" in str(error.value)
     with pytest.raises(SynthesisInfeasible, match="without faults isolated late, either"):
         synthesize(scenario.with_assignments([LOST, "system.input_max=0.1"]))
-    schedule = synthesize(scenario.with_assignments([LOST]))
-    with pytest.raises(ScenarioError, match="run-time methods know no faults"):
-        DecisionGrid.of(schedule)
 
 
 def test_steps_that_s_flies_because_of_a_fault_are_named_with_what_is_short():

@@ -213,7 +213,7 @@ class _Search:
         """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
         tried = Aborted(self.schedule, int(self.main.rng.choice(self.aborts)), count, self.main.rng)
         claims = tried.attacker.claims
-        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs))
+        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs, tried.attack.failing))
         limit, when, margin, attack = tried.exceeded()
         if found is None and margin < -EXACT_M:
             found = Failure("abort", limit, when, margin, 0.0), (attack, True, 1)
