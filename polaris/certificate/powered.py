@@ -202,7 +202,7 @@ class Along:
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
         doc, plant, m = self.document, self.common.loop.plant, len(self.document.u_max)
-        (needs, jump), total = self._commands, m * arb(doc.carried)
+        (needs, jump), total = self._commands, plant.owed
         for c in range(taken.k, cell):
             known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.common.gain)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]

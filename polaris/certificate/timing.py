@@ -59,8 +59,8 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     late, moved = _jitter(plant) if jitter else none
     more, within = _pulses(plant, document.fired) if pulsed else none
     require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
-    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (plant.carried / plant.h)
-    moved = sums(moved, row_sums(held))
+    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
+    moved = sums(moved, row_sums((held + absolute(plant.B) * plant.along) * plant.carried))
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")

@@ -177,11 +177,17 @@ class LinearSystem:
 
     @cached_property
     def adrift(self) -> Array:
-        """Rates of the states by impulses that are carried, as generators, shape (n, m); or (n, 0)."""
+        """Rates of the states by impulses that are carried and their errors, as generators, shape (n, ...)."""
         if not self.timing.carried:
             return np.zeros((self.n, 0))
         held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
-        return np.asarray(self.timing.carried * self.A @ held)
+        wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
+        return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
+
+    @property
+    def owed(self) -> float:
+        """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
+        return self.m * self.timing.carried * (1 + self.thrusters.along)
 
     @property
     def prompt(self) -> LinearSystem:

@@ -8,7 +8,7 @@ side of an obstacle they lead, is decided by what the schedule is worth. Nothing
 reference will do for Theorem 2, and each candidate passes both algorithms whole.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -44,6 +44,10 @@ PROGRAMS = 120
 """Most windows tried from each start."""
 STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
+APART = tuple((i, j) for i in (3, 5, 7, 9) for j in (3, 5, 7, 9))
+"""Steps that S keeps at both ends of a window that is split, where errors make windows long."""
+SETTLED = 12
+"""Steps after which S has done with the initial set."""
 SIDES = 8
 """Sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply."""
 SPARE = 2.0
@@ -67,7 +71,7 @@ def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
     return mask
 
 
-def neighbours(mask: Mask) -> Iterator[Mask]:
+def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Mask]:
     """Windows a little shorter, longer, earlier, later, split or joined."""
     parts, K = windows(mask), len(mask)
     for i, (a, b) in enumerate(parts):
@@ -79,6 +83,9 @@ def neighbours(mask: Mask) -> Iterator[Mask]:
         for left in (4, 2):
             if b - a > 2 * left:
                 yield in_windows([*before, (a, a + left), (b - left, b), *after], K)
+        for left, right in apart:
+            if b - a > left + right + 2:
+                yield in_windows([*before, (a, a + left), (b - right, b), *after], K)
         if b - a >= 4:
             middle = (a + b) // 2
             yield in_windows([*before, (a, middle), (middle + 1, b), *after], K)
@@ -101,16 +108,22 @@ class Windows:
         demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
         u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
         own = Scheduled(u, law.own, law.own.cells) if u.varies else None
-        margins = []
+        q, handed = tracking.feedback.nodes_per_cell, safety.start
+        for k in range(0 if system.ideal else min(SETTLED, problem.K)):
+            handed = safety.controller.fly(handed, k).end
+        margins, self.tubes = [], []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             rows = -unsafe.normals @ system.position
-            tube = error_tube(u, safety.start, rows).over_cells(problem.K, tracking.feedback.nodes_per_cell)
-            if own is not None:
-                tube = tube + own.along(rows).max(axis=1)[: problem.K]
-            margins.append(margin + tube)
+            tube = error_tube(u, safety.start, rows).over_cells(problem.K, q)
+            again = error_tube(u, handed - handed.c, rows).over_cells(problem.K, q)
+            caused = 0.0 if own is None else own.along(rows).max(axis=1)[: problem.K]
+            margins.append(margin + tube + caused if system.ideal else margin)
+            self.tubes.append((tube + caused, again, caused))
+        self.left = tracking.decay[np.minimum(np.arange(problem.K) * q, tracking.memory)][:, None]
         # Coasting after T that is proven safe along the printed reference shall stay so.
         self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
         self.rows = Rows(self.asked)
+        self.lacking = [np.zeros((problem.K, 1)) for _ in sets]
         followed = Followed.of(system, law.powers[-1], law.own)
         self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
         self.unit = float(self.rows.price.max())
@@ -125,6 +138,21 @@ class Windows:
         limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
         self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
 
+    def _book(self, mask: Mask) -> None:
+        """Book U's own tube, where errors let it grow again after each of S's windows."""
+        if self.asked.system.ideal:
+            return
+        edges = [0, *np.flatnonzero(np.diff(mask)) + 1, self.K]
+        for i, (tube, again, caused) in enumerate(self.tubes):
+            need = tube.copy()
+            for a, b in pairwise(edges):
+                if a and mask[a]:
+                    need[a:b] = need[a - 1] * self.left[: b - a]
+                elif a:
+                    need[a:b] = again[: b - a] + np.broadcast_to(caused, again.shape)[a:b]
+            self.rows.booking[i][: self.K] = need + self.lacking[i]
+            self.rows.booking[i][self.K :] = need[-1] + self.lacking[i][-1]
+
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
         key = mask.tobytes()
@@ -132,6 +160,7 @@ class Windows:
             return np.inf, None
         if key not in self.known:
             self._priced(np.where(mask, 0.0, np.inf))
+            self._book(mask)
             found, cost = self.search.best({}), np.inf
             if found is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
@@ -141,6 +170,7 @@ class Windows:
 
     def starts(self) -> list[tuple[Mask, Seen | None]]:
         """Where to begin: the windows of paths near U's own, past what is in its way on every side."""
+        self._book(np.zeros(self.K, dtype=bool))
         self._priced(np.full(self.K, STICKING[0] * self.unit))
         own = self.search.solve({})
         if own is None:
@@ -159,6 +189,7 @@ class Windows:
         for choice, guide in sides:
             self.search.guide = guide
             for price in STICKING:
+                self._book(np.zeros(self.K, dtype=bool))
                 self._priced(np.full(self.K, price * self.unit))
                 path = self.search.improved(self.search.best(choice))
                 if path is None:
@@ -210,11 +241,13 @@ class Windows:
                 tube = schedule.controllers[intended[k]].fly(reached, k)
                 margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
                 if not margin.inside and margin.limit in names:
-                    cell = min(int(margin.time / safety.problem.delta), self.asked.cells - 1)
+                    last = (self.asked.cells if self.asked.system.ideal else self.K) - 1
+                    cell = min(int(margin.time / safety.problem.delta), last)
                     near = slice(max(cell - 1, 0), cell + 2)
                     lacking = SPARE * (margin.need - margin.room)
-                    booked = self.rows.booking[names.index(margin.limit)]
-                    booked[near] = np.maximum(booked[near], lacking)
+                    at = names.index(margin.limit)
+                    booked = (self.rows.booking if self.asked.system.ideal else self.lacking)[at]
+                    booked[near] = np.maximum(booked[near], lacking) if self.asked.system.ideal else booked[near] + lacking
                     some = True
             reached = step.tube.end
         return some
@@ -224,7 +257,7 @@ class Windows:
         better = True
         while better and len(self.known) < PROGRAMS:
             better = False
-            for other in neighbours(mask):
+            for other in neighbours(mask, () if self.asked.system.ideal else APART):
                 found = self.path(other)[0]
                 if found < cost - 1e-9:
                     cost, mask, better = found, other, True
