@@ -43,7 +43,7 @@ class Premises:
     observer: Iterable[float] = ()  # bounds on the errors of what an observer measures
     initial: Iterable[float] = ()  # bounds on the errors of its first estimate, if it has one
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
-    thrusters: Iterable[float] = ()  # errors as a share of the command, of the 2-norm of the others, whatever it is
+    thrusters: Iterable[float] = ()  # errors as a share of the command, of the 2-norm of others, at all
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point

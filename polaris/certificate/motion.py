@@ -97,19 +97,9 @@ class Plant:
     @cached_property
     def carry(self) -> list[Push]:
         """What impulses that are carried to the next period push meanwhile, if there are any."""
-        rates = self.A * self.open.gamma * self.B * (1 / self.h), self.A * self.B * self.along
-        left = [arb(self.carried)] * self.B.ncols()
-        return [Push.in_box(rate, left) for rate in rates[: 1 + (self.along > 0)]] if self.carried else []
-
-    @property
-    def owed(self) -> arb:
-        """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
-        return self.B.ncols() * arb(self.carried) * (1 + arb(self.along))
-
-    @property
-    def along(self) -> float:
-        """Error of an input as a share of its own command."""
-        return self.thrusters[0] if self.thrusters else 0.0
+        left, along = [arb(self.carried)] * self.B.ncols(), self.thrusters[0] if self.thrusters else 0.0
+        rates = self.A * self.open.gamma * self.B * (1 / self.h), self.A * self.B * along
+        return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
 
     def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
         """Motion under ``u = -gain x``, every input off by an error at most."""

@@ -177,17 +177,12 @@ class LinearSystem:
 
     @cached_property
     def adrift(self) -> Array:
-        """Rates of the states by impulses that are carried and their errors, as generators, shape (n, ...)."""
+        """Rates of the states by impulses that are carried, and by their errors, as generators (n, ...)."""
         if not self.timing.carried:
             return np.zeros((self.n, 0))
         held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
         wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
         return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
-
-    @property
-    def owed(self) -> float:
-        """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
-        return self.m * self.timing.carried * (1 + self.thrusters.along)
 
     @property
     def prompt(self) -> LinearSystem:
@@ -246,10 +241,8 @@ class LinearSystem:
 
     def error_map(self, error: Array) -> Array | None:
         """Errors of inputs, and what is carried, as generators of the rate of the states; None for none."""
-        inputs = self.B * error if np.any(error) else None
-        if not self.timing.carried:
-            return inputs
-        return self.adrift if inputs is None else np.hstack([inputs, self.adrift])
+        parts = [self.B * error] * bool(np.any(error)) + [self.adrift] * bool(self.timing.carried)
+        return np.hstack(parts) if parts else None
 
     @property
     def input_names(self) -> tuple[str, ...]:

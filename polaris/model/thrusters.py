@@ -44,6 +44,10 @@ class Thrusters:
         """Whether the errors depend on what is commanded."""
         return self.along > 0 or self.across > 0
 
+    def made(self, impulse: float) -> float:
+        """Most impulse of an input that is asked for one by one."""
+        return impulse * (1 + self.along)
+
     def error(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
         """Bounds on the errors under commands up to u in size, shape (..., m)."""
         return np.asarray(self.part(u) + self.bit)

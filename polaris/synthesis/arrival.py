@@ -214,7 +214,7 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
     until = (spent * (1 + _spare(tracking)) + _correcting(safety, held, nodes)) * (1 + ROUNDING) + ahead
-    before = system.owed / system.mass  # what an orbit may find left
+    before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
     tank, lasts = problem.tank, None
     if tank is not None and rate > 0:

@@ -44,10 +44,8 @@ PROGRAMS = 120
 """Most windows tried from each start."""
 STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
-APART = tuple((i, j) for i in (3, 5, 7, 9) for j in (3, 5, 7, 9))
-"""Steps that S keeps at both ends of a window that is split, where errors make windows long."""
-SETTLED = 12
-"""Steps after which S has done with the initial set."""
+APART = tuple((i, j) for i in (3, 5, 7, 9) for j in (3, 5, 7, 9))  # steps left of a window that is split
+SETTLED = 12  # steps after which S has done with the initial set
 SIDES = 8
 """Sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply."""
 SPARE = 2.0
@@ -97,6 +95,7 @@ class Windows:
     """Windows for S along the path of one law, and the least velocity change with each.
 
     `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
+    U's tube is booked for a flight; with errors and sets to stay inside it counts since each window.
     """
 
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
@@ -104,26 +103,26 @@ class Windows:
         problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
         self.worth, self.K, self.mode = worth, problem.K, mode
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
+        self.renewed = renewed = not system.ideal and any(body.keep_in for body in sets)
         asked = plan_problem(problem, tracking, sets)
         demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
         u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
         own = Scheduled(u, law.own, law.own.cells) if u.varies else None
         q, handed = tracking.feedback.nodes_per_cell, safety.start
-        for k in range(0 if system.ideal else min(SETTLED, problem.K)):
+        for k in range(min(SETTLED, problem.K) if renewed else 0):
             handed = safety.controller.fly(handed, k).end
+        self.left = tracking.decay[np.minimum(np.arange(problem.K) * q, tracking.memory)][:, None]
         margins, self.tubes = [], []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             rows = -unsafe.normals @ system.position
-            tube = error_tube(u, safety.start, rows).over_cells(problem.K, q)
-            again = error_tube(u, handed - handed.c, rows).over_cells(problem.K, q)
-            caused = 0.0 if own is None else own.along(rows).max(axis=1)[: problem.K]
-            margins.append(margin + tube + caused if system.ideal else margin)
+            tube, again = (error_tube(u, z, rows).over_cells(problem.K, q) for z in (safety.start, handed))
+            caused = np.zeros_like(tube) if own is None else own.along(rows).max(axis=1)[: problem.K]
+            margins.append(margin if renewed else margin + (tube + caused))
             self.tubes.append((tube + caused, again, caused))
-        self.left = tracking.decay[np.minimum(np.arange(problem.K) * q, tracking.memory)][:, None]
         # Coasting after T that is proven safe along the printed reference shall stay so.
         self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
         self.rows = Rows(self.asked)
-        self.lacking = [np.zeros((problem.K, 1)) for _ in sets]
+        self.lacking = np.zeros((len(sets), self.asked.cells, 1))
         followed = Followed.of(system, law.powers[-1], law.own)
         self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
         self.unit = float(self.rows.price.max())
@@ -134,24 +133,23 @@ class Windows:
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
         self.known: dict[bytes, tuple[float, Candidate | None]] = {}
 
-    def _priced(self, prices: Array) -> None:
+    def _priced(self, prices: Array, mask: Mask | None = None) -> None:
+        """Price departures from U's path, and book its tube beside S's windows, if there are any."""
+        if self.renewed:
+            self._book(np.zeros(self.K, dtype=bool) if mask is None else mask)
         limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
         self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
 
     def _book(self, mask: Mask) -> None:
-        """Book U's own tube, where errors let it grow again after each of S's windows."""
-        if self.asked.system.ideal:
-            return
-        edges = [0, *np.flatnonzero(np.diff(mask)) + 1, self.K]
-        for i, (tube, again, caused) in enumerate(self.tubes):
-            need = tube.copy()
+        """Book U's own tube since each of S's windows, within which it fades."""
+        edges = [*np.flatnonzero(np.diff(mask)) + 1, self.K]
+        cells = np.minimum(np.arange(self.asked.cells), self.K - 1)
+        for booked, more, tubes in zip(self.rows.booking, self.lacking, self.tubes, strict=True):
+            need, (_, again, caused) = tubes[0].copy(), tubes
             for a, b in pairwise(edges):
-                if a and mask[a]:
-                    need[a:b] = need[a - 1] * self.left[: b - a]
-                elif a:
-                    need[a:b] = again[: b - a] + np.broadcast_to(caused, again.shape)[a:b]
-            self.rows.booking[i][: self.K] = need + self.lacking[i]
-            self.rows.booking[i][self.K :] = need[-1] + self.lacking[i][-1]
+                flown = again[: b - a] + caused[a:b]
+                need[a:b] = need[a - 1] * self.left[: b - a] if mask[a] else flown
+            booked[:] = need[cells] + more
 
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
@@ -159,8 +157,7 @@ class Windows:
         if key not in self.known and not self.worth.allows(mask):
             return np.inf, None
         if key not in self.known:
-            self._priced(np.where(mask, 0.0, np.inf))
-            self._book(mask)
+            self._priced(np.where(mask, 0.0, np.inf), mask)
             found, cost = self.search.best({}), np.inf
             if found is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
@@ -170,7 +167,6 @@ class Windows:
 
     def starts(self) -> list[tuple[Mask, Seen | None]]:
         """Where to begin: the windows of paths near U's own, past what is in its way on every side."""
-        self._book(np.zeros(self.K, dtype=bool))
         self._priced(np.full(self.K, STICKING[0] * self.unit))
         own = self.search.solve({})
         if own is None:
@@ -189,7 +185,6 @@ class Windows:
         for choice, guide in sides:
             self.search.guide = guide
             for price in STICKING:
-                self._book(np.zeros(self.K, dtype=bool))
                 self._priced(np.full(self.K, price * self.unit))
                 path = self.search.improved(self.search.best(choice))
                 if path is None:
@@ -236,20 +231,21 @@ class Windows:
         """Book the clearance that U lacked where it was meant to fly; whether there was any to book."""
         safety, reached, some = schedule.safety, schedule.safety.start, False
         names = [unsafe.name for unsafe in self.asked.unsafe]
+        lacking = np.zeros((len(names), self.asked.cells, 1))
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
                 tube = schedule.controllers[intended[k]].fly(reached, k)
                 margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
                 if not margin.inside and margin.limit in names:
-                    last = (self.asked.cells if self.asked.system.ideal else self.K) - 1
-                    cell = min(int(margin.time / safety.problem.delta), last)
+                    cell = min(int(margin.time / safety.problem.delta), self.asked.cells - 1)
                     near = slice(max(cell - 1, 0), cell + 2)
-                    lacking = SPARE * (margin.need - margin.room)
-                    at = names.index(margin.limit)
-                    booked = (self.rows.booking if self.asked.system.ideal else self.lacking)[at]
-                    booked[near] = np.maximum(booked[near], lacking) if self.asked.system.ideal else booked[near] + lacking
+                    more = lacking[names.index(margin.limit)]
+                    more[near] = np.maximum(more[near], SPARE * (margin.need - margin.room))
                     some = True
             reached = step.tube.end
+        self.lacking = self.lacking + lacking
+        for booked, more in zip(self.rows.booking, lacking, strict=True):
+            booked[:] = np.maximum(booked, more)
         return some
 
     def _descend(self, mask: Mask) -> Mask:
@@ -257,7 +253,7 @@ class Windows:
         better = True
         while better and len(self.known) < PROGRAMS:
             better = False
-            for other in neighbours(mask, () if self.asked.system.ideal else APART):
+            for other in neighbours(mask, APART if self.renewed else ()):
                 found = self.path(other)[0]
                 if found < cost - 1e-9:
                     cost, mask, better = found, other, True

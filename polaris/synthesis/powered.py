@@ -162,7 +162,7 @@ class Branch:
         most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])
         most = np.minimum(most + command_errors(system, tracking.gain, end), system.u_max)
         spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
-        return (spent + system.owed) / system.mass * (1 + SPARE)
+        return (spent + system.thrusters.made(system.m * system.timing.carried)) / system.mass * (1 + SPARE)
 
 
 @dataclass(frozen=True, eq=False)
