@@ -83,7 +83,8 @@ class Premises:
             each = f"every controller renews its input each {self.period:g} s"
             yield f"sampling: {each}, in time and with {seen}"
         if measured := list(self.observer):
-            told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
+            of = " in each period that is not missed" if missed else " in each period"
+            told = f"what is measured{of} is within [{_listed(measured)}] of what it should be"
             first = list(self.initial)
             made = f"its first estimate is within [{_listed(first)}]" if first else "has long been at work"
             yield f"observer: {told}, the filter has the gain that is stated, and {made}"

@@ -21,7 +21,7 @@ from .balls import (
     sums,
 )
 from .document import ROUNDED, Document
-from .motion import PARTS, Plant
+from .motion import PARTS, Motion, Plant
 from .plants import plant_of
 from .verdict import Rejected
 
@@ -117,12 +117,8 @@ def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n
-    part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(most))
-    pushes = [plant.disturbance, *plant.carry, *([thrusters] if thrusters else [])]
-    rows, found = identity(n), [arb(0)] * n
-    for _ in range(PARTS):
-        found = sums(found, *(part.push_gain(rows, push) for push in pushes))
-        rows = rows * part.phi
+    pushes = Motion(plant, plant.A, plant.A, None, plant.thruster_error(most)).disturbances
+    found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
     return absolute(rows), found
 
 

@@ -24,9 +24,8 @@ class GrowingLP:
         self._highspy = highspy
         make: Any = highspy.Highs  # its constructor carries no types
         self.highs: Any = make()
-        settings = {"output_flag": False, "threads": 1, "presolve": "off", "solver": "simplex"}
-        for name, value in {**settings, "primal_feasibility_tolerance": SOLVER_FEASIBILITY}.items():
-            self.highs.setOptionValue(name, value)
+        self._set(output_flag=False, threads=1, presolve="off", solver="simplex")
+        self._set(primal_feasibility_tolerance=SOLVER_FEASIBILITY)
         n = len(cost)
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
         self.highs.addCols(n, cost, low, high, 0, np.zeros(n, dtype=np.int32), empty_i, empty)
@@ -85,11 +84,12 @@ class GrowingLP:
         """Optimal value and point, or None where there is none, or no time (then `out_of_time` is set)."""
         status, kind = self._run(seconds), self._highspy.HighsModelStatus
         if status not in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
-            # a stale basis can leave the simplex method stuck: once more from scratch
+            # a stale basis or huge costs can leave the simplex stuck: once more from scratch, costs near 1
             self.highs.clearSolver()
-            self.highs.setOptionValue("presolve", "on")
+            largest = max(np.abs(self.highs.getLp().col_cost_).max(), 1.0)
+            self._set(presolve="on", user_objective_scale=-int(np.log2(largest)))
             status = self._run(seconds)
-            self.highs.setOptionValue("presolve", "off")
+            self._set(presolve="off", user_objective_scale=0)
         if status == kind.kOptimal:
             return float(self.highs.getObjectiveValue()), np.array(self.highs.getSolution().col_value)
         self.out_of_time = status == kind.kTimeLimit
@@ -97,8 +97,12 @@ class GrowingLP:
             return None
         raise NotCertified(f"a linear program of the planner ended without an answer ({status})")
 
+    def _set(self, **options: Any) -> None:
+        for name, value in options.items():
+            self.highs.setOptionValue(name, value)
+
     def _run(self, seconds: float) -> Any:
-        self.highs.setOptionValue("time_limit", self.highs.getRunTime() + max(seconds, 0.01))
+        self._set(time_limit=self.highs.getRunTime() + max(seconds, 0.01))
         self.highs.run()
         return self.highs.getModelStatus()
 

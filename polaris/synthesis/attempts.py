@@ -13,9 +13,10 @@ from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from ..planning.problem import Plan, PlannerOptions, PlanProblem
+from ..planning.recheck import path_bounds
 from ..planning.reference import Reference
 from ..planning.solve import plan
-from .clearance import error_tube
+from .clearance import error_tube, facet_room
 from .demand import Scheduled
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .problem import Problem
@@ -23,7 +24,7 @@ from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking
 
 AFRESH = 2
-"""How often it is planned again where errors of thrusters leave the reference no room."""
+"""How often it is planned again where bows between nodes or errors by the time leave no room."""
 AGAIN = 1000, 2
 """Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
 
@@ -74,11 +75,10 @@ class Attempts:
         self.cut_by_clock = found.cut_by_clock
         self.clock.lap("plan")
         yield from self._references(found)
-        for _ in range(AFRESH if self.tracking.varies else 0):
-            if self.margin.inside:
+        for _ in range(AFRESH):
+            if (more := self._allowing(asked)) is None:
                 break
-            asked = self._allowing(asked)
-            found = find_plan(asked, self.problem.planner)
+            asked, found = more, find_plan(more, self.problem.planner)
             self.clock.lap("plan")
             yield from self._references(found)
         if not self.margin.inside:
@@ -89,14 +89,25 @@ class Attempts:
         if again is not None:
             yield from self._references(again)
 
-    def _allowing(self, asked: PlanProblem) -> PlanProblem:
-        """The same, with room for errors by the time of the flight, as large as along the last plan."""
-        system, K = self.problem.system, self.problem.K
+    def _allowing(self, asked: PlanProblem) -> PlanProblem | None:
+        """The same, with room for what the last plan was not asked for; None if that is not what is short.
+
+        That is errors by the time of the flight, as large as along that plan, and what the bounds here on the
+        reference's bow between nodes, which a checker shares, are larger than those of the planner.
+        """
+        if self.margin.inside:
+            return None
+        system, K, q = self.problem.system, self.problem.K, self.tracking.feedback.nodes_per_cell
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
+        rooms = (facet_room(self.tracking, last, unsafe, q).min(axis=1) for unsafe in asked.unsafe)
+        bows = [seen - room for seen, room in zip(path_bounds(asked, last), rooms, strict=True)]
+        short = self.margin.need - self.margin.room
+        if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
+            return None
         caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
         margins = tuple(
-            margin + caused.along(-unsafe.normals @ system.position).max(axis=1)
-            for unsafe, margin in zip(asked.unsafe, asked.margins, strict=True)
+            margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.normals @ system.position).max(axis=1)
+            for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
         )
         limit = np.maximum(asked.u_limit - caused.along(gain).max(axis=1), 0.0)
         return replace(asked, margins=margins, u_limit=limit)

@@ -16,6 +16,7 @@ from time import perf_counter
 
 import numpy as np
 
+from ..model.distances import stretches
 from ..model.errors import NotCertified, PolarisError, ScenarioError
 from ..model.system import Array
 from ..planning.following import Followed, FollowingSearch
@@ -55,12 +56,6 @@ Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
 """What both algorithms make of a plan and the modes intended along it; None if nothing is proven."""
 
 
-def windows(mask: Mask) -> list[tuple[int, int]]:
-    """First step and end of every run of steps under S."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0]))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
 def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
     """The steps within windows, shape (K,)."""
     mask = np.zeros(K, dtype=bool)
@@ -71,7 +66,7 @@ def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
 
 def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Mask]:
     """Windows a little shorter, longer, earlier, later, split or joined."""
-    parts, K = windows(mask), len(mask)
+    parts, K = stretches(mask), len(mask)
     for i, (a, b) in enumerate(parts):
         before, after = parts[:i], parts[i + 1 :]
         for size in (4, 2, 1):

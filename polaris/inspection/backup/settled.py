@@ -42,8 +42,6 @@ class Decay:
         self._total_rest = gains.sum(axis=0) / (1 - shrunk)
         self.left = shrunk * self._total_rest
         """What is left of the totals (r,) after the `powers` (K, r, d), for a state of norm 1."""
-        self.total_gain = float(np.linalg.norm(gains.sum(axis=0) + shrunk * self._total_rest))
-        """``norm(total(s)) <= total_gain norm(s / weight)``: quick, and not sharp."""
         self._peak_rest = gains.max(axis=0)
         self.energy = solve_discrete_lyapunov(M.T, C.T @ C)
         """Matrix P with ``s' P s = sum over k of norm(C s_k)^2``."""
