@@ -75,3 +75,14 @@ def test_a_bound_that_is_too_small_is_found_out(monkeypatch):
     monkeypatch.setattr(spending, "together", lambda run, count: sum(s.middle.sum() for s in run))
     failure = falsify(without, 700, seed=3).failure
     assert failure.kind == "velocity change" and "velocity change" in str(failure)
+
+
+@pytest.mark.slow
+def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_all():
+    """One scene of the table in docs/guarantees.md; the others give the rest of its figures."""
+    from benchmarks import tightness
+
+    told = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
+    page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN)[1].split(tightness.END)[0]
+    assert [row.split("|")[1] for row in page.splitlines()[2:]] == [cells[0] for cells in told]
+    assert all(float(cell.strip(" %")) <= 100 for cells in told for cell in cells[3:])
