@@ -90,8 +90,9 @@ class Plant:
     @cached_property
     def carry(self) -> list[Push]:
         """What impulses that are carried to the next period push meanwhile, if there are any."""
-        made = self.A * self.open.gamma * self.B * (1 / self.h)
-        return [Push.in_box(made, [arb(self.carried)] * self.B.ncols())] if self.carried else []
+        left, along = [arb(self.carried)] * self.B.ncols(), self.thrusters[0] if self.thrusters else 0.0
+        rates = self.A * self.open.gamma * self.B * (1 / self.h), self.A * self.B * along
+        return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
 
     def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
         """Motion under ``u = -gain x``, every input off by an error at most."""
@@ -116,8 +117,8 @@ class Plant:
     def thruster_part(self, most: Sequence[arb]) -> list[arb]:
         """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
         along, across, _ = self.thrusters or (0.0, 0.0, 0.0)
-        size = root(dot(most, most)) if across else arb(0)
-        return [along * x + across * size for x in most]
+        others = [[*most[:i], *most[i + 1 :]] if across else [] for i in range(len(most))]
+        return [along * x + across * root(dot(y, y)) for x, y in zip(most, others, strict=True)]
 
     @property
     def bit(self) -> float:

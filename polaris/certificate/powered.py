@@ -26,6 +26,7 @@ from .parts import Branch, Way
 from .plants import within_limits
 from .recovery import Recovery
 from .scheduled import Scheduled
+from .timing import owed
 from .verdict import Rejected
 from .zonotopes import Zonotope, widest
 
@@ -213,7 +214,7 @@ class Along:
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
         doc, plant, m = self.document, self.common.loop.plant, len(self.document.u_max)
-        (needs, jump), total, unasked = self._commands, m * arb(doc.carried), [arb(0)]
+        (needs, jump), total, unasked = self._commands, owed(plant), [arb(0)]
         for c in range(taken.k, cell):
             known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.common.gain)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]

@@ -259,6 +259,7 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     bit, moved = jitter_error(system, timing.jitter, h)
     if timing.carried:
         held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
+        held = held + exact.along * np.abs(system.B).sum(axis=1)
         moved = moved + held * timing.carried * (1 + ROUNDED)
     away = moved
     if timing.fired:

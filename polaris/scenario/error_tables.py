@@ -73,7 +73,7 @@ class Thrusters(ScenarioPart):
         if self.remainder == "dropped":
             return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
         found = Errors.of(self.magnitude_error, turned, self.mass_error, 0.0, system.m)
-        return replace(found, bit=float(found.part(np.full(system.m, 2 * bit)).max()))
+        return replace(found, bit=2 * bit * found.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9))
 
 
 class Timing(ScenarioPart):

@@ -253,7 +253,7 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     until = (
         taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
     ) * (1 + ROUNDING) + ahead
-    before = system.m * system.timing.carried / system.mass  # what an orbit may find left
+    before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
     tank, lasts = problem.tank, None
     if tank is not None and rate > 0:

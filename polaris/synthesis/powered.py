@@ -175,7 +175,7 @@ class Branch:
         spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         spent += float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
-        return (spent + system.m * system.timing.carried) / system.mass * (1 + SPARE)
+        return (spent + system.thrusters.made(system.m * system.timing.carried)) / system.mass * (1 + SPARE)
 
 
 @dataclass(frozen=True, eq=False)

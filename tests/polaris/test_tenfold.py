@@ -26,8 +26,8 @@ def test_rows_are_told_of_what_has_been_found():
 
 
 @pytest.mark.slow
-def test_ten_times_the_misalignment_is_survived_by_less_feedback(tmp_path):
-    asked = ["hold_point", "--only", "misalignment", "--times", "10", "--attacks", "200"]
+def test_ten_times_the_error_of_magnitude_leaves_more_than_half(tmp_path):
+    asked = ["static", "--only", "magnitude", "--times", "10", "--attacks", "300"]
     tenfold.main([*asked, "--out", str(tmp_path)])
-    found = json.loads((tmp_path / "tenfold.json").read_text())["hold_point, misalignment, 10"]
-    assert found["outcome"] == "VERIFIED" and not found["attacks"]["violated"]
+    found = json.loads((tmp_path / "tenfold.json").read_text())["static, magnitude, 10"]
+    assert found["outcome"] == "VERIFIED" and not found["attacks"]["violated"] and found["share"] > 0.5
