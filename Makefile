@@ -11,9 +11,6 @@ DOCS := $(VENV)/.stamp-docs
 BENCH := $(VENV)/.stamp-bench
 RUN := runs/static
 
-# Tests start many processes: none of them should compile the package anew.
-unexport PYTHONDONTWRITEBYTECODE
-
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-slow lint format bench docs schema clean
 

@@ -1,10 +1,16 @@
 """Settings of the whole test run."""
 
+import gc
 import os
+import sys
 
 # Small matrices: threads only cost, and tests may run in several processes.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+# Tests are collected by several processes and start many: none of them should compile everything anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
@@ -19,12 +25,19 @@ settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile(PROFILE)
 
 FIRST = (
-    *("test_docs", "polaris/test_error_sources", "campaign/test_campaign", "polaris/test_random_scenarios"),
-    *("polaris/test_arrival", "polaris/test_figures", "polaris/test_planning", "polaris/test_closed_loops"),
-    *("rta/test_runtime", "polaris/test_tradeoff", "asif/test_always", "polaris/test_forged_runs"),
-    *("rta/test_methods", "polaris/test_synthesis", "polaris/test_certificate", "polaris/test_cli"),
+    *("test_docs", "polaris/test_error_sources", "polaris/test_synthesis", "polaris/test_random_scenarios"),
+    *("polaris/test_certificate", "polaris/test_closed_loops", "campaign/test_campaign"),
+    *("polaris/test_planning", "polaris/test_black_box", "polaris/test_figures", "polaris/test_model_error"),
+    *("polaris/test_tradeoff", "polaris/test_falsify", "asif/test_always", "polaris/test_cli"),
+    *("polaris/test_forged_runs", "polaris/test_arrival", "polaris/test_navigation", "polaris/test_passive"),
 )
 """Files that take longest: workers begin with them, so that none is left with one when others are done."""
+
+
+def pytest_collection_finish():
+    """What is there before the first test stays: it need not be looked through again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items):

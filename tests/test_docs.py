@@ -34,6 +34,7 @@ from typer.testing import CliRunner
 
 import polaris
 from polaris.cli.app import app
+from polaris.synthesis import synthesize
 
 from .kept import scheduled
 
@@ -100,7 +101,7 @@ def test_comparison_finds_differences():
 class Shell:
     """Runs console blocks in one folder; a command that two pages show is run once.
 
-    The first of each folder gets a process of its own, as a user's does; later ones without pipes need none.
+    Those without pipes need no process of their own.
     """
 
     def __init__(self, folder):
@@ -119,7 +120,7 @@ class Shell:
 
     def run(self, command):
         """Output (both streams) and exit code."""
-        if command not in self.known and self.known and re.fullmatch(r"polaris [^|<>;&$`*?~]+", command):
+        if command not in self.known and re.fullmatch(r"polaris [^|<>;&$`*?~]+", command):
             self.known[command] = self.here(shlex.split(command)[1:])
         if command not in self.known:
             done = subprocess.run(
@@ -171,6 +172,25 @@ def shell(tmp_path_factory):
     return Shell(tmp_path_factory.mktemp("docs"))
 
 
+def test_the_command_runs_in_a_process_of_its_own(shell):
+    assert shell.run("polaris --version | cat") == (f"polaris {polaris.__version__}\n", 0)
+
+
+@pytest.fixture
+def kept_schedules(monkeypatch):
+    """Bundled scenarios, as they are, are not synthesised again."""
+
+    def known(scenario, *given, **more):
+        name = getattr(scenario, "name", None)
+        if name in polaris.bundled_scenarios() and scenario.model == polaris.load_scenario(name).model:
+            return scheduled(name)[1]
+        return real(scenario, *given, **more)
+
+    real = synthesize.synthesize
+    monkeypatch.setattr(synthesize, "synthesize", known)
+    monkeypatch.setattr(polaris, "synthesize", known)
+
+
 @pytest.mark.parametrize(
     "path",
     [
@@ -178,15 +198,13 @@ def shell(tmp_path_factory):
         for path in RUN
     ],
 )
-def test_page_does_what_it_shows(path, shell, monkeypatch):
+def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
     needs(path)
     monkeypatch.chdir(shell.folder)
     monkeypatch.setenv("MPLBACKEND", "agg")
     import matplotlib.pyplot as plt
 
     plt.switch_backend("agg")
-    if path.name == "README.md":  # its own command makes the same in another process
-        monkeypatch.setattr("polaris.synthesize", lambda scenario: scheduled(scenario.name)[1])
     namespace, printed = {"__name__": path.stem}, None
     for block in blocks(path):
         where = f"{block.page}:{block.line}"
@@ -243,7 +261,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("dynamic", "keep
 
 
 @pytest.mark.parametrize("name", ["static", *SLOW])
-def test_table_of_scenarios_is_what_a_run_gives(name, shell):
+def test_table_of_scenarios_is_what_a_run_gives(name, shell, kept_schedules):
     share, switches, spent, proven, goal, alone, under = scenario_rows()[name]
     _, code = shell.run(f"polaris run {name}")
     assert code == 0

@@ -20,16 +20,17 @@ from .plants import plant_of, within_limits
 from .powered import check_aborts
 from .recovery import Recovery
 from .scheduled import Scheduled
+from .spending import spent
 from .timing import measured_error
-from .transients import lost, moved, upset
+from .transients import lost, misled, moved, upset
 from .upkeep import check_upkeep
 from .verdict import Record, Rejected
 from .zonotopes import Merging, Zonotope, widest
 
-ORDERS = (24, 80, 400)
-"""Generators per dimension that sets keep from one step to the next: what is tried in turn."""
-
-NETWORK_ORDER = 30
+ORDERS = ((24, 1), (80, 1), (400, 3), (400, 1))
+"""What is tried in turn: generators per dimension that sets keep from one step to the next, and how many
+periods in a row have theirs made one. Long flights under errors need the third; no box needs many."""
+NETWORK_ORDER = 30, 1
 """The same to begin with where a network or a black box flies: fewer widen too much what turns."""
 
 NARROWER = (
@@ -81,7 +82,7 @@ class Argument:
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
         for order in (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS:
-            merging = Merging(order)
+            merging = Merging(*order)
             try:
                 self.flights(path, merging)
                 break
@@ -120,22 +121,27 @@ class Argument:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(further, chosen, memory, sets, scheduled)
         if self.stated.goal is not None and self.document.guarantee != "none":
-            spent = sum((step.spent for step in flown), arb(0)) / self.document.mass
+            taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
-            arrival = Arrival(self.document, path, self.loop, memory, held, spent, scheduled)
+            given = self.document, path, self.loop, memory, held, taken, scheduled
+            arrival = Arrival(*given, self.pilots[0], merging)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if self.document.powered is not None:
-            known = self.loop, self.gain, self.noise, sets, flown, self.stated.orbit
+            asked, late = (self.stated.orbit, self.stated.tank), (self.upsets, self._needs)
+            known = self.loop, self.gain, self.noise, sets, flown, asked, late
             self.record.holds("powered_abort", check_aborts(self.document, *known))
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
         """What errors need along rows, a fault that is isolated late included."""
         needs = Needs(self.loop, memory, rows)
-        boxes = [*self.upsets, *lost(self.document, self.loop, memory)]
-        return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+        boxes, doc = [*self.upsets, *lost(self.document, self.loop, memory)], self.document
+        if not boxes or doc.observer is None:
+            return replace(needs, upset=upset(needs, boxes)) if boxes else needs
+        off = misled(doc, self.plant, len(memory.powers))
+        return replace(needs, upset=upset(needs, boxes, self.gain, off))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""

@@ -1,5 +1,6 @@
 """What a run claims of the goal and of the velocity change, derived again from the sets of the argument."""
 
+from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -8,14 +9,16 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .arcs import Path
-from .balls import above, column, largest, magnitude, matrix, plain, require, smallest, sums
+from .balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
 from .document import Document
+from .flights import Flown, Pilot, fly
 from .goal_rows import GOALS, Weighted
 from .loop import Memory, Needs
 from .motion import Motion
 from .scheduled import Scheduled
+from .spending import spent
 from .verdict import Rejected, Undecided
-from .zonotopes import Zonotope
+from .zonotopes import Merging, Zonotope
 
 SHARE, SOON = 0.05, 0.25
 """Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
@@ -43,6 +46,10 @@ class Arrival:
     held: tuple[tuple[Zonotope, int], ...]
     spent: arb
     scheduled: Scheduled | None = None
+    pilot: Pilot | None = None  # S, where it is flown on
+    merging: Merging = field(default_factory=lambda: Merging(80))
+    _flown: list[Flown] = field(default_factory=list, repr=False)
+    _joint: dict[int, arb] = field(default_factory=dict, repr=False)
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
     _caused: dict[int, tuple[arb_mat, list[list[arb]]]] = field(default_factory=dict, repr=False)
@@ -118,9 +125,12 @@ class Arrival:
         final, claimed = self.held[-1][0], claim["distance_m"]
         most = arb(claim["delta_v_max_m_s"]) * (1 + SLACK)
         size, found = final.size(), list[tuple[float, int]]()
-        for node in range(self._last + 1):
-            if found and self.spent + self.correcting(node) > most:  # and more at all later nodes
-                break
+        far = 1
+        while far < self._last and not self.spent + self.correcting(far) > most:
+            far *= 2
+        every = range(min(far, self._last) + 1)
+        late = bisect_right(every, most, key=lambda node: self.spent + self.correcting(node))
+        for node in every[: max(late, 1)]:
             lag = min(node, self.memory.periods)
             middle = rows.over(self._state(node))
             if node <= self.memory.periods:
@@ -136,6 +146,17 @@ class Arrival:
         """What is claimed is no less than what is derived, up to rounding."""
         spare = arb(claimed) * (1 + SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
+
+    def after(self, nodes: int) -> list[Flown]:
+        """S from T on, for at least so many periods."""
+        doc = self.document
+        reached = self.held[-1][0].grown(diagonal(magnitude(self.path.jump).entries()))
+        assert self.pilot is not None
+        while len(self._flown) * doc.q < nodes:
+            k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
+            pilot = self.pilot.knowing(doc.known_to(k))
+            self._flown.append(fly(pilot, start, k, self.path, None, self.merging))
+        return self._flown
 
     def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
         """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
@@ -157,7 +178,18 @@ class Arrival:
         if node > periods:
             return sums(least, needs.still(jump))
         carried = magnitude(needs.carried[node])
-        return sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
+        least = sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
+        if around or not self.document.profile or node == self._last:
+            return least
+        pairs = zip(least, self._flown_at(needs.rows, node), strict=True)
+        return [smallest(pair) for pair in pairs]
+
+    def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
+        """What errors need along rows at a node after T in the sets that S flies then."""
+        cell, place = divmod(node, self.document.q)
+        step = self.after(node + 1)[cell]
+        z = step.nodes[place - 1] if place else step.start
+        return sums(z.support(rows), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
     def _from_thrust(self, rows: arb_mat, node: int) -> list[arb]:
         """What errors of scheduled commands add along rows from a node of the tail on."""
@@ -208,7 +240,9 @@ class Arrival:
             most = self.tops(node, doc.inputs[doc.steps + node // doc.q])
             tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
             self._summed.append(self._summed[-1] + plant.spent(tops))
-        return self._summed[nodes] / doc.mass
+        if nodes not in self._joint:
+            self._joint[nodes] = spent(self.after(nodes), nodes)
+        return smallest([self._summed[nodes], self._joint[nodes]]) / doc.mass
 
     def tops(self, node: int, u: list[float]) -> list[arb]:
         """What S commands at most in the period after a node, about inputs u of the reference."""

@@ -43,7 +43,7 @@ class Premises:
     observer: Iterable[float] = ()  # bounds on the errors of what an observer measures
     initial: Iterable[float] = ()  # bounds on the errors of its first estimate, if it has one
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
-    thrusters: Iterable[float] = ()  # errors as a share of the command, of the 2-norm of all, whatever it is
+    thrusters: Iterable[float] = ()  # errors as a share of the command, of the 2-norm of others, at all
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point
@@ -83,7 +83,8 @@ class Premises:
             each = f"every controller renews its input each {self.period:g} s"
             yield f"sampling: {each}, in time and with {seen}"
         if measured := list(self.observer):
-            told = f"what is measured in each period is within [{_listed(measured)}] of what it should be"
+            of = " in each period that is not missed" if missed else " in each period"
+            told = f"what is measured{of} is within [{_listed(measured)}] of what it should be"
             first = list(self.initial)
             made = f"its first estimate is within [{_listed(first)}]" if first else "has long been at work"
             yield f"observer: {told}, the filter has the gain that is stated, and {made}"
@@ -92,9 +93,9 @@ class Premises:
             apart = ", nor in any step than is stated for it" if self.by_step else ""
             yield f"navigation: at all times {near}{apart}"
         if any(applied):
-            parts = zip(applied, ("|u_i|", "norm(u, 2)", "N"), strict=False)
+            parts = zip(applied, ("|u_i|", "norm(u_other, 2)", "N")[: 2 if self.carried else 3], strict=False)
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
-            told = "what is made of its command u_i" if self.carried else "its command u_i"
+            told = "what is made of its command, u_i" if self.carried else "its command u_i"
             yield f"thrusters: what is applied to an input is within {off} of {told}"
         if self.carried:
             made = f"a period makes a multiple of {self.carried:g} N s, or all that its limit allows"

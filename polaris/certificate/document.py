@@ -74,6 +74,7 @@ class Document:
             raise Rejected("format", f"{type(error).__name__}: {error}") from error
 
     def _take_system(self, system: dict[str, Any], sampling: dict[str, Any]) -> None:
+        self.system = system
         self.steps: int = sampling["steps"]
         self.q: int = sampling["nodes_per_step"]
         self.delta: float = sampling["step"]
@@ -149,8 +150,6 @@ class Document:
         self.drift = None if drift is None else abort_of(drift, self.q)
         sets, powered = [len(item["normals"]) for item in read["unsafe_sets"]], read.get("powered")
         self.powered: Powered | None = None if powered is None else powered_of(powered, self.delta, sets)
-        if powered is not None and self.transients:
-            raise ValueError("aborts with thrust are not covered with faults isolated late")
         self.laws = [
             Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
             for law in read["controllers"]
@@ -186,6 +185,7 @@ class Document:
             raise ValueError("unsafe sets must be known for as long as the reference")
         sizes |= {"two": 2, "sets": sets, "n+2": n + 2, "covered": covered}
         sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
+        sizes["missed"] = self.timing.get("missed", 0)
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():

@@ -62,7 +62,7 @@ CERTIFICATE = {
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n"),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
-                      **every(grid("n"), "initial? settled?")},
+                      "after?": grid("missed n measured"), **every(grid("n"), "initial? settled?")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
@@ -190,7 +190,8 @@ GAINS = {
             **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
         },
         "error_by_step?": MATRIX,
-        "observer?": {**every(MATRIX, "measures gain"), **every(VECTOR, "noise initial? settled?")},
+        "observer?": {**every(MATRIX, "measures gain"), "after?": Rows(MATRIX),
+                      **every(VECTOR, "noise initial? settled?")},
     },
     "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
     "controllers": Rows({

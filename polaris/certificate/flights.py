@@ -26,17 +26,14 @@ from .limits import Barrier
 from .motion import Motion, Plant, Push
 from .networks import Policy
 from .parts import Law, Matrix
-from .periods import Period, around, clip, command_ranges, secant
+from .periods import Period, Spell, around, clip, command_ranges, secant
 from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
-GUESSES = 3
-"""How often it is guessed how much is commanded in a period before all that there is is taken for it."""
-GUESSED = "safety", "affine", "saturated_affine"
-"""Kinds of laws of which that is guessed."""
-ROUNDS = 5
-"""How often the range of a clipped command is narrowed by the thrust that it allows."""
+GUESSES, ROUNDS = 3, 5
+"""How often a period's commands are guessed before the limits are taken, and a clip's range is narrowed."""
+GUESSED = "safety", "affine", "saturated_affine"  # kinds of laws of which they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +108,19 @@ class Pilot:
             return path.arcs[k]
         return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
 
-    def spent(self, period: Period, d: Zonotope, u: arb_mat) -> arb:
-        """Bound on the integral of the 1-norm of the thrust over a period from a set about the base arc."""
-        tops = self.plant.u_max
+    def spell(self, period: Period, d: Zonotope, u: arb_mat, k: int) -> Spell:
+        """The thrust over a period of step k from a set about the base arc."""
+        plant, tops = self.plant, self.plant.u_max
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
             most = d.through(self.commands).tops()
-            if not self.plant.sampled:
-                most = period.within(self.commands, d, most)
+            most = most if plant.sampled else period.within(self.commands, d, most)
             tops = self.clipped(command_ranges(u, most))
-        return self.plant.spent(tops)
+        linear = self.law.kind == "safety" or (self.law.kind in GUESSED and self.slopes[k] is None)
+        linear = linear and period.push is None and plant.sampled and not plant.jitter
+        errors = (self.noise, plant.thruster_error(tops)) if linear else ()
+        return Spell(plant.spent(tops), u - self.gain * d.c if linear else u, errors)
 
     def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
         """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
@@ -190,10 +189,12 @@ class Pilot:
 class Flown:
     """One step flown."""
 
+    pilot: Pilot
+    start: Zonotope  # errors at its start
     end: Zonotope  # errors at its end
     lower: list[arb]  # bounds on every state over the whole step
     upper: list[arb]
-    spent: arb  # bound on the integral of the 1-norm of the thrust [N s]
+    spells: list[Spell]
     nodes: list[Zonotope]  # errors at the nodes within it
 
 
@@ -224,12 +225,12 @@ def fly(
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
     lows: list[list[arb]] = [[] for _ in range(n)]
     highs: list[list[arb]] = [[] for _ in range(n)]
-    spent, nodes, since = arb(0), list[Zonotope](), list[list[arb]]()
+    spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
         knowing = pilot.after(since)
         period = knowing.period(d, base, k, i)
         since.append(period.commands or pilot.plant.u_max)
-        spent += knowing.spent(period, d, base.u)
+        spells.append(knowing.spell(period, d, base.u, k))
         end, extra = period.ends(d), period.extra(rows, d)
         if departures is not None:
             moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
@@ -251,12 +252,12 @@ def fly(
                     if not need <= there:
                         where = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
                         require("separation", there - need, f"{where} of {plain(there)} m")
-        d = period.after(end)
-        if d.G.ncols() > 2 * merging.order * n:
-            d = merging.reduced(d)
+        d = merging.after(end, period.after(end))
         nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(leave, list(map(smallest, lows)), list(map(largest, highs)), spent, nodes[:-1])
+    return Flown(
+        pilot, start, leave, list(map(smallest, lows)), list(map(largest, highs)), spells, nodes[:-1]
+    )
 
 
 def _clipped(

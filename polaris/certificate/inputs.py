@@ -7,7 +7,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from .allocation import check_allocation, per_axis
-from .balls import matrix, require, row_sums
+from .balls import largest, matrix, require, row_sums
 from .bodies import bodies_of
 from .document import ROUNDED, Document
 from .lqr import check_gain, positive_definite
@@ -132,8 +132,8 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         arb(spec.get(key, 0.0))
         for key in ("magnitude_error", "mass_error", "misalignment_deg", "impulse_bit_N_s")
     )
-    most = (1 + magnitude) / (1 - mass)
-    turned = 2 * (angle * arb.pi() / 360).sin() * most
+    turn = angle * arb.pi() / 180
+    turned = turn.sin() * (1 + magnitude) / (1 - mass)
     if bit > 0 and not document.sampled:
         raise Rejected("system", "an impulse bit needs a control period")
     if angle > 0 and document.mean_motion is None:
@@ -141,9 +141,9 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     rounding = bit / (2 * arb(document.delta) / document.q)
     carried = spec.get("remainder", "dropped") == "carried"
     _need("system", "impulse that is carried", document.carried, spec.get("impulse_bit_N_s", 0.0) * carried)
-    along = (magnitude + mass) / (1 - mass)
-    share = along + turned * arb(len(document.u_max)).sqrt()
-    wanted = along, turned, rounding * (2 * share if carried else 1 + share)
+    along = largest(((magnitude + mass) / (1 - mass), 1 - turn.cos() * (1 - magnitude) / (1 + mass)))
+    share = turned * arb(len(document.u_max) - 1).sqrt()
+    wanted = along, turned, rounding * (2 * share if carried else 1 + along + share)
     names = ("along", "across", "of the bit")
     for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")

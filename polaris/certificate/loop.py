@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 
 from flint import arb, arb_mat, arb_poly
@@ -42,6 +42,12 @@ class Memory:
     def periods(self) -> int:
         """N."""
         return len(self.powers) - 2
+
+    def left(self, box: arb_mat) -> tuple[arb_mat, arb_mat]:
+        """What errors in a box have become after N periods, and a bound on that after 2 N."""
+        first = magnitude(self.powers[self.periods]) * box
+        share = largest(a / b for a, b in zip(first.entries(), self.z.entries(), strict=True))
+        return magnitude(first), magnitude(self.z * (share * self.c))
 
     @classmethod
     def of(cls, motion: Motion, extent: arb_mat, multiple: int, profile: Sequence[list[arb]] = ()) -> Memory:
@@ -109,7 +115,8 @@ class Needs:
     def _steady(self) -> list[list[arb]]:
         """Response at node L to what does not depend on commands, from rest, for L = 0 ... N + 1."""
         found = [[arb(0)] * self.rows.nrows()]
-        for gains in self._split(self.motion.disturbance_gain(above(*self.carried[:-1]))):
+        stacked = above(*self.carried[:-1])
+        for gains in self._split(self.motion.gains_over(stacked, self.motion.disturbances, 1)[0]):
             found.append([x.upper() for x in sums(found[-1], gains)])
         return found
 
@@ -163,17 +170,15 @@ class Needs:
 
     def late(self, box: arb_mat) -> list[arb]:
         """Bound on the share of all that is older than N periods, if each adds no more than a box."""
-        memory = self.memory
-        alpha = largest(a / b for a, b in zip(box.entries(), memory.z.entries(), strict=True))
-        weight = alpha * memory.c / (1 - memory.c)
-        return [x * weight for x in self._reached]
+        first, later = self.memory.left(box)
+        return list((self._reached * (first + later / (1 - self.memory.c))).entries())
 
     @cached_property
-    def _reached(self) -> list[arb]:
+    def _reached(self) -> arb_mat:
         total = magnitude(self.carried[0])
         for carried in self.carried[1 : self.memory.periods]:
             total = total + magnitude(carried)
-        return list((total * self.memory.z).entries())
+        return total
 
     @cached_property
     def settled(self) -> list[arb]:
@@ -224,10 +229,16 @@ class Needs:
         """What any undisturbed error up to a size needs in the periods next to node l."""
         return list(((magnitude(self.carried[lag]) + self.bend[lag]) * size).entries())
 
+    @cached_property
+    def _most(self) -> arb_mat:
+        """What a unit of each state's error needs at most in the first N periods."""
+        pairs = zip(self.carried[: self.memory.periods], self.bend, strict=False)
+        return reduce(_larger, (magnitude(carried) + bend for carried, bend in pairs))
+
     def still(self, size: arb_mat) -> list[arb]:
         """The same after N periods."""
-        share = largest(a / b for a, b in zip(size.entries(), self.memory.z.entries(), strict=True))
-        return [late * share for late in self.forgotten]
+        first, later = self.memory.left(size)
+        return list((self._most * (first + later)).entries())
 
     def ever(self, size: arb_mat) -> list[arb]:
         """The same at any time."""

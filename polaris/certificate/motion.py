@@ -83,22 +83,16 @@ class Plant:
     @cached_property
     def unseen(self) -> arb_mat:
         """What a unit of an input's error adds to a prediction's at most until it is measured, (n, m)."""
-        n, m = self.B.nrows(), self.B.ncols()
         if not self.unmeasured > 0:
-            return arb_mat(n, m)
-        part, rows = replace(self, h=self.unmeasured / PARTS).open, identity(n)
-        pushes = [Push.in_box(column(each), [arb(1)]) for each in self.B.transpose().tolist()]
-        found = [[arb(0)] * n for _ in pushes]
-        for _ in range(PARTS):
-            found = [sums(x, part.push_gain(rows, push)) for x, push in zip(found, pushes, strict=True)]
-            rows = rows * part.phi
-        return arb_mat(m, n, [x for each in found for x in each]).transpose()
+            return arb_mat(self.B.nrows(), self.B.ncols())
+        return replace(self, h=self.unmeasured / PARTS).open.unit_gains(identity(self.B.nrows()), PARTS)
 
     @cached_property
     def carry(self) -> list[Push]:
         """What impulses that are carried to the next period push meanwhile, if there are any."""
-        made = self.A * self.open.gamma * self.B * (1 / self.h)
-        return [Push.in_box(made, [arb(self.carried)] * self.B.ncols())] if self.carried else []
+        left, along = [arb(self.carried)] * self.B.ncols(), self.thrusters[0] if self.thrusters else 0.0
+        rates = self.A * self.open.gamma * self.B * (1 / self.h), self.A * self.B * along
+        return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
 
     def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
         """Motion under ``u = -gain x``, every input off by an error at most."""
@@ -123,8 +117,8 @@ class Plant:
     def thruster_part(self, most: Sequence[arb]) -> list[arb]:
         """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
         along, across, _ = self.thrusters or (0.0, 0.0, 0.0)
-        size = root(dot(most, most)) if across else arb(0)
-        return [along * x + across * size for x in most]
+        others = [[*most[:i], *most[i + 1 :]] if across else [] for i in range(len(most))]
+        return [along * x + across * root(dot(y, y)) for x, y in zip(most, others, strict=True)]
 
     @property
     def bit(self) -> float:
@@ -153,7 +147,7 @@ class Plant:
     @cached_property
     def steps(self) -> list[tuple[arb_mat, arb_mat]]:
         """``e^{A t}`` and ``int_0^t e^{A s} ds B`` to every node of a step but its first."""
-        parts = [exponential(self.A, self.h * i) for i in range(1, self.q + 1)]
+        parts = (exponential(self.A, self.h * i) for i in range(1, self.q + 1))
         return [(phi, gamma * self.B) for phi, gamma in parts]
 
 
@@ -248,6 +242,19 @@ class Motion:
         bent = push.along(magnitude(rows * self.X * self.X * self.over * V))
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
+    def gains_over(self, rows: arb_mat, pushes: list[Push], count: int) -> tuple[list[arb], arb_mat]:
+        """`push_gain` of several over so many periods, and the rows carried over all of them."""
+        found = [arb(0)] * rows.nrows()
+        for _ in range(count):
+            found = sums(found, *(self.push_gain(rows, push) for push in pushes))
+            rows = rows * self.phi
+        return found, rows
+
+    def unit_gains(self, rows: arb_mat, count: int) -> arb_mat:
+        """The same of a unit of each input alone, shape (r, m)."""
+        units = (Push.in_box(column(each), [arb(1)]) for each in self.plant.B.transpose().tolist())
+        return arb_mat([self.gains_over(rows, [push], count)[0] for push in units]).transpose()
+
     def push_bend(self, rows: arb_mat, push: Push) -> list[arb]:
         """Bound on how far `push_gain` over a part of the period exceeds that part of the whole period's.
 
@@ -263,18 +270,14 @@ class Motion:
             return self.plant.open.disturbance_along(rows)
         if id(rows) not in self._asked:
             bends = [self.push_bend(rows, push) for push in self.disturbances]
-            self._asked[id(rows)] = rows, sums(*bends), self.disturbance_gain(rows)
+            self._asked[id(rows)] = rows, sums(*bends), self.gains_over(rows, self.disturbances, 1)[0]
         return self._asked[id(rows)][1:]
 
     @cached_property
     def disturbances(self) -> list[Push]:
         """What disturbs: w, what is carried, and errors of the inputs."""
-        known, push = [self.plant.disturbance, *self.plant.carry], self.plant.push(self.error)
-        return known if push is None else [*known, push]
-
-    def disturbance_gain(self, rows: arb_mat) -> list[arb]:
-        """`push_gain` of all that disturbs."""
-        return sums(*(self.push_gain(rows, push) for push in self.disturbances))
+        push = self.plant.push(self.error)
+        return [self.plant.disturbance, *self.plant.carry, *([push] if push else [])]
 
     @cached_property
     def disturbance_set(self) -> arb_mat:
@@ -288,9 +291,7 @@ class Motion:
         """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
         h, sizes = self.plant.h, row_sums(magnitude(self.over * self.plant.D))
         box = column([s * self.plant.w_max * h for s in sizes])
-        for push in self.disturbances[1:]:
-            box += self.box_of(push)
-        return magnitude(box)
+        return magnitude(sum((self.box_of(push) for push in self.disturbances[1:]), box))
 
     def box_of(self, push: Push) -> arb_mat:
         """The same of a push, shape (n, 1)."""

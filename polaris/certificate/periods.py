@@ -56,6 +56,16 @@ class Period:
         return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
 
 
+@dataclass(frozen=True, eq=False)
+class Spell:
+    """The thrust in one period of a controller."""
+
+    spent: arb  # bound on its integral over the period, in the 1-norm
+    middle: arb_mat  # commanded in the middle of the set, (m, 1)
+    errors: tuple[list[arb], ...] = ()
+    """Bounds on those of estimates and of thrusters, as inputs; none where the law is not linear, or late."""
+
+
 def command_ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
     """Ranges of ``u + y`` from bounds on y and on -y, as exact numbers."""
     m = u.nrows()

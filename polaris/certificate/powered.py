@@ -5,6 +5,7 @@ shown along each branch, too, from the sets that the schedule reaches in the ste
 """
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -25,6 +26,7 @@ from .parts import Branch, Way
 from .plants import within_limits
 from .recovery import Recovery
 from .scheduled import Scheduled
+from .timing import owed
 from .verdict import Rejected
 from .zonotopes import Zonotope, widest
 
@@ -38,34 +40,41 @@ def check_aborts(
     noise: list[arb],
     sets: list[Zonotope],
     flown: list[Flown],
-    orbit: dict[str, Any] | None,
+    asked: tuple[dict[str, Any] | None, float | None],
+    late: tuple[list[arb_mat], Callable[[Memory, arb_mat], Needs]],
 ) -> str:
     """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
 
-    The sets are those that the schedule reaches; returned is what is confirmed.
+    So for the tank, of which the scenario tells besides. The sets are those that the schedule reaches; `late`
+    is what faults add until isolated, and what errors need with them. Returned is what is confirmed.
     """
-    asked = document.powered
-    assert asked is not None
-    if document.error_by_step and any(b.step != document.steps or b.inputs for b in asked.branches):
+    powered, (orbit, tank), before = document.powered, asked, arb(0)
+    assert powered is not None
+    if document.error_by_step and any(b.step != document.steps or b.inputs for b in powered.branches):
         raise Rejected(CLAIM, "errors of estimates by step are those of the schedule's own path")
     takeovers, since = dict[int, Takeover](), 0
-    for k, (mode, way) in enumerate(zip(document.modes, asked.steps, strict=True)):
+    for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
+        spent, step = before, sum((spell.spent for spell in flown[k].spells), arb(0))
+        before += step / document.mass
+        if way is not None and tank is not None:
+            left = arb(tank) * (1 + SLACK) - (before if mode else spent) - way.delta_v
+            require(CLAIM, left, f"abort in step {k}: the tank of {tank:.6g} m/s")
         if way is not None:
             takeovers[k] = Takeover(way, k, (k if mode else since) * document.q, reached)
         since = k + 1 if mode else since
     if every := [z for taken in takeovers.values() for z in taken.sets]:
         profile = [[arb(x) for x in most] for most in document.profile]
-        memory = Memory.of(loop, widest([*sets, *every]), document.q, profile)
-        facets = [row for branch in asked.branches for row in branch.facets]
-        common = Common(loop, gain, noise, memory, facets, orbit)
-        for place, branch in enumerate(asked.branches):
+        memory = Memory.of(loop, widest([*sets, *every], late[0]), document.q, profile)
+        facets = [row for branch in powered.branches for row in branch.facets]
+        common = Common(loop, gain, noise, memory, facets, orbit, late[1])
+        for place, branch in enumerate(powered.branches):
             along = Along(branched(document, branch), branch, common)
             served = [taken for taken in takeovers.values() if taken.way.branch == place]
             along.recovers(served)
             for taken in served if orbit is not None else ():
                 along.arrives(taken)
-    return f"{len(takeovers)} of {document.steps} steps, along {len(asked.branches)} branches"
+    return f"{len(takeovers)} of {document.steps} steps, along {len(powered.branches)} branches"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +107,14 @@ class Common:
     memory: Memory
     facets: list[list[int]]  # of all branches, so that they have the same rows of limits
     orbit: dict[str, Any] | None
+    made: Callable[[Memory, arb_mat], Needs]  # with a fault that is isolated late
     _known: dict[Any, Needs] = field(default_factory=dict, repr=False)
 
     def needs(self, of: Any, rows: arb_mat) -> Needs:
-        """What errors need along rows, once; `of` tells them apart."""
-        return self._known.setdefault(of, Needs(self.loop, self.memory, rows))
+        """What errors need along rows, and a fault that is isolated late, once; `of` tells them apart."""
+        if of not in self._known:
+            self._known[of] = self.made(self.memory, rows)
+        return self._known[of]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +214,7 @@ class Along:
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
         doc, plant, m = self.document, self.common.loop.plant, len(self.document.u_max)
-        (needs, jump), total = self._commands, m * arb(doc.carried)
+        (needs, jump), total, unasked = self._commands, owed(plant), [arb(0)]
         for c in range(taken.k, cell):
             known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.common.gain)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
@@ -210,7 +222,11 @@ class Along:
             both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)
             tops = [smallest((top, largest((a, b)) + abs(u) + e)) for a, b, u, e, top in both]
             total += plant.spent(tops) * doc.q
-        return total / doc.mass
+        for fault in doc.transients:  # what wrong thrust spends
+            pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
+            wrong = [sum(push, arb(0)) + sum(plant.thruster_part(push), arb(0)) for push in pushes]
+            unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
+        return (total + largest(unasked)) / doc.mass
 
     def _most(self, needs: Needs, taken: Takeover, cell: int, until: int) -> list[arb]:
         """What errors of an abort in a step need along rows between the starts of two cells."""

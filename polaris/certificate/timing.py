@@ -21,7 +21,7 @@ from .balls import (
     sums,
 )
 from .document import ROUNDED, Document
-from .motion import PARTS, Plant
+from .motion import PARTS, Motion, Plant
 from .plants import plant_of
 from .verdict import Rejected
 
@@ -59,8 +59,9 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     late, moved = _jitter(plant) if jitter else none
     more, within = _pulses(plant, document.fired) if pulsed else none
     require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
-    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (plant.carried / plant.h)
-    moved = sums(moved, row_sums(held))
+    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
+    along = plant.thrusters[0] if plant.thrusters else 0.0
+    moved = sums(moved, row_sums((held + absolute(plant.B) * along) * plant.carried))
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
@@ -84,6 +85,11 @@ def displaced(document: Document, delay: float) -> list[arb]:
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
     share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
     return [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
+
+
+def owed(plant: Plant) -> arb:
+    """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
+    return plant.B.ncols() * arb(plant.carried) * (1 + arb(plant.thrusters[0] if plant.thrusters else 0.0))
 
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
@@ -111,12 +117,8 @@ def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n
-    part, thrusters = replace(plant, h=age / PARTS).open, plant.push(plant.thruster_error(most))
-    pushes = [plant.disturbance, *plant.carry, *([thrusters] if thrusters else [])]
-    rows, found = identity(n), [arb(0)] * n
-    for _ in range(PARTS):
-        found = sums(found, *(part.push_gain(rows, push) for push in pushes))
-        rows = rows * part.phi
+    pushes = Motion(plant, plant.A, plant.A, None, plant.thruster_error(most)).disturbances
+    found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
     return absolute(rows), found
 
 

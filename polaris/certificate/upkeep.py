@@ -7,6 +7,7 @@ from flint import arb
 
 from .arrival import SLACK, Arrival
 from .balls import largest, require
+from .timing import owed
 from .verdict import Rejected
 
 
@@ -30,7 +31,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
         if doc.system_kind != "clohessy_wiltshire":
             raise Rejected("upkeep", "a velocity change per orbit needs Hill's frame")
         turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
-        before = len(doc.u_max) * arb(doc.carried) / doc.mass  # what an orbit may find left
+        before = owed(arrival.loop.plant) / doc.mass  # what an orbit may find left
         arrival.no_less("velocity change per orbit", orbit, rate * turn + ahead + before)
     if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
         raise Rejected("upkeep", "the tank is not that of the scenario")

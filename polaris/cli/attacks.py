@@ -106,6 +106,8 @@ def _show_falsification(name: str, found: Falsification) -> None:
         proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
         typer.echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
+    proven = directed(told["delta_v_proven_m_s"], ".4g", up=True)
+    typer.echo(f"velocity change until T: {told['delta_v_m_s']:.4g} m/s at most, {proven} m/s proven")
     typer.echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")
 
 

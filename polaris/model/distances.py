@@ -16,7 +16,6 @@ from .obstacle import Obstacle
 from .system import Array, LinearSystem
 
 UNKNOWN = -1  # mode number of samples whose mode is not known
-TOGETHER = 4000  # points of whose rays the entries are worked out at a time: what fits into fast memory
 
 States = Mapping[str, ArrayLike]
 
@@ -54,29 +53,9 @@ def ray_ttc(
     """
     shape = np.broadcast_shapes(np.shape(t), np.shape(p)[:-1], np.shape(v)[:-1])
     out = np.empty((len(obstacles), *shape))
-    t, p, v = (np.asarray(given, dtype=float) for given in (t, p, v))
     for o, obstacle in enumerate(obstacles):
-        state = (states or {}).get(obstacle.name)
-        known = None if state is None else np.asarray(state, dtype=float)
-        for part in _parts(shape):
-            here, at, ray = (_cut(given, n, len(shape), part) for given, n in ((t, 0), (p, 1), (v, 1)))
-            moved = None if known is None else _cut(known, 1, len(shape), part)
-            out[(slice(o, o + 1), *part)] = obstacle.entry_time(here, at, ray, system, moved)
+        out[o] = obstacle.entry_time(t, p, v, system, (states or {}).get(obstacle.name))
     return out
-
-
-def _cut(given: Array, inner: int, outer: int, part: tuple[slice, ...]) -> Array:
-    """A part along the first of `outer` axes of an array that is broadcast against them."""
-    whole = not part or given.ndim < outer + inner or given.shape[0] == 1
-    return given if whole else given[part]
-
-
-def _parts(shape: tuple[int, ...]) -> list[tuple[slice, ...]]:
-    """Parts of the first axis (if there are others) of at most `TOGETHER` points, or of one entry."""
-    if len(shape) < 2 or shape[0] == 0:
-        return [()]
-    step = max(1, TOGETHER // max(1, int(np.prod(shape[1:]))))
-    return [(slice(first, first + step),) for first in range(0, shape[0], step)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +126,12 @@ def mode_shares(t: ArrayLike, modes: ArrayLike) -> dict[int, Array]:
     lengths = np.where(total > 0, lengths, 1.0)
     lengths = lengths / lengths.sum(axis=-1, keepdims=True)
     return {int(mode): np.where(values == mode, lengths, 0.0).sum(axis=-1) for mode in np.unique(values)}
+
+
+def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
+    """First and one-past-last index of every stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def count_switches(

@@ -1,5 +1,6 @@
 """How far the state that flight software predicts may be from the true one; what instants and pulses add."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,9 @@ ROUNDED = 1e-9
 
 SCATTER = 0.4
 """Share of their bounds by which measurements scatter in the design of a gain; any gain is sound."""
+
+ROUNDS, SPARE = 100, 1e-3
+"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
 
 LEFT_OVER, LONGEST = 1e-2, 4096
 """What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
@@ -51,7 +55,7 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     return np.asarray((carried + pushed) * (1 + ROUNDED))
 
 
-def _unseen(system: LinearSystem, tau: float) -> Array:
+def unseen_by(system: LinearSystem, tau: float) -> Array:
     """What a unit of errors of every input may add to a prediction over tau [s], shape (n, m)."""
     if not tau > 0:
         return np.zeros((system.n, system.m))
@@ -63,7 +67,8 @@ def _unseen(system: LinearSystem, tau: float) -> Array:
 def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
     """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
 
-    `moved` bounds by how much states are displaced when they are measured (docs/theory.md, Proposition 40).
+    Just after a measurement, with every pattern of missed periods that may be. `moved` bounds by how much
+    states are displaced when they are measured (docs/theory.md, Propositions 40 and 40a).
 
     Raises
     ------
@@ -71,18 +76,44 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
         If errors are not forgotten.
     """
     noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(moved, (system.n,))
-    loop, last, count = _forgetting(system, observer, h)
-    left = powers(loop, count - 1)
+    loop, last, count = forgetting(system, observer, h)
+    left, updates = powers(loop, count + len(observer.after)), len(observer.after) + 1
     E = system.error_map(system.thrusters.error(system.u_max))
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, h / IN_PERIOD, E)
-    rows = (left @ observer.rest).reshape(-1, system.n)
-    pushed = flow.disturbance_support(rows, IN_PERIOD)[-1].reshape(left.shape[:2])
-    come = np.sum(pushed + np.abs(left @ observer.gain) @ noise, axis=0) * (1 + ROUNDED)
-    return np.asarray(np.linalg.solve(np.eye(system.n) - last, come) * (1 + ROUNDED))
+    come, turned = [], []  # what an update adds so many periods later, and makes otherwise than the loop
+    for j, (gain, rest) in enumerate(zip((observer.gain, *observer.after), observer.rests, strict=True)):
+        pushed = flow.disturbance_support((left @ rest).reshape(-1, system.n), IN_PERIOD * (j + 1))[-1]
+        come.append(pushed.reshape(left.shape[:2]) + np.abs(left @ gain) @ noise)
+        other = rest @ expm(system.A * h * (j + 1)) - np.linalg.matrix_power(loop, j + 1)
+        turned.append(np.abs(left @ other) if j else 0 * left)
+
+    def most(known: Array) -> Array:
+        """Errors if those so many periods before were within `known`, by the worst pattern."""
+        sums = np.zeros((count + updates, system.n))
+        each = [more + off @ known for more, off in zip(come, turned, strict=True)]
+        for age in range(count):
+            for j, more in enumerate(each):
+                sums[age + j + 1] = np.maximum(sums[age + j + 1], sums[age] + more[age])
+        sums[count:] += np.abs(left[count:]) @ known
+        if updates > 1 and observer.initial is not None:  # from the first estimate on, and then for ever
+            sums[:count] += np.abs(left[:count]) @ observer.initial
+        return np.asarray(np.max(sums[0 if updates > 1 else count :], axis=0) * (1 + ROUNDED))
+
+    found = np.asarray(np.linalg.solve(np.eye(system.n) - last, most(np.zeros(system.n))) * (1 + ROUNDED))
+    for _ in range(ROUNDS if updates > 1 else 0):
+        if np.all((more := most(found)) <= found):
+            return found
+        found = np.maximum(found, more * (1 + SPARE))
+    if updates > 1:
+        raise ScenarioError("timing.missed_periods", updates - 1, "leave errors that no observer forgets")
+    return found
 
 
-def _forgetting(system: LinearSystem, observer: Observer, h: float) -> tuple[Array, Array, int]:
-    """What a period makes of errors of the estimate, and bounds on what so many periods leave of them."""
+def forgetting(system: LinearSystem, observer: Observer, h: float) -> tuple[Array, Array, int]:
+    """What a period makes of errors of the estimate, and bounds on what so many periods leave of them.
+
+    Raises what `filtered` does.
+    """
     loop, count = observer.rest @ np.asarray(expm(system.A * h)), 1
     while True:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -100,7 +131,7 @@ def fading(system: LinearSystem, observer: Observer, h: float, steps: int, perio
 
     Raises what `filtered` does.
     """
-    (loop, last, count), first = _forgetting(system, observer, h), steps * periods
+    (loop, last, count), first = forgetting(system, observer, h), steps * periods
     left = np.abs(powers(loop, first + count - 1)) @ np.asarray(observer.initial) * (1 + ROUNDED)
     ever = np.linalg.solve(np.eye(system.n) - last, left[first:].max(axis=0)) * (1 + ROUNDED)
     return np.vstack([left[:first].reshape(steps, periods, -1).max(axis=1), ever])
@@ -114,8 +145,11 @@ def observing(system: LinearSystem, observer: Observer, h: float, moved: Array |
     return replace(system, observer=replace(observer, settled=found), error_by_step=found + left)
 
 
-def design(system: LinearSystem, measures: Array, noise: Array, h: float) -> Observer:
+def design(system: LinearSystem, measures: Array, noise: Array, h: float, missed: int = 0) -> Observer:
     """The observer of measurements (r, n) off by `noise` (r,) at most, with the steady Kalman gain.
+
+    After some of up to `missed` periods without any, either the gain that does at once what it would have
+    done in each of them, or the Kalman gain of then: whichever leaves smaller errors.
 
     Raises
     ------
@@ -131,8 +165,27 @@ def design(system: LinearSystem, measures: Array, noise: Array, h: float) -> Obs
     except (np.linalg.LinAlgError, ValueError) as error:
         rule = f"must see every motion that does not decay: there is no steady gain ({error})"
         raise ScenarioError("navigation.measurement", measures.tolist(), rule) from error
-    gain = np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T
-    return Observer(measures, noise, gain)
+    steady = Observer(measures, noise, _kalman(P, measures, covariance))
+    if not missed:
+        return steady
+    loop, prompt, later = steady.rest @ step, [], []
+    for j in range(2, missed + 2):
+        P = step @ P @ step.T + excited @ excited.T
+        later.append(_kalman(P, measures, covariance))
+        whole = np.eye(system.n) - np.linalg.matrix_power(loop, j) @ expm(-system.A * h * j)
+        prompt.append(whole @ np.linalg.pinv(measures))
+    plain, found = filtered(system, steady, h), list[tuple[float, Observer]]()
+    for after in (prompt, later):
+        observer = replace(steady, after=tuple(after))
+        with suppress(ScenarioError):
+            size = filtered(system, observer, h) / np.maximum(plain, 1e-300)
+            found.append((float(size.sum()), observer))
+    return min(found, key=lambda each: each[0])[1] if found else observer
+
+
+def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
+    """The gain of a Kalman filter with covariances of what is predicted and of what is measured."""
+    return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
 
 
 def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:
@@ -206,6 +259,7 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     bit, moved = jitter_error(system, timing.jitter, h)
     if timing.carried:
         held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
+        held = held + exact.along * np.abs(system.B).sum(axis=1)
         moved = moved + held * timing.carried * (1 + ROUNDED)
     away = moved
     if timing.fired:
@@ -223,7 +277,7 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
     try:
         errors = [[prediction_error(system, each, least, age) for each in known] for age in ages.tolist()]
-        unseen = _unseen(system, ages[-1])
+        unseen = unseen_by(system, ages[-1])
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error

@@ -4,6 +4,7 @@ Distances are positive outside a shape and negative inside (penetration depth). 
 closed: touching counts as entering, and round-off in that decision errs towards "enters".
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -17,7 +18,7 @@ from .errors import ScenarioError
 from .system import Array
 from .tolerances import ROUNDING
 
-CHUNK = 1_000_000  # numbers held at once while distances to a polytope are computed
+CHUNK = 200_000  # numbers held at once while distances and times to a polytope are computed
 
 
 class Shape(Protocol):
@@ -45,6 +46,16 @@ def _in_time(path: Array, speed: Array) -> Array:
     """Time [s] to cover a path length [m]; inf where the length is inf or the speed is 0."""
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         return np.where((path < np.inf) & (speed > 0), path / speed, np.inf)
+
+
+def _in_parts(measure: Callable[..., Array], width: int, *given: Array) -> Array:
+    """What is measured of vectors (..., d), broadcast, of so many at a time that `CHUNK` numbers are held."""
+    alike = np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in given))
+    flat = [one.reshape(-1, one.shape[-1]) for one in alike]
+    step, out = max(1, CHUNK // width), np.empty(len(flat[0]))
+    for i in range(0, len(out), step):
+        out[i : i + step] = measure(*(one[i : i + step] for one in flat))
+    return out.reshape(alike[0].shape[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,18 +111,15 @@ class Polytope:
         multipliers >= 0, where ``r = H p - b``. Every such S gives a lower bound, so that a set
         lost to round-off can only make a distance too small.
         """
-        p = np.asarray(p, dtype=float)
-        flat = p.reshape(-1, self.d)
-        out = np.empty(len(flat))
         widest = max((index.size for index, _ in self._faces), default=1)
-        step = max(1, CHUNK // max(widest, len(self.b)))
-        for i in range(0, len(flat), step):
-            r = flat[i : i + step] @ self.H.T - self.b
-            worst = r.max(axis=1)
-            outside = worst > 0
-            worst[outside] = self._outside(r[outside], worst[outside])
-            out[i : i + step] = worst
-        return out.reshape(p.shape[:-1])
+        return _in_parts(self._distance, max(widest, len(self.b)), p)
+
+    def _distance(self, p: Array) -> Array:
+        r = p @ self.H.T - self.b
+        worst = np.asarray(r.max(axis=1))
+        outside = worst > 0
+        worst[outside] = self._outside(r[outside], worst[outside])
+        return worst
 
     def _outside(self, r: Array, best: Array) -> Array:
         # Two facets or more matter only where two are violated or the pair bends outwards; testing
@@ -213,7 +221,6 @@ class Polytope:
         return corners
 
     def _rates(self, p: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        p, v = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(v, dtype=float))
         speed, way = _directed(v)
         rate = way @ self.H.T
         rate[np.abs(rate) <= ROUNDING] = 0.0
@@ -223,6 +230,9 @@ class Polytope:
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] on the ray, by clipping it against every facet."""
+        return _in_parts(self._entry, len(self.b), p, v)
+
+    def _entry(self, p: Array, v: Array) -> Array:
         speed, rate, gap, slack = self._rates(p, v)
         with np.errstate(divide="ignore", invalid="ignore"):
             first = np.where(rate < 0, gap / rate, -np.inf).max(axis=-1)
@@ -235,6 +245,9 @@ class Polytope:
 
     def exit_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which the ray touches the boundary from inside; 0 if outside, inf if never."""
+        return _in_parts(self._exit, len(self.b), p, v)
+
+    def _exit(self, p: Array, v: Array) -> Array:
         speed, rate, gap, _ = self._rates(p, v)
         with np.errstate(divide="ignore", invalid="ignore"):
             last = np.where(rate > 0, gap / rate, np.inf).min(axis=-1)

@@ -177,11 +177,12 @@ class LinearSystem:
 
     @cached_property
     def adrift(self) -> Array:
-        """Rates of the states by impulses that are carried, as generators, shape (n, m); or (n, 0)."""
+        """Rates of the states by impulses that are carried, and by their errors, as generators (n, ...)."""
         if not self.timing.carried:
             return np.zeros((self.n, 0))
         held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
-        return np.asarray(self.timing.carried * self.A @ held)
+        wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
+        return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
 
     @property
     def prompt(self) -> LinearSystem:
@@ -240,10 +241,8 @@ class LinearSystem:
 
     def error_map(self, error: Array) -> Array | None:
         """Errors of inputs, and what is carried, as generators of the rate of the states; None for none."""
-        inputs = self.B * error if np.any(error) else None
-        if not self.timing.carried:
-            return inputs
-        return self.adrift if inputs is None else np.hstack([inputs, self.adrift])
+        parts = [self.B * error] * bool(np.any(error)) + [self.adrift] * bool(self.timing.carried)
+        return np.hstack(parts) if parts else None
 
     @property
     def input_names(self) -> tuple[str, ...]:

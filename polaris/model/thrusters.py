@@ -13,7 +13,7 @@ class Thrusters:
     """Errors of what is applied, at any time and however they change (docs/theory.md, Lemma 23)."""
 
     along: float = 0.0  # of every input, as a share of its own command
-    across: float = 0.0  # of every input, as a share of the 2-norm of all commands
+    across: float = 0.0  # of every input, as a share of the 2-norm of the commands of the others
     bit: float = 0.0  # of every input, whatever its command [N]
 
     def __post_init__(self) -> None:
@@ -24,14 +24,15 @@ class Thrusters:
     @classmethod
     def of(cls, magnitude: float, misalignment: float, mass: float, rounding: float, m: int) -> "Thrusters":
         """From errors of magnitude, direction [rad], mass and rounding [N] of m inputs; rounded up."""
-        most = (1 + magnitude) / (1 - mass)
-        along, across = (magnitude + mass) / (1 - mass), 2 * float(np.sin(misalignment / 2)) * most
-        bounds = along, across, rounding * (1 + along + across * m**0.5)
+        across = float(np.sin(misalignment)) * (1 + magnitude) / (1 - mass)
+        least = float(np.cos(misalignment)) * (1 - magnitude) / (1 + mass)
+        along = max((magnitude + mass) / (1 - mass), 1 - least)
+        bounds = along, across, rounding * (1 + along + across * (m - 1) ** 0.5)
         return cls(*(x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds))
 
     def rounding(self, m: int) -> float:
         """Multiple of which every input is commanded [N]: twice what `of` was given."""
-        return 2 * self.bit / (1 + self.along + self.across * float(np.sqrt(m)))
+        return 2 * self.bit / (1 + self.along + self.across * float(np.sqrt(m - 1)))
 
     @property
     def exact(self) -> bool:
@@ -43,11 +44,15 @@ class Thrusters:
         """Whether the errors depend on what is commanded."""
         return self.along > 0 or self.across > 0
 
+    def made(self, impulse: float) -> float:
+        """Most impulse of an input that is asked for one by one."""
+        return impulse * (1 + self.along)
+
     def error(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
         """Bounds on the errors under commands up to u in size, shape (..., m)."""
         return np.asarray(self.part(u) + self.bit)
 
     def part(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
         """The part of `error` that is proportional to u: that of a sum is at most the sum of the parts."""
-        size = np.linalg.norm(u, axis=-1, keepdims=True)
-        return np.asarray(self.along * np.abs(u) + self.across * size)
+        others = np.sqrt(np.square(u) @ (1.0 - np.eye(u.shape[-1])))
+        return np.asarray(self.along * np.abs(u) + self.across * others)

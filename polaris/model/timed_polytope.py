@@ -40,6 +40,12 @@ class TimedPolytope:
         """Number of time cells covered."""
         return len(self.offsets)
 
+    def at(self, times: Array, delta: float) -> Array:
+        """Offsets at times >= 0, cells of `delta` [s], shape (..., F); after the last cell on in its line."""
+        cell = np.minimum((times / delta * (1 + 1e-12)).astype(int), self.cells - 1)
+        s = (times / delta - cell)[..., None]
+        return np.asarray(self.offsets[cell, 0] * (1 - s) + self.offsets[cell, 1] * s)
+
     def fine(self, q: int) -> Array:
         """Offsets at q equal parts of every cell, shape (cells, q+1, F)."""
         s = np.linspace(0.0, 1.0, q + 1)[None, :, None]

@@ -48,11 +48,15 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force."""
+    """``x+ = x- + gain (y - measures x-)`` at every node, ``x-`` predicted under the commands in force.
+
+    After missed periods the gain is another one.
+    """
 
     measures: Array  # what is measured of a state, (r, n)
     noise: Array  # bounds on the errors of what is measured, (r,)
     gain: Array  # (n, r)
+    after: tuple[Array, ...] = ()  # gains after 1, 2, ... periods without a measurement, (n, r) each
     initial: Array | None = None  # bounds on the errors of the first estimate, (n,), unless long in use
     settled: Array | None = None  # of one that has long been made, (n,)
     fading: Array | None = None  # what the first errors still add in each step and ever after, (K + 1, n)
@@ -60,4 +64,9 @@ class Observer:
     @property
     def rest(self) -> Array:
         """What an update leaves of an error, shape (n, n)."""
-        return np.eye(len(self.gain)) - self.gain @ self.measures
+        return self.rests[0]
+
+    @property
+    def rests(self) -> list[Array]:
+        """The same after 0, 1, ... missed periods."""
+        return [np.eye(len(gain)) - gain @ self.measures for gain in (self.gain, *self.after)]

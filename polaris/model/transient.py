@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .thrusters import Thrusters
+
 
 @dataclass(frozen=True, eq=False)
 class Transient:
@@ -17,9 +19,15 @@ class Transient:
     where it is navigation that is lost, and S flies on at once."""
     share: float  # of its thrust that is lost, or pushes without being asked to
     gains: NDArray[np.float64]  # largest sizes of the entries of all experimental controllers' gains, (m, n)
+    asked: bool = False  # whether black boxes fly, whose answers may be any
     networks: NDArray[np.float64] | None = None  # the same of networks: how steep they are in the state
+    unseen: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost
 
     @property
     def pushes(self) -> NDArray[np.float64]:
         """How far inputs may be from what is commanded meanwhile: a row for each kind, shape (J, m) [N]."""
         return np.asarray(np.unique(np.abs(self.thrust) * self.share, axis=0))
+
+    def wrong(self, thrusters: Thrusters) -> NDArray[np.float64]:
+        """The same with the errors that it brings along of thrusters."""
+        return np.asarray(self.pushes + thrusters.part(self.pushes))

@@ -30,11 +30,13 @@ def unreachable(rows: Rows, deadline: float) -> NoReturn:
         f" it is missed by {miss:.3g} m at best."
     )
     relax = "no input limits would do; change the goal or the number of steps."
-    if not np.any(rows.limit):
-        relax = "a smaller planner.thrust_reserve or initial set, or larger input limits: nothing is left."
-    elif factor is not None:
+    if factor is not None:
         relax = (
             f"input limits {factor:.3g} times as large (when tightened), a longer horizon or a wider goal."
+        )
+    elif not np.all(rows.limit):
+        relax = (
+            "a smaller planner.thrust_reserve or initial set, or larger input limits: nothing is left of one."
         )
     raise SynthesisInfeasible(condition, miss, relax)
 

@@ -1,7 +1,8 @@
 """Reference trajectories: D2C of section III-C, exact between the waypoints."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import accumulate
 
 import numpy as np
 
@@ -9,6 +10,13 @@ from reach.numerics.linear import discretize, growth
 
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import REFERENCE
+
+
+@lru_cache(maxsize=256)
+def _held(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
+    """What moves states and held inputs over j parts of q of a step, shapes (q+1, n, n), (q+1, n, m)."""
+    moved, pushed = zip(*(discretize(system.A, system.B, delta * j / q) for j in range(q + 1)), strict=True)
+    return np.array(moved), np.array(pushed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +43,9 @@ class Reference:
     @classmethod
     def propagate(cls, system: LinearSystem, delta: float, x0: Array, nu: Array) -> "Reference":
         """Build from an initial state and inputs by exact zero-order-hold discretization (eq. 13)."""
-        Ad, Bd = discretize(system.A, system.B, delta)
-        chi = np.empty((len(nu) + 1, system.n))
-        chi[0] = x0
-        for k, u in enumerate(nu):
-            chi[k + 1] = Ad @ chi[k] + Bd @ u
-        return cls(system, delta, chi, np.array(nu, dtype=float))
+        Ad, Bd = (part[1] for part in _held(system, delta, 1))
+        chi = [*accumulate((Bd @ u for u in nu), lambda x, v: Ad @ x + v, initial=np.asarray(x0, float))]
+        return cls(system, delta, np.array(chi), np.array(nu, dtype=float))
 
     @property
     def cells(self) -> int:
@@ -50,7 +55,7 @@ class Reference:
     @cached_property
     def rounding(self) -> Array:
         """Bound on the round-off of the states within every step, elementwise, shape (K, n)."""
-        Ad, Bd = (np.abs(part) for part in discretize(self.system.A, self.system.B, self.delta))
+        Ad, Bd = (np.abs(part[1]) for part in _held(self.system, self.delta, 1))
         moved = np.abs(self.chi[:-1]) @ Ad.T + np.abs(self.nu) @ Bd.T
         return np.asarray(REFERENCE * (moved + np.abs(self.chi[:-1]) + np.abs(self.chi[1:])))
 
@@ -60,10 +65,9 @@ class Reference:
         The last point of a cell is recomputed from its first, not copied from the next, so the
         array shows every cell as one exact arc.
         """
-        steps = [discretize(self.system.A, self.system.B, self.delta * j / q) for j in range(q + 1)]
-        arcs = np.einsum("qij,kj->kqi", np.array([moved for moved, _ in steps]), self.chi[:-1])
-        arcs += np.einsum("qij,kj->kqi", np.array([pushed for _, pushed in steps]), self.nu)
-        return np.asarray(arcs)
+        moved, pushed = _held(self.system, self.delta, q)
+        arcs = np.einsum("qij,kj->kqi", moved, self.chi[:-1])
+        return np.asarray(arcs + np.einsum("qij,kj->kqi", pushed, self.nu))
 
     def rates(self, nodes: Array) -> Array:
         """Elementwise bound on ``|x'|`` over each of the q parts between the nodes of `fine`, (K, q, n)."""

@@ -91,20 +91,14 @@ class Rows:
 
         Shapes (R, d, n), (R, d, m), (R,). The path lies in their hull, up to the remainder of a cubic arc.
         """
-        system, q = self.problem.system, self.segments
-        h = self.problem.delta / q
+        system, q, h = self.problem.system, self.segments, self.problem.delta / self.segments
         C, CA, CB = system.position, system.velocity, system.position @ system.B
-        P, Q, share = [], [], []
-        for j in range(q):
-            (E0, F0), (E1, F1) = (discretize(system.A, system.B, h * i) for i in (j, j + 1))
-            start, end = (C @ E0, C @ F0), (C @ E1, C @ F1)
-            lead = (start[0] + h / 3 * CA @ E0, start[1] + h / 3 * (CA @ F0 + CB))
-            trail = (end[0] - h / 3 * CA @ E1, end[1] - h / 3 * (CA @ F1 + CB))
-            arc = [start, lead, trail, end] if j == q - 1 else [start, lead, trail]
-            P += [p for p, _ in arc]
-            Q += [u for _, u in arc]
-            share += [(j + i / 3) / q for i in range(len(arc))]
-        return np.array(P), np.array(Q), np.array(share)
+        E, F = map(np.array, zip(*(discretize(system.A, system.B, h * i) for i in range(q + 1)), strict=True))
+        found = []
+        for at, lead in ((C @ E, h / 3 * CA @ E), (C @ F, h / 3 * (CA @ F + CB))):
+            arcs = np.stack([at[:-1], at[:-1] + lead[:-1], at[1:] - lead[1:]], axis=1)
+            found.append(np.concatenate([arcs.reshape(-1, *at.shape[1:]), at[-1:]]))
+        return found[0], found[1], np.array([(i // 3 + i % 3 / 3) / q for i in range(3 * q + 1)])
 
     def options(self, key: Key) -> Options:
         """The facets of unsafe set i to stay beyond in cell k, with what is booked at present.
@@ -125,9 +119,8 @@ class Rows:
         Control points that no input moves are known exactly: only what a re-check asked for is booked.
         """
         asked = self.booking[i][cells][:, None]
-        moved = np.any(self.control_points[1] != 0, axis=(1, 2)) | (np.asarray(cells)[:, None] > 0)
-        model = SOLVER_BOOK_M + np.abs(self.problem.unsafe[i].normals) @ self._book
-        return np.asarray(asked + np.where(moved[:, :, None], model, 0.0))
+        moved = self._modelled[0] | (np.asarray(cells)[:, None] > 0)
+        return np.asarray(asked + np.where(moved[:, :, None], self._modelled[1][i], 0.0))
 
     def surplus(self, path: Reference) -> tuple[Array, ...]:
         """Room [m] of a path, coasting included, beyond what the rows of a cell ask for without extra.
@@ -167,8 +160,11 @@ class Rows:
         return Options(a, least - free, 0.0, at, g, h, free)
 
     @cached_property
-    def _book(self) -> Array:
-        return 2 * self._remainder(self.segments)
+    def _modelled(self) -> tuple[Any, list[Array]]:
+        """Which control points an input moves, (R,); length [m] booked on every facet of each unsafe set."""
+        book = 2 * self._remainder(self.segments)
+        models = [SOLVER_BOOK_M + np.abs(body.normals) @ book for body in self.problem.unsafe]
+        return np.any(self.control_points[1] != 0, axis=(1, 2)), models
 
     def extreme(self, a: Array, budget: float = np.inf) -> Array:
         """Largest ``a z`` over the input limits and a velocity change of at most `budget`, per row."""

@@ -116,9 +116,9 @@ class PathSearch:
             self.lp.add(np.vstack(rows), np.concatenate(need), np.inf)
 
     def _wide(self, a: Array, slope: float, elastic: float) -> Array:
-        one = np.ones((*a.shape[:-1], 1))
-        others = np.zeros((*a.shape[:-1], self.more))
-        return np.concatenate([a, -a, -slope * one, elastic * one, others], axis=-1)
+        N, wide = self.rows.N, np.zeros((*a.shape[:-1], 2 * self.rows.N + 2 + self.more))
+        wide[..., :N], wide[..., N : 2 * N], wide[..., 2 * N], wide[..., 2 * N + 1] = a, -a, -slope, elastic
+        return wide
 
     def bounds(self, path: Candidate, keys: Collection[Key]) -> dict[Key, Array]:
         """Lower bounds on the objective with each alternative added to the program `path` solves.

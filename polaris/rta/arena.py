@@ -7,11 +7,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..model.checks import one_of, whole
 from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
+from ..simulation.baselines import Flights
 from ..simulation.metrics import Metrics, finite
 from ..synthesis.schedule import Schedule
 from .decision_grid import DecisionGrid
@@ -28,19 +28,6 @@ SHOWN = 3  # runs per method kept for pictures
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """Some flights of one method, for pictures."""
-
-    labels: tuple[str, ...]  # ``closest``, ``run 0``, ...
-    times: Array  # (N+1,)
-    states: Array  # (r, N+1, n)
-    inputs: Array  # (r, N, m)
-    modes: NDArray[np.int_]  # (r, N): 0 is S, 1, 2, ... U, -1 a filtered input
-    nearest: Array  # least, mean and largest distance over all runs [m], (3, N+1)
-    decisions: list[dict[str, Any]]  # of the run closest to a set: time, mode, margin, reason
-
-
-@dataclass(frozen=True, eq=False)
 class Comparison:
     """All methods on one scene.
 
@@ -50,7 +37,10 @@ class Comparison:
     runs, seed : int
     results : dict of str to MethodResult
         By method.
-    shown : dict of str to Shown
+    shown : dict of str to Flights
+        Some flights of every method, for pictures: the closest to a set, ``run 0``, ...
+    decisions : dict of str to list of dict
+        Of the run closest to a set: time, mode, margin, reason.
     refused : dict of str to str
         Methods that the scene does not admit, and why.
     """
@@ -59,7 +49,8 @@ class Comparison:
     runs: int
     seed: int
     results: dict[str, MethodResult]
-    shown: dict[str, Shown]
+    shown: dict[str, Flights]
+    decisions: dict[str, list[dict[str, Any]]]
     refused: dict[str, str]
 
     def paired(self, reference: str = "schedule") -> list[dict[str, Any]]:
@@ -107,7 +98,7 @@ def compare_methods(
     if len(grid.controllers) < 2:
         raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
-    results, shown, refused = {}, {}, {}
+    results, shown, decisions, refused = {}, {}, {}, {}
     for key in keys:
         begun = time.perf_counter()
         method = _made(key, grid, options.get(key, {}))
@@ -116,8 +107,8 @@ def compare_methods(
             continue
         built = _synthesis(grid, key) + time.perf_counter() - begun
         report = partial(progress, key) if progress else None
-        results[key], shown[key] = _flown(grid, method, parts, built, report)
-    return Comparison(grid, runs, seed, results, shown, refused)
+        results[key], shown[key], decisions[key] = _flown(grid, method, parts, built, report)
+    return Comparison(grid, runs, seed, results, shown, decisions, refused)
 
 
 def _made(key: str, grid: DecisionGrid, options: Mapping[str, float]) -> Method | str:
@@ -157,7 +148,7 @@ def _flown(
     parts: Sequence[Conditions],
     synthesis_s: float,
     progress: Callable[[int, int], None] | None,
-) -> tuple[MethodResult, Shown]:
+) -> tuple[MethodResult, Flights, list[dict[str, Any]]]:
     """Fly one method in all conditions, and once alone to time its decisions."""
     found: list[Metrics] = []
     deviations, counts, kept = [], np.zeros(len(method.reasons), dtype=int), None
@@ -182,10 +173,12 @@ def _flown(
         dict(zip(method.reasons, counts.tolist(), strict=True)),
         method.settings,
     )
-    return outcome, _show(grid, method, *kept, outcome.metrics.nearest)
+    return outcome, *_show(grid, method, *kept, outcome.metrics.nearest)
 
 
-def _show(grid: DecisionGrid, method: Method, flight: Flight, worst: int, nearest: Array) -> Shown:
+def _show(
+    grid: DecisionGrid, method: Method, flight: Flight, worst: int, nearest: Array
+) -> tuple[Flights, list[dict[str, Any]]]:
     chosen = [worst, *(run for run in range(len(flight.states)) if run != worst)][: 1 + SHOWN]
     who = flown(grid, flight)
     decisions = [
@@ -199,7 +192,7 @@ def _show(grid: DecisionGrid, method: Method, flight: Flight, worst: int, neares
     ]
     labels = ("closest", *(f"run {run}" for run in chosen[1:]))
     paths = flight.states[chosen], flight.inputs[chosen], who[chosen]
-    return Shown(labels, flight.times, *paths, nearest, decisions)
+    return Flights(method.key, labels, flight.times, *paths, nearest), decisions
 
 
 def _synthesis(grid: DecisionGrid, key: str) -> float:

@@ -21,6 +21,7 @@ from ..synthesis.neural import NeuralController
 from ..synthesis.polytope_sets import PolytopeSets
 from ..synthesis.schedule import Schedule
 from ..synthesis.tracking import Feedback, Tracking
+from ..synthesis.transients import hidden
 
 PERIOD = 1.0  # longest decision period chosen by default [s]
 WHOLE = 1e-9  # relative tolerance on "divides"
@@ -74,7 +75,8 @@ class DecisionGrid:
         half_widths : array_like, optional
             Largest error of the state estimate that decisions are made on, one number or one per state; 0
             where it is exact. By default that of the estimate that S and U act on (``[navigation]``, or that
-            of predictions with ``[timing]``). By what jitter displaces states they grow.
+            of predictions with ``[timing]``). By what jitter displaces states they grow, and by what faults
+            that are isolated late add to predictions.
 
         Raises
         ------
@@ -86,9 +88,6 @@ class DecisionGrid:
         safety = schedule.safety
         known, delta, feedback = safety.tracking, safety.tracking.delta, safety.tracking.feedback
         n = known.system.n
-        if known.system.transients:
-            rule = "run-time methods know no faults that are isolated late: compare without them"
-            raise ScenarioError("faults", known.system.transients[0].name, rule)
         if period is None:
             period = known.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)
         positive("period", period, "s")
@@ -106,11 +105,13 @@ class DecisionGrid:
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
             q = per_step * nodes
-        tracking = Tracking(known.system, known.gain, Feedback(q, feedback.sampled), delta)
+        system = _judged(known.system, (nodes - 1) * known.flow.h, nodes + delay)
+        tracking = Tracking(system, known.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
         moved = 0.0 if half_widths is None else known.system.displaced
-        return cls(schedule, period, latency, half + moved + np.zeros(n), tracking, clearance, nodes, delay)
+        half = half + moved + hidden(system, known.gain, known.flow.h)
+        return cls(schedule, period, latency, half, tracking, clearance, nodes, delay)
 
     def profiled(self) -> "DecisionGrid":
         """The same, errors of thrusters under S booked as the schedule books them: by commands that fall.
@@ -238,6 +239,18 @@ class DecisionGrid:
 def _at_nodes(arcs: Array) -> Array:
     """Values at the nodes of every cell (cells, q+1, ...) in one row; at a border the later cell's."""
     return np.concatenate([arcs[:, :-1].reshape(-1, *arcs.shape[2:]), arcs[-1, -1:]])
+
+
+def _judged(system: LinearSystem, wait: float, unseen: int) -> LinearSystem:
+    """Faults as decisions meet them: `wait` [s] until one takes effect, after so many periods unseen."""
+    if not (faults := system.transients):
+        return system
+    if system.observer is not None:
+        rule = "isolated late are not covered by run-time methods where an observer makes the estimates"
+        raise ScenarioError("faults", faults[0].name, rule)
+    lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
+    met = (replace(fault, lasts=x, unseen=unseen) for fault, x in zip(faults, lasts, strict=True))
+    return replace(system, transients=tuple(met))
 
 
 def _parts(name: str, whole: float, part: float, rule: str) -> int:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
+from ..simulation.failing import Failing, drawn
 from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
 from ..synthesis.black_box import BlackBox
@@ -24,13 +25,15 @@ class Conditions:
 
     Initial states x0 (R, n); what disturbs, held from node to node, w (N, R, p), errors of thrusters and of
     the estimates that laws act on in `columns` of their own; errors (D, R, n) of the estimate that decisions
-    are made on; and the seed of it all, true states of other satellites included.
+    are made on; the seed of it all, true states of other satellites included; and what fails in every second
+    run, where faults are isolated late.
     """
 
     x0: Array
     w: Array
     errors: Array
     seed: int
+    failing: Failing | None = None
 
     @classmethod
     def draw(cls, grid: DecisionGrid, runs: int, seed: int) -> "Conditions":
@@ -60,7 +63,7 @@ class Conditions:
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
         wrong = grid.half_widths - grid.system.displaced_at_nodes * bool(grid.system.timing.carried)
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
-        return cls(x0, np.concatenate(parts, axis=1), errors, seed)
+        return cls(x0, np.concatenate(parts, axis=1), errors, seed, _fail(grid, runs, rng))
 
     @classmethod
     def undisturbed(cls, grid: DecisionGrid) -> "Conditions":
@@ -72,7 +75,19 @@ class Conditions:
     def only(self, run: int) -> "Conditions":
         """Those of one run."""
         one = slice(run, run + 1)
-        return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed)
+        failing = None if self.failing is None else self.failing.pick(np.array([run]))
+        return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed, failing)
+
+
+def _fail(grid: DecisionGrid, runs: int, rng: np.random.Generator) -> Failing | None:
+    """What fails in the runs of odd numbers, at instants drawn; half of them at the worst along a limit."""
+    if not grid.system.transients:
+        return None
+    rows = np.vstack([grid.clearance.obstacle_rows[0], grid.tracking.gain, -grid.tracking.gain])
+    targets = rng.integers(1, grid.decisions * grid.nodes + 1, runs)
+    found = drawn(grid.schedule, 1, rows[rng.integers(0, len(rows), runs)], targets, rng)
+    never = np.where(np.arange(runs) % 2, 0, grid.last + 1)
+    return replace(found, begins=found.begins + never, ends=found.ends + never)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +126,8 @@ def fly(
     seconds, delta_v, deviation = np.zeros(D), np.zeros(R), np.zeros(R)
     flying, u = np.zeros(R, dtype=int), np.zeros((R, system.m))
     preferred = min(1, len(grid.controllers) - 1)
+    failing = conditions.failing
+    engine.failing = failing and replace(failing.pick(np.arange(R)), latched=False)
     method.start(R)
     engine.begin(R)
     states[0] = x = conditions.x0
@@ -126,9 +143,13 @@ def fly(
         for i in range(c + 1):
             if i == delay:
                 flying, u = choice.mode, u if choice.u is None else choice.u
+                if failing is not None and method.delayed:
+                    flying = np.where(failing.relieved(k * c, k * c + delay), 0, flying)
             if i == c:
                 break
             node = k * c + i
+            if failing is not None and not method.delayed and method.proven:  # to the end
+                flying = np.where(failing.by_s(node), 0, flying)
             desired = engine.desired(preferred, node, x, conditions.w[node]) if i else told
             x, inputs[node], demanded[node], spent = engine.step(node, flying, u, x, conditions.w[node])
             states[node + 1], modes[node] = x, flying
@@ -188,11 +209,15 @@ class Engine(Integrator):
         for mode in present.tolist():
             self._rows = chosen = flying == mode
             left, self.left = self.left, None if self.left is None else self.left[chosen]
+            if (failing := self.failing) is not None:
+                self.failing = replace(failing.pick(chosen), gap=failing.gap[chosen])
             parts = self._under(mode, node, u[chosen], x[chosen], w[chosen])
             for whole_, part in zip(out, parts, strict=True):
                 whole_[chosen] = part
             if left is not None:
                 left[chosen], self.left = self.left, left
+            if failing is not None and self.failing is not None:
+                failing.gap[chosen], self.failing = self.failing.gap, failing
         self._rows = slice(None)
         return out[0], out[1], out[2], out[3]
 
@@ -205,7 +230,10 @@ class Engine(Integrator):
             k, place = divmod(node, self.q)
             return self.period(mode, k, place, x, [w] * self.substeps)
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
-        applied = self.applied(u, 0)
+        applied, pushed = self.applied(u, node), w @ Dd.T
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1) * self.substeps
-        after = x @ Ad.T + applied @ Bd.T + w @ Dd.T + self.bow()
+        after = x @ Ad.T + applied @ Bd.T + pushed + self.bow()
+        if self.failing is not None:
+            eta = 0.0 if self.eta is None else self.eta[0]
+            self.failing.predict(node, Ad, pushed + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)
         return after, np.clip(u, -limit, limit), demand, spent

@@ -133,8 +133,10 @@ class Recovery:
         rate = rows @ system.A
         applied = spread + system.thrusters.error(system.u_max)
         bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
-        bend = bend + np.abs(rate @ system.adrift).sum(axis=1)  # constant over every period
+        wrong = system.adrift[:, system.m :]  # that part is not constant over a period
+        bend = bend + np.abs(rate @ system.adrift).sum(axis=1)
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
+        bend = bend + flow.h / 2 * np.abs(rows @ wrong).sum(axis=1)
         direct = np.any(rows @ system.B != 0, axis=1) | np.any(rows @ system.D != 0, axis=1)
         return np.asarray(np.where(direct, 2 * np.abs(rows) @ within, bend))
 

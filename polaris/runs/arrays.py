@@ -85,13 +85,13 @@ FLIGHTS = {
     "distance_m": "nearest",
     "input_range": "input_range",
 }
-"""Attribute of the flights of a controller by the name of its array."""
+"""Attribute of the flights of a controller or method by the name of its array."""
 
 
 def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:
-    """Some runs of every controller and the envelope of all of them."""
+    """Some runs of every controller or method, and the envelope of all of them."""
     parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in flown.items())
-    return {name: values for part in parts for name, values in part.items()}
+    return {name: values for part in parts for name, values in part.items() if values is not None}
 
 
 def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
@@ -118,12 +118,15 @@ def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def read_flights(path: Path) -> dict[str, Flights]:
-    """Read what `flight_arrays` gave."""
+def read_flights(
+    path: Path, keys: Iterable[str] = ("safety", "experimental", "polaris")
+) -> dict[str, Flights]:
+    """Read what `flight_arrays` gave of those that are in the file."""
     arrays, out = read_arrays(path), {}
-    for key in ("safety", "experimental", "polaris"):
+    for key in keys:
         if f"{key}_t_s" in arrays:
-            found = read_held(arrays, FLIGHTS, f"{key}_")
-            found |= {"controller": str(found["controller"]), "labels": tuple(found["labels"].tolist())}
+            found: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
+            found["controller"] = str(arrays.get(f"{key}_controller", key))
+            found["labels"] = tuple(found["labels"].tolist())
             out[key] = Flights(**found)
     return out

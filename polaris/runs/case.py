@@ -12,12 +12,12 @@ import numpy as np
 from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, violation
-from ..simulation.integration import Integrator
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
 from .atomic import write_whole
@@ -116,7 +116,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
             Failing.of(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
         claims = Claims(schedule, bool(data["tail"]), attack.failing is not None)
-        flight = Integrator(schedule, claims.modes, int(data["substeps"]))
+        flight = flight_of(schedule, claims.modes, int(data["substeps"]))
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
         found = attained(claims, attack.fly(flight), attack.failing)

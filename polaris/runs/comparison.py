@@ -17,18 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from ..rta.arena import Comparison, Shown
+from ..rta.arena import Comparison
 from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
-from .arrays import held_by, read_arrays, read_held
+from ..simulation.baselines import Flights
+from .arrays import flight_arrays, read_flights
 from .folder import Draw, RunFolder, RunKind, read_json, write_folder
 from .schedule import SCHEDULE, write_run
 from .stages import Stages
 from .tables import strict, write_text
-
-ARRAYS = {"t_s": "times", "states": "states", "inputs": "inputs", "modes": "modes", "distance_m": "nearest"}
-"""Attribute of the flights of a method by the name of its array."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +35,7 @@ class ComparisonPicture:
 
     table: dict[str, Any]  # contents of ``comparison.json``
     run: RunFolder  # of the schedule
-    shown: dict[str, Shown]  # the flights kept, by method, without their decisions
+    shown: dict[str, Flights]  # the flights kept, by method
 
 
 def write_comparison(
@@ -118,27 +116,18 @@ PROTOCOL = (
 
 def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> None:
     write_run(folder / "run", scenario, comparison.grid.schedule)
-    arrays: dict[str, Any] = {}
-    for key, one in comparison.shown.items():
-        arrays[f"{key}_labels"] = np.array(one.labels, dtype=str)
-        arrays |= held_by(one, ARRAYS, f"{key}_")
-    np.savez_compressed(folder / "comparison.npz", **arrays)
+    np.savez_compressed(folder / "comparison.npz", **flight_arrays(comparison.shown))
     lines = [
         json.dumps(strict({"method": key, **decision}))
-        for key, shown in comparison.shown.items()
-        for decision in shown.decisions
+        for key, decisions in comparison.decisions.items()
+        for decision in decisions
     ]
     write_text(folder / "decisions.jsonl", "\n".join(lines) + "\n")
 
 
 def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
-    table, arrays = read_json(folder / "comparison.json"), read_arrays(folder / "comparison.npz")
-    shown = {}
-    for method in table["methods"]:
-        key = method["key"]
-        if f"{key}_t_s" in arrays:
-            labels = tuple(map(str, arrays[f"{key}_labels"]))
-            shown[key] = Shown(labels, **read_held(arrays, ARRAYS, f"{key}_"), decisions=[])
+    table = read_json(folder / "comparison.json")
+    shown = read_flights(folder / "comparison.npz", [method["key"] for method in table["methods"]])
     return ComparisonPicture(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
 
 

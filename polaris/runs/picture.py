@@ -16,7 +16,6 @@ from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
 
 if TYPE_CHECKING:
-    from ..rta.arena import Shown
     from ..simulation.baselines import Flights
 
 PRINTED = 8  # most hand-overs that are drawn with their slices
@@ -155,7 +154,7 @@ class Picture:
         after = ", under S after T" if self.reached > self.duration * (1 + 1e-9) else ""
         return f"goal reached by {self.reached:.6g} s{after}"
 
-    def velocity_change(self, runs: Flights | Shown) -> Array:
+    def velocity_change(self, runs: Flights) -> Array:
         """How the velocity change of runs adds up, the 1-norm of the input over the mass [m/s], (r, N+1)."""
         parts = np.abs(runs.inputs).sum(axis=2) * np.diff(runs.times) / self.system.mass
         return np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))

@@ -24,6 +24,7 @@ import numpy as np
 
 from ..certificate.document import canonical
 from ..model.checks import of_kind
+from ..model.errors import SynthesisInfeasible
 from ..planning.problem import SOLVERS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
@@ -40,6 +41,7 @@ from ..synthesis.withheld import withheld
 from . import arrays
 from . import tables as files
 from .certificate import described, hexadecimal, write_certificate
+from .declared import naming_errors
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .picture import Picture, SlicePicture
 from .picturing import picture_of
@@ -93,7 +95,10 @@ def fly_schedule(
     with stages.stage("safety controller"):
         problem = scenario.problem()
         planner = replace(problem.planner, progress=stages.planner)
-        safety = get_safety.get_safety(replace(problem, planner=planner))
+        try:
+            safety = get_safety.get_safety(replace(problem, planner=planner))
+        except SynthesisInfeasible as error:
+            raise naming_errors(error, scenario) from error
     with stages.stage("experimental controllers"):
         experimental = () if boxes else scenario.controllers(safety)
     with stages.stage("schedule"):

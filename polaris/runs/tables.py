@@ -129,7 +129,8 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 def _observer(observer: Observer) -> dict[str, Any]:
     """What a run folder says of an observer."""
     told = asdict(observer)
-    return {key: x for key, x in told.items() if x is not None and key != "fading"}
+    unsaid = "fading", *(() if observer.after else ("after",))
+    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
 
 
 def errors_of(safety: Safety) -> dict[str, Any]:

@@ -59,6 +59,9 @@ class Thrusters(ScenarioPart):
         if self.impulse_bit_N_s > 0 and period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        if period is not None and self.impulse_bit_N_s > (most := float(system.u_max.min()) * period):
+            rule = f"must be at most what full thrust makes in a period, {most:.6g} N s"
+            raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         if self.pulse != "held" and (period is None or self.directions is not None):
             rule = "needs sampled feedback (feedback.kind = 'sampled'), and thrusters without directions"
             raise ScenarioError("thrusters.pulse", self.pulse, rule)
@@ -70,7 +73,7 @@ class Thrusters(ScenarioPart):
         if self.remainder == "dropped":
             return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
         found = Errors.of(self.magnitude_error, turned, self.mass_error, 0.0, system.m)
-        return replace(found, bit=float(found.part(np.full(system.m, 2 * bit)).max()))
+        return replace(found, bit=2 * bit * found.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9))
 
 
 class Timing(ScenarioPart):
@@ -87,7 +90,8 @@ class Timing(ScenarioPart):
     """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback."""
     missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
     """Periods in a row for which there may be no new measurement or command: commands for so many periods
-    ahead are sent each time. Needs sampled feedback."""
+    ahead are sent each time. Needs sampled feedback; at most 20 with an observer, and none if faults are
+    isolated late besides."""
     clock_error_s: f.NonNegative = unit("s", default=0.0)
     """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
     obstacles of kind `satellite`."""
@@ -130,15 +134,30 @@ def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
 
 
 def transients(
-    faults: Sequence[Fault], made: Allocation | None, gains: Sequence[Array], networks: Sequence[Array]
+    faults: Sequence[Fault],
+    made: Allocation | None,
+    gains: Sequence[Array],
+    networks: Sequence[Array],
+    asked: bool,
 ) -> tuple[Transient, ...]:
-    """What faults do until they are isolated, if that takes time; gains of laws, and of networks."""
+    """What faults do until they are isolated, if that takes time; gains of laws, and of networks.
+
+    `asked` says whether there are black boxes.
+    """
     found, steep = [], np.max(networks, axis=0) if len(networks) else None
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
             thrust = made.directions * made.limits[:, None]
-        known = fault.name, fault.isolation, thrust, 1 - fault.left, np.max(np.abs(gains), axis=0), steep
+        known = (
+            fault.name,
+            fault.isolation,
+            thrust,
+            1 - fault.left,
+            np.max(np.abs(gains), axis=0),
+            asked,
+            steep,
+        )
         found += [Transient(*known)] if fault.isolation > 0 else []
     return tuple(found)
 
@@ -173,8 +192,8 @@ class Abort(ScenarioPart):
     """How long that may take, from the step of the abort on. An orbit of its own needs it."""
     delta_v_max_m_s: f.Positive | None = unit("m/s", "Budget of velocity change for it.", default=None)
 
-    def check(self, system: LinearSystem, step: float, late: bool) -> None:
-        """Refuse what takes too long, and what is not covered; `late`: faults are isolated late."""
+    def check(self, system: LinearSystem, step: float) -> None:
+        """Refuse what takes too long, and what is not covered."""
         drift, powered, within = self.build(system), self.powered(system), self.within_s
         if drift is not None and drift.cells(step) > MAX_STEPS:
             given = self.drift_orbits, self.drift_s
@@ -182,8 +201,6 @@ class Abort(ScenarioPart):
         if within is not None and not 2 * step <= within <= MAX_STEPS * step:
             rule = f"must be at least two steps of {step:g} s, and at most {MAX_STEPS}"
             raise ScenarioError("abort.within_s", within, rule)
-        if powered is not None and late:
-            raise ScenarioError("abort.orbit", "orbit", "is not covered with faults that are isolated late")
         if powered is not None and powered.goal is not None and system.error_by_step is not None:
             rule = "of its own is not covered with errors of navigation by phase, which are the schedule's"
             raise ScenarioError("abort.orbit", powered.goal.describe(), rule)
@@ -219,7 +236,10 @@ class Abort(ScenarioPart):
 
 
 class Tank(ScenarioPart):
-    """Propellant: how long it lasts is told with the velocity change of the safety controller."""
+    """Propellant: how long it lasts is told with the velocity change of the safety controller.
+
+    An abort with thrust is proven only where it is enough for what was spent before, and for that.
+    """
 
     delta_v_m_s: f.Positive = unit("m/s")
     """Velocity change that there is propellant for from the start on, the sum over the axes counted."""

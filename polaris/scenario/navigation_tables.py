@@ -13,6 +13,9 @@ from . import fields as f
 from .error_tables import Timing
 from .fields import ScenarioPart, unit
 
+MOST_MISSED = 20
+"""Most periods without a measurement that an observer is designed for."""
+
 
 class Estimate(ScenarioPart):
     """Bounds on the errors of an estimate: in Hill's frame of position and velocity, else of states."""
@@ -49,8 +52,8 @@ class Phase(Estimate):
 class Measurement(ScenarioPart):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
-    Its gain is the steady Kalman gain. In Hill's frame it measures the position, and the velocity if that has
-    a bound. Refused with faults that are isolated late.
+    Its gain is the steady Kalman gain; after missed periods it has another. In Hill's frame it measures the
+    position, and the velocity if that has a bound.
     """
 
     position_error_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
@@ -87,17 +90,18 @@ class Measurement(ScenarioPart):
         if period is None:
             rule = "needs sampled feedback (feedback.kind = 'sampled')"
             raise ScenarioError("navigation.measurement", None, rule)
-        if timing.missed_periods:
-            rule = "must be 0 with an observer, which measures in every period"
+        if timing.missed_periods > MOST_MISSED:
+            rule = f"must be at most {MOST_MISSED} with an observer"
             raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
-        observer = design(system, *self.build(system), period)
+        observer = design(system, *self.build(system), period, timing.missed_periods)
         first = np.zeros(system.n)
         if self.initial is not None:
             first = self.initial.build(system, "navigation.measurement.initial")
         if np.any(first):
             observer, (steps, step) = replace(observer, initial=first), horizon
-            left = fading(system, observer, period, steps, max(round(step / period), 1))
-            observer = replace(observer, fading=left)
+            if not timing.missed_periods:
+                left = fading(system, observer, period, steps, max(round(step / period), 1))
+                observer = replace(observer, fading=left)
         return observing(system, observer, period)
 
 

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
+import tomli_w
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
@@ -189,31 +190,4 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
 
 def write_toml(document: Mapping[str, Any]) -> str:
     """Write a scenario's data as TOML: values first, then its tables, then its lists of tables."""
-    lines: list[str] = []
-    tables: list[str] = []
-    for key, value in document.items():
-        if isinstance(value, Mapping):
-            tables += ["", f"[{key}]", *_pairs(value)]
-        elif isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
-            for entry in value:
-                tables += ["", f"[[{key}]]", *_pairs(entry)]
-        else:
-            lines.append(f"{key} = {_literal(value)}")
-    return "\n".join([*lines, *tables]) + "\n"
-
-
-def _pairs(table: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {_literal(value)}" for key, value in table.items()]
-
-
-def _literal(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(_pairs(value)) + " }"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_literal(entry) for entry in value) + "]"
-    if isinstance(value, str):
-        # A JSON string is a TOML basic string, but for the one control character JSON leaves as it is.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value)
+    return tomli_w.dumps(document)

@@ -18,7 +18,7 @@ BATCH = 1000  # runs simulated at a time, to bound the memory used
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Some simulated runs of one controller, and the envelope of all of them.
+    """Some simulated runs of one controller or method, and the envelope of all of them.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class Flights:
         Absolute states.
     inputs : ndarray, shape (r, N, m)
         Applied after every node.
-    modes : ndarray of int, shape (cells,)
-        Mode of every step.
+    modes : ndarray of int, shape (cells,) or (r, N)
+        Mode of every step, or of every run after each node: 0 is S, 1, 2, ... U, -1 a filtered input.
     nearest : ndarray, shape (3, N+1)
         Distance to the nearest unsafe set [m]: least, mean and largest over all runs.
-    input_range : ndarray, shape (2, N, m)
-        Least and largest input over all runs.
+    input_range : ndarray, shape (2, N, m), or None
+        Least and largest input over all runs, of a controller.
     """
 
     controller: str
@@ -47,7 +47,7 @@ class Flights:
     inputs: Array
     modes: NDArray[np.int_]
     nearest: Array
-    input_range: Array
+    input_range: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,17 @@
 """Observers, delays, missed periods and predictions flown for real: estimates are worked out on board."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ..model.errors import ScenarioError
 from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array, LinearSystem
+from ..synthesis.schedule import Schedule
 from .integration import Integrator
+
+PAST = 100
+"""Periods before the start whose noise counts, where an observer has long been at work."""
 
 
 class Predicting(Integrator):
@@ -21,23 +26,35 @@ class Predicting(Integrator):
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
     late: Array  # by which share of a step a command comes late, (nodes, R)
     off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
-    filtered: Array  # an observer's estimates, (R, n), and at which step it measured last
-    measured: int
+    filtered: Array  # an observer's estimates, (R, n), since how many periods without a measurement, (R,)
+    since: NDArray[np.int_]
+    measured: int  # and of which step they are
 
-    def prepare(self, runs: int, rng: np.random.Generator) -> None:
+    drawn = False
+
+    def begin(self, runs: int) -> None:
+        """Where nothing has been drawn, as many periods are missed as may be, and nothing is late."""
+        super().begin(runs)
+        if not self.drawn:
+            self.prepare(runs, None)
+
+    def prepare(self, runs: int, rng: np.random.Generator | None) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
         system, timing, self.thrusters = self.system, self.system.timing, self.system.prompt.thrusters
         if not self.sampled:
             raise ScenarioError("feedback.kind", "continuous", "must be 'sampled' to fly delays step by step")
         nodes = len(self.modes) * self.q
         self.lag, self.off = round(timing.delay / self.dt), np.zeros(system.n)
-        lost, self.ages = rng.random((nodes, runs)) < 0.5, np.zeros((nodes, runs))
+        self.drawn, each = rng is not None, np.arange(nodes)[:, None] % (timing.missed + 1)
+        lost = each > 0 if rng is None else rng.random((nodes, runs)) < 0.5
+        self.ages = np.zeros((nodes, runs))
         for node in range(1, nodes):
             older = self.ages[node - 1] + 1
             self.ages[node] = np.where(lost[node] & (older <= timing.missed), older, 0)
         # Every instant's measurement, and what is commanded from then on.
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
-        self.late = rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
+        late = 0.0 if rng is None else rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
+        self.late = np.broadcast_to(late, (nodes, runs))
         self.noise = self._noise() / np.maximum(self.known, 1e-300)
         self.measured = -1
 
@@ -63,21 +80,23 @@ class Predicting(Integrator):
             noise = np.minimum(noise, left[used])
         return np.asarray(noise)
 
-    def noted(self, w: Array, eta: Array | None) -> Array | None:
-        """As they are given: what comes of noise is worked out on the way."""
-        return eta
-
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
         if self.measured < 0:
             self.filtered, self.measured = self.seen[start], start
-            if observer.initial is not None and self.eta is not None:
-                off = np.sign(self.eta[start]) * observer.initial
-                period = np.linalg.matrix_power(Ad, self.substeps)
-                past = -(-self.lag // self.substeps)  # updates before the first that is flown
-                self.filtered = self.filtered + off @ np.linalg.matrix_power(observer.rest @ period, past).T
+            self.since = np.zeros(len(self.filtered), dtype=int)
+            if self.eta is not None:  # past updates, and those before the first that is flown
+                told, left = np.sign(self.eta[start]), observer.gain
+                off = np.zeros_like(told) if observer.initial is None else told * observer.initial
+                loop = observer.rest @ np.linalg.matrix_power(Ad, self.substeps)
+                for _ in range(PAST if observer.initial is None else 0):
+                    off = off + observer.noise * np.sign(self.eta[start] @ left) @ left.T
+                    left = loop @ left
+                before = -(-self.lag // self.substeps)
+                self.filtered = self.filtered + off @ np.linalg.matrix_power(loop, before).T
+        gains = np.array([observer.gain, *observer.after])
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
                 self.filtered = self.filtered @ Ad.T + self.told[at] @ Bd.T
@@ -86,7 +105,13 @@ class Predicting(Integrator):
             if self.eta is not None:
                 used = min(self.measured + self.lag, self.steps - 1)
                 off = off + observer.noise * np.sign(self.eta[used] @ observer.measures.T)
-            self.filtered = self.filtered + off @ observer.gain.T
+            missing = self.ages[(self.measured + self.lag) // self.substeps] > 0
+            if self.failing is not None:
+                missing |= self.failing.missing(np.full(len(missing), self.measured))
+            gain = gains[np.minimum(self.since, len(gains) - 1)]
+            update = np.einsum("rnm,rm->rn", gain, off)
+            self.filtered = self.filtered + np.where(missing[:, None], 0.0, update)
+            self.since = np.where(missing, self.since + 1, 0)
         return self.filtered
 
     def estimate(self, step: int, x: Array) -> Array:
@@ -99,6 +124,8 @@ class Predicting(Integrator):
         missing = np.zeros(len(x), dtype=bool) if self.failing is None else self.failing.missing(asked)
         if self.failing is not None:
             ages = np.where(missing, ages + (asked - self.failing.begins) // self.substeps + 1, ages)
+        if self.system.observer is not None:  # what it has not measured it predicts
+            ages = np.zeros(len(x))
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
             if start < 0:
@@ -130,3 +157,9 @@ class Predicting(Integrator):
 
     def _unclipped(self, *cell: object) -> None:
         """What is commanded depends on more than the state."""
+
+
+def flight_of(schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> Integrator:
+    """A flight as attacks fly it: an observer as it is on board, all else by the errors of what it makes."""
+    observed = schedule.safety.problem.system.observer is not None
+    return (Predicting if observed else Integrator)(schedule, modes, substeps)

@@ -83,6 +83,7 @@ def adjoint_worst_case(
     targets: NDArray[np.int_],
     clipped: NDArray[np.bool_] | None = None,
     about: Array | None = None,
+    spends: Array | None = None,
 ) -> tuple[Array, Array | None, Array]:
     """Disturbance, held over each step, that takes the state furthest along a row at one instant per run.
 
@@ -95,7 +96,8 @@ def adjoint_worst_case(
     default those of the undisturbed flight from the middle of the initial set.
 
     Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. Inputs that
-    the thrusters clip (steps, R, m) do not answer to the state. Returned are the disturbances (steps, R, p),
+    the thrusters clip (steps, R, m) do not answer to the state. What is applied counts in every step with
+    weights `spends` (steps, R, m), if there are any. Returned are the disturbances (steps, R, p),
     full thrust in the worst direction (steps, R, m) for controllers that may do anything (None if none
     flies), and the direction (R, n), at time 0, in which the initial state counts.
     """
@@ -105,6 +107,9 @@ def adjoint_worst_case(
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
     w = np.zeros((steps, len(rows), told.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
+    gains = {
+        i: getattr(flight.schedule.controllers[i], "gain", np.zeros((system.m, system.n))) for i in choices
+    }
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
@@ -116,6 +121,12 @@ def adjoint_worst_case(
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
+        if spends is not None:
+            answer = (
+                -(spends[step] if clipped is None else spends[step] * ~clipped[step]) @ gains[numbers[step]]
+            )
+            kick, carried = kick + spends[step], carried + answer
+            direction[:, own.stop :] += answer
         number = int(numbers[step])
         if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
             about = _undisturbed(flight) if about is None else about
@@ -139,7 +150,7 @@ def adjoint_worst_case(
 def worst_errors(flight: Integrator, step: int, direction: Array, later: Array) -> tuple[Array, Array]:
     """Worst errors of estimates in a step along `direction` (R, p + n), in which disturbances and they count.
 
-    Of an observer its noise, as `followed` reads it: `later` (R, n) is how much its error counts at the end
+    Of an observer its noise, as `Predicting` reads it: `later` (R, n) is how much its error counts at the end
     of the step, returned with how much it does before, and counted in `direction`.
     """
     observer, known, (Ad, _, Dd), p = flight.system.observer, flight.known[step], flight.held, flight.system.p

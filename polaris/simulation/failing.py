@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
 
+TOLD = "begins", "ends", "thrust", "share", "lost"
+"""What a saved case says of a fault."""
+
 
 @dataclass(frozen=True, eq=False)
 class Failing:
@@ -24,23 +27,23 @@ class Failing:
     share: Array
     lost: NDArray[np.bool_]
     gap: Array = field(repr=False)
+    latched: bool = field(default=True, kw_only=True)  # S flies to the end, else nobody because of it
 
     def pick(self, chosen: NDArray[np.intp]) -> "Failing":
         """Some of the flights."""
         when = self.begins[chosen], self.ends[chosen]
-        return Failing(
-            *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
-        )
+        known = *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
+        return Failing(*known, latched=self.latched)
 
     def table(self) -> dict[str, Any]:
         """The first of the flights, as `of` reads it."""
-        names = ("begins", "ends", "thrust", "share", "lost")
-        return {name: getattr(self, name)[0].tolist() for name in names}
+        return {name: getattr(self, name)[0].tolist() for name in TOLD}
 
     @classmethod
     def of(cls, table: dict[str, Any], n: int) -> "Failing":
         """One flight with n states from a `table`."""
-        return cls(**{name: np.array([x]) for name, x in table.items()}, gap=np.zeros((1, n)))
+        begins, ends, thrust, share, lost = (np.array([table[name]]) for name in TOLD)
+        return cls(begins, ends, thrust, share, lost, np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Whether the fault lasts."""
@@ -52,7 +55,15 @@ class Failing:
 
     def by_s(self, step: int) -> NDArray[np.bool_]:
         """Whether S flies because of it."""
-        return np.asarray(np.where(self.lost, self.begins, self.ends) <= step)
+        return np.asarray(self.latched & (np.where(self.lost, self.begins, self.ends) <= step))
+
+    def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
+        """Whether S flies from the node `effect` on, whatever is decided on what is measured at node k.
+
+        Nothing is measured, or it was before a fault was isolated.
+        """
+        before = ~self.lost & (k < self.ends) & (self.ends <= effect)
+        return np.asarray(before | (self.lost & self.on(k)))
 
     def added(self, u: Array, step: int) -> Array:
         """What a thruster that fails adds to commands u, which ask of it what lies along it."""

@@ -14,7 +14,6 @@ from ..synthesis.controllers import AffineController, AnyThrust
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .firing import Firing
-from .observing import followed
 from .run_metrics import Runs
 
 
@@ -128,11 +127,6 @@ class Integrator(Firing):
         middle, half = (part[k, law.node(passed)] for part in law.told)
         return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
-    def noted(self, w: Array, eta: Array | None) -> Array | None:
-        """Errors of estimates under disturbances w: as they are given, or an observer's by its noise."""
-        observer, times = self.system.observer, (self.substeps, round(self.system.timing.delay / self.dt))
-        return eta if eta is None or observer is None else followed(observer, self.held, times, w, eta)
-
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
         known = x if self.eta is None else x + self.eta[step]
@@ -200,7 +194,6 @@ class Integrator(Firing):
         q, nodes = self.q, len(self.modes) * self.q
         w, *errors = (w[..., part] for part in self.columns)
         self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
-        self.eta = self.noted(w, self.eta)
         self.begin(len(x0))
         # Time comes first while writing: every instant's block is then one piece of memory.
         states, inputs = np.empty((nodes + 1, *x0.shape)), np.empty((nodes, len(x0), self.system.m))

@@ -10,7 +10,7 @@ from ..model.errors import ScenarioError
 from ..model.satellite import true_states
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
-from .delayed import Predicting
+from .delayed import Predicting, flight_of
 from .disturbances import Disturbance, disturbances
 from .integration import Integrator
 from .run_metrics import Runs
@@ -65,8 +65,7 @@ def simulate(
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     rng = np.random.default_rng(seed)
-    observed = schedule.safety.problem.system.observer is not None
-    flight = (Predicting if observed else Integrator)(schedule, flown_modes(schedule, tail, mode), substeps)
+    flight = flight_of(schedule, flown_modes(schedule, tail, mode), substeps)
     if isinstance(flight, Predicting):
         flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, initial)

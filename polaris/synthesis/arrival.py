@@ -13,6 +13,7 @@ from .clearance import error_tube
 from .end_condition import in_hills_frame
 from .get_safety import Safety
 from .problem import Problem
+from .spending import Spell, spent
 from .tracking import Tracking
 
 GOAL_SHARE = 0.05
@@ -21,8 +22,9 @@ SOON = 0.25
 """Share of the horizon in which a velocity error has become the length that it counts for."""
 
 
-SPARE = 0.1
-"""Share by which claims are loosened where errors of thrusters grow with commands."""
+SPARE, FLOWN = 0.1, 0.02
+"""Shares by which claims are loosened where errors of thrusters grow with commands: those that rest on a
+profile, and velocity changes that rest on sets which are flown."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +72,44 @@ CAUSED = 0.045
 and bounds on how fast differ between here and a checker."""
 
 
-def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
+class After:
+    """S along the tail from the errors at T on, step by step as far as it is asked for."""
+
+    def __init__(self, safety: Safety, final: Zonotope) -> None:
+        self.safety, self.reached, self.spells = safety, final.inflate(safety.clearance.jump), list[Spell]()
+
+    def until(self, nodes: int) -> list[Spell]:
+        """The steps of at least so many periods."""
+        s, q = self.safety.controller, self.safety.clearance.q
+        while len(self.spells) * q < nodes:
+            k = self.safety.problem.K + len(self.spells)
+            tube = s.fly(self.reached, k)
+            self.spells.append(Spell.of(s, tube, k))
+            self.reached = tube.end
+        return self.spells
+
+    def along(self, rows: Array, nodes: int) -> Array:
+        """What errors need along rows at the nodes for as long as S remembers, inf later, (nodes, r)."""
+        found = np.full((nodes, len(rows)), np.inf)
+        near = min(nodes - 1, self.safety.tracking.memory)
+        parts = [spell.tube.nodes[:-1] for spell in self.until(near)]
+        tops = [z.c @ rows.T + np.abs(rows @ z.G).sum(axis=-1) for z in parts]
+        found[:near] = np.concatenate([np.zeros((0, len(rows))), *tops])[:near] * (1 + ROUNDING)
+        return found
+
+
+def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
     """What is proven of the goal at the nodes from T on, under S, until the end of the coasting tail.
 
-    `spent` bounds the velocity change [m/s] until T.
+    `taken` bounds the velocity change [m/s] until T.
     """
     problem, tracking, reference = safety.problem, safety.tracking, safety.reference
     goal, K, h = problem.goal.conditions, problem.K, tracking.flow.h
     rows, sides = goal_rows(problem)
     cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
     states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
-    need, centre = _needs(safety, held, rows, len(states))
+    after = After(safety, held[-1][0])
+    need, centre = _needs(safety, held, rows, len(states), after)
     beyond = states @ rows.T - sides
     size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
     most = distance(goal, beyond + need + size)
@@ -93,8 +122,9 @@ def arrival(safety: Safety, held: Held, spent: float) -> Arrival:
         by=K * problem.delta + best * h if len(within) else None,
         distance=float(most[best]),
         tolerance=tolerance,
-        drift=_drift(safety, held, states[best], best),
-        delta_v=(spent * (1 + _spare(tracking)) + _correcting(safety, held, best)) * (1 + ROUNDING),
+        drift=_drift(safety, held, states[best], best, after),
+        delta_v=(taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, best, after))
+        * (1 + ROUNDING),
     )
 
 
@@ -125,11 +155,14 @@ def _weights(problem: Problem, rows: Array) -> Array:
     return np.where(velocity, np.minimum(rate / soon, 1.0), 1.0)
 
 
-def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, Array]:
+def _needs(
+    safety: Safety, held: Held, rows: Array, nodes: int, after: After | None = None
+) -> tuple[Array, Array]:
     """What errors need along rows at so many nodes from T on, and what their middle does, shapes (nodes, r).
 
     The disturbance is followed along every row from the hand-over on: the set at T encloses what it has done
-    until then by generators, which no row sees quite so small.
+    until then by generators, which no row sees quite so small. Where errors grow with commands, those of
+    S `after` T may need less than those that any hand-over allows.
     """
     tracking = safety.tracking
     carried = rows @ tracking.transitions
@@ -150,14 +183,17 @@ def _needs(safety: Safety, held: Held, rows: Array, nodes: int) -> tuple[Array, 
         once = late * float(z.norm_bound(tracking.W))
         forgotten = np.where(far, once * twice + settled, once + always)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
-    need = np.min(found, axis=0) + _ahead(safety, rows, nodes)
-    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
-    return need + _spare(tracking) * np.abs(need), centre
+    away = np.abs(rows) @ tracking.system.displaced_at_nodes
+    need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
+    need = need + _spare(tracking) * np.abs(need)
+    if after is not None and tracking.profile is not None:
+        need = np.minimum(need, after.along(rows, nodes) + away)
+    return need, centre
 
 
-def _spare(tracking: Tracking) -> float:
+def _spare(tracking: Tracking, share: float = SPARE) -> float:
     """Share by which bounds are larger than found: a checker sums errors that fall with time its own way."""
-    return ROUNDING if tracking.profile is None else SPARE
+    return ROUNDING if tracking.profile is None else share
 
 
 def _settled(tracking: Tracking, rows: Array) -> Array:
@@ -180,7 +216,7 @@ def _to_hold(safety: Safety, rows: Array) -> float:
     return float(np.max(need, initial=0.0)) * (1 + _spare(tracking))
 
 
-def _correcting(safety: Safety, held: Held, nodes: int) -> float:
+def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
     tracking, system, K = safety.tracking, safety.problem.system, safety.problem.K
     both = np.vstack([tracking.gain, -tracking.gain])
@@ -190,11 +226,12 @@ def _correcting(safety: Safety, held: Held, nodes: int) -> float:
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.at_step(K).command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
-    spent = float(np.maximum(at[:-1], at[1:]).sum()) * tracking.flow.h / system.mass
-    return spent * (1 + _spare(tracking))
+    apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + _spare(tracking))
+    flown = spent(after.until(nodes), nodes) * (1 + _spare(tracking, FLOWN))
+    return min(apart, flown) * tracking.flow.h / system.mass
 
 
-def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
+def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     """What is proven of S's velocity change for all time, from that until T (Proposition 30).
 
     None if S need not track a coasting reference, or is not proven to keep within its thrust.
@@ -213,12 +250,14 @@ def upkeep(safety: Safety, held: Held, spent: float) -> Upkeep | None:
     rate = float(system.spent(most).sum()) / system.mass * (1 + _spare(tracking))
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
-    until = (spent * (1 + _spare(tracking)) + _correcting(safety, held, nodes)) * (1 + ROUNDING) + ahead
-    before = system.m * system.timing.carried / system.mass  # what an orbit may find left
+    until = (
+        taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
+    ) * (1 + ROUNDING) + ahead
+    before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
     tank, lasts = problem.tank, None
     if tank is not None and rate > 0:
-        lasts = settled + (tank - until) / rate if tank >= until else T if tank >= spent else 0.0
+        lasts = settled + (tank - until) / rate if tank >= until else T if tank >= taken else 0.0
     return Upkeep(settled, until, rate, orbit, tank, lasts)
 
 
@@ -233,13 +272,13 @@ def distance(goal: GoalConditions, over: Array) -> Array:
     return np.asarray(worst)
 
 
-def _drift(safety: Safety, held: Held, x: Array, node: int) -> float | None:
+def _drift(safety: Safety, held: Held, x: Array, node: int, after: After) -> float | None:
     """Bound on the along-track drift per orbit, ``6 pi |2 x + v_y / eta|``, at a node after T [m]."""
     system = safety.problem.system
     if not in_hills_frame(system) or system.mean_motion is None:
         return None
     row = np.array([[2.0, 0.0, 0.0, 0.0, 1 / system.mean_motion, 0.0]])
     both = np.vstack([row, -row])
-    need = _needs(safety, held, both, node + 1)[0][-1]
+    need = _needs(safety, held, both, node + 1, after)[0][-1]
     size = ROUNDING * (np.abs(both) @ np.abs(x))
     return float(6 * np.pi * np.max(both @ x + size + need) * (1 + ROUNDING))

@@ -45,12 +45,12 @@ class BallSets:
         gamma, gain = np.full(len(c.unsafe), b.gamma_position), np.full(len(c.unsafe), b.gain_position)
         names = [u.name for u in c.unsafe]
         rows, index = c.obstacle_rows
-        round_off = (c.round_off(rows) + c.tracking.upset(rows))[index]
+        round_off = (c.round_off(rows) + c.tracking.upset(rows)[-1])[index]
         if self.kind != "paper_ball":
             room = np.hstack([room, np.repeat(np.minimum(*c.thrust), c.q, axis=0)])
             gamma, gain = np.append(gamma, b.gamma_input), np.append(gain, b.gain_input)
             names += c.tracking.system.input_names
-            inputs = c.round_off(c.tracking.gain) + c.tracking.upset(c.tracking.gain)
+            inputs = c.round_off(c.tracking.gain) + c.tracking.upset(c.tracking.gain)[-1]
             round_off = np.hstack([round_off, np.broadcast_to(inputs, (c.cells, len(inputs)))])
         return room, gamma, gain * w + np.repeat(round_off, c.q, axis=0), names
 

@@ -124,13 +124,14 @@ class BlackBox:
         except Exception as error:  # whatever it is
             rule = "must answer; it raised an error"
             raise NoAnswer(f"black box {self.name}", f"{type(error).__name__}: {error}"[:60], rule) from error
+        cause = None
         try:
             found = np.array(answer)
-        except Exception:  # whatever becomes of it: a tensor that is part of a graph, rows of other lengths
-            found = np.zeros(0)
+        except Exception as error:  # whatever it is: a tensor that is part of a graph, rows of other lengths
+            found, cause = np.zeros(0), error
         if found.shape != shape or found.dtype.kind not in "fiu" or not np.all(np.isfinite(found)):
             rule = f"must answer finite numbers, one row of {shape[1]} for each of {shape[0]} states"
-            raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule)
+            raise NoAnswer(f"black box {self.name}", str(answer)[:60], rule) from cause
         return found.astype(float).reshape(*x.shape[:-1], self.system.m)
 
     @cached_property

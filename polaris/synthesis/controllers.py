@@ -22,9 +22,9 @@ from .intersample import affine_bow, clipped_bow
 from .saturation import clipped_step
 from .tracking import Tracking, at_nodes
 
-LEVELS = tuple(1.09**-i for i in range(40, -1, -1))
+LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER, WIDE = 25.0, 100.0
+ORDER, WIDE = 25.0, 200.0
 """Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
 
 

@@ -1,6 +1,7 @@
 """Algorithm 1, GetSafety: the safety controller and its recoverable sets."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -28,6 +29,8 @@ from .tracking import Tracking, choose_feedback
 
 SHARES = (0.5, 1.0)
 """Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""
+LESSER = (0.35, 0.25, 0.15)
+"""The same where no safe reference is found with the first of them: the less feedback, the less errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +151,19 @@ def get_safety(
 
 def find_safety(problem: Problem, along: Plan | None = None) -> Safety:
     """`get_safety`, which of the faults that are isolated late cannot be survived left open."""
+    try:
+        return _of_share(problem, along)
+    except SynthesisInfeasible:
+        if along is not None or problem.thrust_share is not None or not problem.system.thrusters.proportional:
+            raise
+        for share in (*LESSER, *SHARES[1:]):
+            with suppress(SynthesisInfeasible, NotCertified):
+                return _of_share(replace(problem, thrust_share=share), None)
+        raise
+
+
+def _of_share(problem: Problem, along: Plan | None) -> Safety:
+    """The same with the share of the thrust limits that is given for S's feedback, or the first."""
     clock, gain = Clock(), lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2: solveARE, Lambda
     feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
     tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share or SHARES[0])

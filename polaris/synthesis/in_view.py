@@ -8,7 +8,7 @@ side of an obstacle they lead, is decided by what the schedule is worth. Nothing
 reference will do for Theorem 2, and each candidate passes both algorithms whole.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -16,6 +16,7 @@ from time import perf_counter
 
 import numpy as np
 
+from ..model.distances import stretches
 from ..model.errors import NotCertified, PolarisError, ScenarioError
 from ..model.system import Array
 from ..planning.following import Followed, FollowingSearch
@@ -44,6 +45,8 @@ PROGRAMS = 120
 """Most windows tried from each start."""
 STARTS, ATTEMPTS = 3, 4
 """Sets of windows that are improved, and attempts to prove each."""
+APART = tuple((i, j) for i in (3, 5, 7, 9) for j in (3, 5, 7, 9))  # steps left of a window that is split
+SETTLED = 12  # steps after which S has done with the initial set
 SIDES = 8
 """Sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply."""
 SPARE = 2.0
@@ -51,12 +54,6 @@ SPARE = 2.0
 
 Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
 """What both algorithms make of a plan and the modes intended along it; None if nothing is proven."""
-
-
-def windows(mask: Mask) -> list[tuple[int, int]]:
-    """First step and end of every run of steps under S."""
-    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0]))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
@@ -67,9 +64,9 @@ def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
     return mask
 
 
-def neighbours(mask: Mask) -> Iterator[Mask]:
+def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Mask]:
     """Windows a little shorter, longer, earlier, later, split or joined."""
-    parts, K = windows(mask), len(mask)
+    parts, K = stretches(mask), len(mask)
     for i, (a, b) in enumerate(parts):
         before, after = parts[:i], parts[i + 1 :]
         for size in (4, 2, 1):
@@ -79,6 +76,9 @@ def neighbours(mask: Mask) -> Iterator[Mask]:
         for left in (4, 2):
             if b - a > 2 * left:
                 yield in_windows([*before, (a, a + left), (b - left, b), *after], K)
+        for left, right in apart:
+            if b - a > left + right + 2:
+                yield in_windows([*before, (a, a + left), (b - right, b), *after], K)
         if b - a >= 4:
             middle = (a + b) // 2
             yield in_windows([*before, (a, middle), (middle + 1, b), *after], K)
@@ -90,6 +90,7 @@ class Windows:
     """Windows for S along the path of one law, and the least velocity change with each.
 
     `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
+    U's tube is booked for a flight; with errors and sets to stay inside it counts since each window.
     """
 
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
@@ -97,20 +98,26 @@ class Windows:
         problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
         self.worth, self.K, self.mode = worth, problem.K, mode
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
+        self.renewed = renewed = not system.ideal and any(body.keep_in for body in sets)
         asked = plan_problem(problem, tracking, sets)
         demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
         u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
         own = Scheduled(u, law.own, law.own.cells) if u.varies else None
-        margins = []
+        q, handed = tracking.feedback.nodes_per_cell, safety.start
+        for k in range(min(SETTLED, problem.K) if renewed else 0):
+            handed = safety.controller.fly(handed, k).end
+        self.left = tracking.decay[np.minimum(np.arange(problem.K) * q, tracking.memory)][:, None]
+        margins, self.tubes = [], []
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             rows = -unsafe.normals @ system.position
-            tube = error_tube(u, safety.start, rows).over_cells(problem.K, tracking.feedback.nodes_per_cell)
-            if own is not None:
-                tube = tube + own.along(rows).max(axis=1)[: problem.K]
-            margins.append(margin + tube)
+            tube, again = (error_tube(u, z, rows).over_cells(problem.K, q) for z in (safety.start, handed))
+            caused = np.zeros_like(tube) if own is None else own.along(rows).max(axis=1)[: problem.K]
+            margins.append(margin if renewed else margin + (tube + caused))
+            self.tubes.append((tube + caused, again, caused))
         # Coasting after T that is proven safe along the printed reference shall stay so.
         self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
         self.rows = Rows(self.asked)
+        self.lacking = np.zeros((len(sets), self.asked.cells, 1))
         followed = Followed.of(system, law.powers[-1], law.own)
         self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
         self.unit = float(self.rows.price.max())
@@ -121,9 +128,23 @@ class Windows:
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
         self.known: dict[bytes, tuple[float, Candidate | None]] = {}
 
-    def _priced(self, prices: Array) -> None:
+    def _priced(self, prices: Array, mask: Mask | None = None) -> None:
+        """Price departures from U's path, and book its tube beside S's windows, if there are any."""
+        if self.renewed:
+            self._book(np.zeros(self.K, dtype=bool) if mask is None else mask)
         limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
         self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
+
+    def _book(self, mask: Mask) -> None:
+        """Book U's own tube since each of S's windows, within which it fades."""
+        edges = [*np.flatnonzero(np.diff(mask)) + 1, self.K]
+        cells = np.minimum(np.arange(self.asked.cells), self.K - 1)
+        for booked, more, tubes in zip(self.rows.booking, self.lacking, self.tubes, strict=True):
+            need, (_, again, caused) = tubes[0].copy(), tubes
+            for a, b in pairwise(edges):
+                flown = again[: b - a] + caused[a:b]
+                need[a:b] = need[a - 1] * self.left[: b - a] if mask[a] else flown
+            booked[:] = need[cells] + more
 
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
@@ -131,7 +152,7 @@ class Windows:
         if key not in self.known and not self.worth.allows(mask):
             return np.inf, None
         if key not in self.known:
-            self._priced(np.where(mask, 0.0, np.inf))
+            self._priced(np.where(mask, 0.0, np.inf), mask)
             found, cost = self.search.best({}), np.inf
             if found is not None:
                 switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
@@ -205,6 +226,7 @@ class Windows:
         """Book the clearance that U lacked where it was meant to fly; whether there was any to book."""
         safety, reached, some = schedule.safety, schedule.safety.start, False
         names = [unsafe.name for unsafe in self.asked.unsafe]
+        lacking = np.zeros((len(names), self.asked.cells, 1))
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
                 tube = schedule.controllers[intended[k]].fly(reached, k)
@@ -212,11 +234,13 @@ class Windows:
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.asked.cells - 1)
                     near = slice(max(cell - 1, 0), cell + 2)
-                    lacking = SPARE * (margin.need - margin.room)
-                    booked = self.rows.booking[names.index(margin.limit)]
-                    booked[near] = np.maximum(booked[near], lacking)
+                    more = lacking[names.index(margin.limit)]
+                    more[near] = np.maximum(more[near], SPARE * (margin.need - margin.room))
                     some = True
             reached = step.tube.end
+        self.lacking = self.lacking + lacking
+        for booked, more in zip(self.rows.booking, lacking, strict=True):
+            booked[:] = np.maximum(booked, more)
         return some
 
     def _descend(self, mask: Mask) -> Mask:
@@ -224,7 +248,7 @@ class Windows:
         better = True
         while better and len(self.known) < PROGRAMS:
             better = False
-            for other in neighbours(mask):
+            for other in neighbours(mask, APART if self.renewed else ()):
                 found = self.path(other)[0]
                 if found < cost - 1e-9:
                     cost, mask, better = found, other, True

@@ -14,11 +14,6 @@ from .affine_law import AffineLaw
 from .saturation import clipped_motion
 
 
-def _size(z: Zonotope) -> Array:
-    """Elementwise bound on ``|x|`` over a set."""
-    return np.asarray(np.abs(z.c) + z.half_widths)
-
-
 def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of an unclipped tube after each node, shape (q, n).
 
@@ -27,9 +22,9 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     flow, safe = law.flow, law.tracking
     image = flow.A_c @ start
     if law.feedback.sampled:
-        return _bow(law, k, _size(image) @ law.open_flow.growth.T @ np.abs(law.system.A).T)
-    rate = _size(image) @ flow.growth.T
-    path = _size(flow.A_c @ image) @ flow.growth.T
+        return _bow(law, k, image.extent @ law.open_flow.growth.T @ np.abs(law.system.A).T)
+    rate = image.extent @ flow.growth.T
+    path = (flow.A_c @ image).extent @ flow.growth.T
     difference = safe.gain - law.gain
     known = law.own.nu[k] - law.reference.nu[k] + law.offset[k][:-1] @ safe.gain.T
     inputs = np.abs(known + start.c @ difference.T) + np.abs(difference @ start.G).sum(axis=-1)
@@ -39,17 +34,17 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
 def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of a tube whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
     system, safe, mu = law.system, law.tracking, law.own.nu[k]
-    extent = _size(start)
-    command = _size(law.gain @ start) + np.maximum(np.abs(mu) - system.u_max, 0)
+    extent = start.extent
+    command = (law.gain @ start).extent + np.maximum(np.abs(mu) - system.u_max, 0)
     if law.feedback.sampled:
         push = np.minimum(command, system.u_max + np.abs(mu))
-        rate = (_size(system.A @ start) + push @ np.abs(system.B).T) @ law.open_flow.growth.T
+        rate = ((system.A @ start).extent + push @ np.abs(system.B).T) @ law.open_flow.growth.T
         return _bow(law, k, rate @ np.abs(system.A).T)
     moved, push = clipped_motion(law, extent, command, mu)
     rate = (extent + moved) @ np.abs(system.A).T + push @ np.abs(system.B).T
     path = rate @ (np.abs(system.A) + np.abs(system.B) @ np.abs(law.gain)).T
     known = mu - law.reference.nu[k] + law.offset[k][:-1] @ safe.gain.T
-    inputs = np.abs(known) + push + _size(safe.gain @ start)
+    inputs = np.abs(known) + push + (safe.gain @ start).extent
     return _bow(law, k, path, _switch(law, inputs, rate @ (np.abs(safe.gain) + np.abs(law.gain)).T, k))
 
 

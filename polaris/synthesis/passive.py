@@ -14,6 +14,7 @@ from reach.numerics.linear import growth, powers
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
+from ..model.distances import stretches
 from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
@@ -195,8 +196,7 @@ class PassiveSafety:
     @property
     def spans(self) -> list[tuple[float, float]]:
         """When thrust may stop [s]: the steps that are clear, joined."""
-        edges = np.flatnonzero(np.diff(np.r_[False, self.clear, False])).reshape(-1, 2)
-        return [(float(a) * self.flight.delta, float(b) * self.flight.delta) for a, b in edges]
+        return [(a * self.flight.delta, b * self.flight.delta) for a, b in stretches(self.clear)]
 
     def told(self) -> dict[str, Any]:
         """What a run claims of it."""

@@ -250,8 +250,8 @@ class PolytopeSets:
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Whether a tube over cell k is inside: only what the norm cannot tell is worked out exactly."""
         first, grown, radius = self._grown(k, nodes, bow)
-        far = self._far_margin(first, radius)
-        return far.inside and self._near_margin(first, nodes, grown, radius, 1.0).inside
+        inside = self._far_margin(first, radius).inside
+        return inside and self._near_margin(first, nodes, grown, radius, 1.0).inside
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """Margin of a tube over cell k."""
@@ -273,20 +273,20 @@ class PolytopeSets:
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Whether each error (runs, n) at a node is recoverable."""
-        errors = np.atleast_2d(errors)
-        tracking = self.clearance.tracking
+        errors, tracking = np.atleast_2d(errors), self.clearance.tracking
         carried, disturbance, curvature, _ = self.carried
         lags, cell, place = self._targets(node)
-        radius = np.linalg.norm(errors @ tracking.W.T, axis=-1)
         weight = curvature * tracking.decay_before[:, None]
+        radius = np.linalg.norm(errors @ tracking.W.T, axis=-1)
+        found = np.asarray(radius <= self._far[min(node, len(self._far) - 1)])
+        errors, radius = errors[found], radius[found]
         # Only limits that the largest of the errors might touch are worked out.
-        coarse = (self._weights + weight) * radius.max() + disturbance[: len(carried)]
-        index, room = self.index[cell], self.room[cell, place]
-        where = coarse[lags[:, None], index] > room
+        coarse = (self._weights + weight) * radius.max(initial=0.0) + disturbance[: len(carried)]
+        where = coarse[lags[:, None], index := self.index[cell]] > (room := self.room[cell, place])
         lag, row, limit = np.broadcast_to(lags[:, None], index.shape)[where], index[where], room[where]
         need = errors @ carried[lag, row].T + radius[:, None] * weight[lag, row] + disturbance[lag, row]
-        far = self._far[min(node, len(self._far) - 1)]
-        return np.asarray(np.all(need <= limit, axis=1) & (radius <= far))
+        found[found] = np.all(need <= limit, axis=1)
+        return found
 
     def radius(self, node: int) -> float:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""

@@ -48,17 +48,21 @@ class Takeover:
     first: int  # node of the grid; the sets follow one another
     sets: Zonotope
     tube: TubeSegment | None  # of the step, if U flies it
+    spent: float  # velocity change until then at most, that of S in this step apart [m/s]
 
     @classmethod
-    def each(cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]]) -> tuple["Takeover", ...]:
-        """Of every step, from who flies it and in which tube."""
-        found, since, start = [], 0, safety.start
+    def each(
+        cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array
+    ) -> tuple["Takeover", ...]:
+        """Of every step, from who flies it, in which tube, and for which velocity change (K,) [m/s]."""
+        found, since, start, until = [], 0, safety.start, np.cumsum(spent) * (1 + SPARE)
         for k, (mode, tube) in enumerate(flown):
             if mode:
-                found.append(cls(k, k * safety.clearance.q, tube.nodes, tube))
+                found.append(cls(k, k * safety.clearance.q, tube.nodes, tube, until[k]))
                 since, start = (k + 1) * safety.clearance.q, tube.end
             else:
-                found.append(cls(k, since, Zonotope(start.c[None], start.G[None]), None))
+                one = Zonotope(start.c[None], start.G[None])
+                found.append(cls(k, since, one, None, until[k - 1] if k else 0.0))
         return tuple(found)
 
     @property
@@ -69,7 +73,7 @@ class Takeover:
     @property
     def size(self) -> Array:
         """Bound on all errors there, elementwise, shape (n,)."""
-        return np.asarray((np.abs(self.sets.c) + self.sets.half_widths).max(axis=0) * (1 + ROUNDING))
+        return np.asarray(self.sets.extent.max(axis=0) * (1 + ROUNDING))
 
     def margin(self, q: int, sets: RecoverableSet) -> Margin | None:
         """How far they are outside the recoverable sets along some reference; None if they are inside."""
@@ -85,7 +89,7 @@ class Takeover:
         Each of shape (cells, r), zero in the cells before step k, where nothing is aborted.
         """
         box = Zonotope(np.zeros(len(self.size)), np.diag(self.size))
-        need = error_tube(tracking, box, rows, failing=False).need
+        need = error_tube(tracking, box, rows).need
         q, end = tracking.feedback.nodes_per_cell, len(need) - 1
         within, at = np.zeros((2, cells, len(rows)))
         for c in range(self.k, cells):
@@ -104,7 +108,7 @@ class Way:
     delta_v: float = 0.0  # velocity change of S from the abort until then, at most [m/s]
     why: str = ""  # it is not proven
     short: float = 0.0  # by how much, in the unit of what lacks; 0 if no branch is found
-    budget: bool = False  # whether only the budget is in the way
+    budget: str = ""  # what to raise, if only a budget is in the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,14 @@ class Branch:
         spent = self._spent(taken, found)
         if asked.budget is not None and spent > asked.budget:
             told = f"S may need {directed(spent, '.4g', up=True)} m/s, {asked.budget:g} m/s are allowed"
-            return Way(None, why=told, short=spent - asked.budget, budget=True)
+            return Way(None, why=told, short=spent - asked.budget, budget="abort.delta_v_max_m_s")
+        tank = self.safety.problem.tank
+        if tank is not None and taken.spent + spent > tank:
+            parts = (directed(x, ".4g", up=True) for x in (taken.spent, spent))
+            told = "up to {} m/s are spent and S may need {} m/s, the tank holds {:g} m/s".format(
+                *parts, tank
+            )
+            return Way(None, why=told, short=taken.spent + spent - tank, budget="tank.delta_v_m_s")
         return Way(place, found, spent)
 
     def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
@@ -162,7 +173,9 @@ class Branch:
         most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])
         most = np.minimum(most + command_errors(system, tracking.gain, end), system.u_max)
         spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
-        return (spent + system.m * system.timing.carried) / system.mass * (1 + SPARE)
+        wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
+        spent += float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
+        return (spent + system.thrusters.made(system.m * system.timing.carried)) / system.mass * (1 + SPARE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +196,7 @@ class PoweredSafety:
         told = f"powered abort is required, but in {len(lost)} of {len(self.ways)} steps it is not proven"
         told += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
         if way.budget:
-            raise NotCertified(f"{told}; raise abort.delta_v_max_m_s by {way.short:.4g}")
+            raise NotCertified(f"{told}; raise {way.budget} by {way.short:.4g}")
         raise SynthesisInfeasible(f"{told}.", way.short, "raise abort.within_s, or widen the orbit.")
 
     def told(self) -> dict[str, Any]:
@@ -199,15 +212,15 @@ class PoweredSafety:
         return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
 
 
-def powered(safety: Safety, flown: Sequence[tuple[int, TubeSegment]]) -> PoweredSafety | None:
+def powered(safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array) -> PoweredSafety | None:
     """What is proven of aborts with thrust in every step of a schedule, if anything is asked of them.
 
-    `flown` holds who flies each step (0 is S), and in which tube.
+    `flown` holds who flies each step (0 is S), and in which tube; `spent` the velocity change (K,) [m/s].
     """
     asked, delta = safety.problem.powered, safety.problem.delta
     if asked is None:
         return None
-    taken = Takeover.each(safety, flown)
+    taken = Takeover.each(safety, flown, spent)
     if asked.goal is None:
         own = Branch(safety.problem.K, safety)
         return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))

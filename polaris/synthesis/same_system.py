@@ -15,6 +15,7 @@ from reach.sets.zonotope import Zonotope
 from ..model.errors import ScenarioError, SynthesisInfeasible
 from ..model.system import Array
 from ..model.tolerances import REFERENCE, ROUNDING
+from .black_box import BlackBox
 from .controllers import AffineController, AnyThrust, Controller, TubeSegment
 from .get_safety import Safety, get_safety
 from .neural import NeuralController
@@ -65,7 +66,8 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
             within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
-        if not within and not isinstance(controller, AnyThrust):
+        anything = isinstance(controller, AnyThrust) or (isinstance(controller, BlackBox) and fault.asked)
+        if not within and not anything:
             rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
     own, K = getattr(controller, "own", reference), problem.K
@@ -101,7 +103,7 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
         raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
     rows = np.vstack([np.eye(n), -np.eye(n)])
     for told, inner, outer in (("nodes", start, tube.nodes[0]), ("end", tube.nodes[-1], tube.end)):
-        size = np.abs(inner.c) + inner.half_widths
+        size = inner.extent
         short = inner.support(rows) - outer.support(rows) - ROUNDING * np.concatenate([size, size])
         if not np.all(short <= 0):
             rule = "must contain " + ("the set it starts from" if told == "nodes" else "its last node")

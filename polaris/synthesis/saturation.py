@@ -39,7 +39,7 @@ def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Z
         known = Bh @ (slope * mu + offset - mu)
         return Ah - Bh @ (slope[:, None] * law.gain), known, Zonotope(np.zeros(system.n), Bh * radius), slope
     command = np.maximum(np.abs(mu - lo), np.abs(hi - mu)) + np.maximum(np.abs(mu) - system.u_max, 0)
-    moved, _ = clipped_motion(law, np.abs(d.c) + d.half_widths, command, mu)
+    moved, _ = clipped_motion(law, d.extent, command, mu)
     drift = np.abs(law.gain) @ moved
     slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
     step = law.relaxed_flow(slope)

@@ -18,12 +18,12 @@ from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .arrival import Arrival, Held, Upkeep, arrival, upkeep
 from .black_box import FittedSegment
-from .controllers import AffineController, Controller, TubeSegment, construct_s
+from .controllers import Controller, TubeSegment, construct_s
 from .get_safety import Safety
-from .neural import NeuralController
 from .passive import Drift, PassiveSafety
 from .powered import PoweredSafety, powered
 from .recoverable import Margin, RecoverableSet
+from .spending import Spell, spent
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,12 +175,20 @@ class Schedule:
         return int(np.count_nonzero(np.diff(self.modes)))
 
     @cached_property
+    def _spells(self) -> list[Spell]:
+        return [Spell.of(self.controllers[step.mode], step.tube, step.k) for step in self.steps]
+
+    @cached_property
+    def delta_v_middle(self) -> float:
+        """Velocity change until T along the middle of the tubes [m/s]."""
+        h = self.safety.tracking.flow.h
+        return sum(float(spell.middle.sum()) * h for spell in self._spells) / self.safety.problem.system.mass
+
+    @cached_property
     def delta_v(self) -> tuple[float, float]:
         """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
-        problem = self.safety.problem
-        parts = [_pushed(self.controllers[step.mode], step, problem.delta) for step in self.steps]
-        middle, most = np.sum(parts, axis=0) / problem.system.mass
-        return float(middle), float(most) * (1 + ROUNDING)
+        scale = self.safety.tracking.flow.h / self.safety.problem.system.mass
+        return self.delta_v_middle, spent(self._spells) * scale * (1 + ROUNDING)
 
     @cached_property
     def _held(self) -> Held:
@@ -210,7 +218,9 @@ class Schedule:
     @cached_property
     def powered(self) -> PoweredSafety | None:
         """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
-        return powered(self.safety, [(step.mode, step.tube) for step in self.steps])
+        flown = [(step.mode, step.tube) for step in self.steps]
+        most = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
+        return powered(self.safety, flown, most / self.safety.problem.system.mass)
 
     def aborted(self, k: int) -> "Schedule":
         """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
@@ -272,25 +282,3 @@ def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
     rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
     bow = tube.bow + system.displaced + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
     return flight.after(k, tube.nodes + arc, bow)
-
-
-def _pushed(law: Controller, step: Step, delta: float) -> tuple[float, float]:
-    """Integral of the 1-norm of the thrust over a step [N s]: along the middle of its tube, and at most.
-
-    A controller of which only the thrust limits are known is charged all of them.
-    """
-    if not isinstance(law, (AffineController, NeuralController)):
-        limit = getattr(law, "system", None)
-        tops = None if limit is None else limit.spent(limit.u_max)
-        most = np.inf if tops is None else float(np.sum(tops)) * delta
-        return most, most
-    u_max, tube = law.system.u_max, step.tube
-    centre, spread = law.commanded(tube.nodes - law.offset[step.k], tube.bow, step.k)
-    middle = np.minimum(np.abs(centre), u_max)
-    if isinstance(law, AffineController):  # a network flies on exact states
-        spread = spread + law.system.at_step(step.k).command_error(law.gain)
-    highest = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), u_max)
-    highest = law.system.spent(highest)
-    h = delta / (len(centre) - 1)
-    held = middle[:-1] if law.feedback.sampled else (middle[:-1] + middle[1:]) / 2
-    return float(held.sum()) * h, float(np.maximum(highest[:-1], highest[1:]).sum()) * h

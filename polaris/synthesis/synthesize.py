@@ -12,7 +12,7 @@ import numpy as np
 from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
 from .controllers import AffineController, AnyThrust, Controller
-from .get_safety import SHARES, Safety, find_safety, get_safety
+from .get_safety import LESSER, SHARES, Safety, find_safety, get_safety
 from .in_view import views
 from .look_ahead import SAFETY
 from .neural import NeuralController
@@ -21,6 +21,8 @@ from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
 from .worth import Worth
 
+LARGE = 0.15
+"""Errors of thrusters, as a share of what is commanded, from which on less feedback is tried too."""
 DEARER = (0.0, 0.3, 3.0)
 """What is added to the price of velocity change, in turn, while no schedule keeps the budget."""
 
@@ -79,7 +81,9 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     found, problem = [first], search.safety.problem
     known = AffineController, AnyThrust, NeuralController
     laws = [law for law in search.controllers[1:] if isinstance(law, known)]
-    for share in SHARES[1:] if len(laws) == len(search.controllers) - 1 else ():
+    thrusters = problem.system.thrusters
+    shares = SHARES[1:] + (LESSER[:2] if thrusters.along + thrusters.across > LARGE else ())
+    for share in shares if len(laws) == len(search.controllers) - 1 else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share))
             turns = [law.along(safety.reference, safety.tracking) for law in laws]

@@ -13,7 +13,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from .profile import profile, summed
-from .transients import lost, moved
+from .transients import answered, lost, misled, moved
 
 LEFT_OVER = 1e-3
 """Share of an error (in the contraction norm) below which limits are no longer followed one by one
@@ -22,8 +22,8 @@ but collected in one ball. Smaller: more rows per recoverable set, and a larger 
 
 def at_nodes(parts: Array) -> Array:
     """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
-    before = [(0, 0)] * (parts.ndim - 2)
-    left, right = (np.pad(parts, [*before, ends, (0, 0)]) for ends in ((0, 1), (1, 0)))
+    end = np.zeros((*parts.shape[:-2], 1, parts.shape[-1]))
+    left, right = np.concatenate([parts, end], axis=-2), np.concatenate([end, parts], axis=-2)
     return np.asarray(np.maximum(left, right))
 
 
@@ -184,15 +184,19 @@ class Tracking:
         return np.concatenate([self.decay[:1], self.decay[:-1]])
 
     @cached_property
+    def misled(self) -> list[Array]:
+        """How far each fault that is isolated late misleads an observer, shapes (J, memory + 2, n)."""
+        system = self.system
+        return [misled(system, fault, self.flow.h, self.memory + 2) for fault in system.transients]
+
+    @cached_property
     def upsets(self) -> Array:
         """Boxes of states, one of which holds what a fault that is isolated late has added, shape (J, n)."""
-        system, h = self.system, self.flow.h
-        return np.vstack(
-            [
-                moved(system, fault, self.gain, h) if len(fault.thrust) else lost(system, fault, h, self.left)
-                for fault in system.transients
-            ]
-        )
+        system, h, found = self.system, self.flow.h, [np.zeros((0, self.system.n))]
+        for fault, off in zip(system.transients, self.misled, strict=True):
+            pushed = moved(system, fault, self.gain, h, off[:, 0])
+            found.append(pushed if len(fault.thrust) else lost(system, fault, h, self.left))
+        return np.vstack(found)
 
     def left(self, rows: Array, boxes: Array) -> Array:
         """What errors in boxes (J, n) need along rows up to l periods later, shape (memory + 2, r, J)."""
@@ -202,9 +206,13 @@ class Tracking:
         return np.asarray(np.maximum(reach, beyond) + self.curvature(rows)[:, None] * size)
 
     def upset(self, rows: Array) -> Array:
-        """What faults that are isolated late need along rows at any time, shape (r,)."""
-        most = self.left(rows, self.upsets)[-1].max(axis=1) if self.system.transients else np.zeros(len(rows))
-        return np.asarray(most * (1 + ROUNDING))
+        """What faults that are isolated late need along rows up to l periods later, shape (memory + 2, r)."""
+        most = self.left(rows, self.upsets)
+        gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
+        for j, off in enumerate(np.vstack(self.misled) if self.system.observer else []):
+            errors = off @ np.abs(self.gain).T  # S answers what its estimates are off by
+            most[..., j] += answered(gains, errors) + sum(self.late(rows, errors[0])) + np.abs(rows) @ off[0]
+        return np.asarray(most.max(axis=-1, initial=0.0) * (1 + ROUNDING))
 
     @cached_property
     def period_gain(self) -> float:
@@ -277,8 +285,7 @@ class Tracking:
         )
         found = np.vstack([until, until[-1] + tail])
         if failing and self.system.transients:
-            most = self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING)  # once in a flight
-            found += most[np.minimum(np.arange(len(found)) + 2, len(most) - 1)]
+            found += self.upset(rows)[np.minimum(np.arange(len(found)) + 2, self.memory + 1)]
         if profile is None:
             return found
         errors = self.caused(profile)

@@ -33,7 +33,7 @@ class Worth:
         problem = printed.safety.problem
         most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
         scale = max(printed.safety.plan.delta_v, 1e-3 * most)
-        return cls(rules, scale, printed.share(), printed.delta_v[0], printed.safety.end.until)
+        return cls(rules, scale, printed.share(), printed.delta_v_middle, printed.safety.end.until)
 
     def plain(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:
         """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
@@ -50,14 +50,14 @@ class Worth:
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Whether the rules allow it, it is as long safe as the printed one, and arrives; its worth."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
-        value = self.of(shares, schedule.delta_v[0], schedule.switches)
+        value = self.of(shares, schedule.delta_v_middle, schedule.switches)
         lasts = schedule.safety.end.until >= self.until
         return self.rules.allow(schedule), lasts, schedule.arrival.reached is True, value
 
     def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
         """The same, nothing being the printed one; without prices as the printed algorithms choose."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
-        spent = (schedule.delta_v[0], schedule.switches) if priced else (0.0, 0)
+        spent = (schedule.delta_v_middle, schedule.switches) if priced else (0.0, 0)
         return *self(schedule)[:3], self.plain(shares, *spent)
 
     def allows(self, mask: Mask) -> bool:

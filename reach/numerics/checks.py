@@ -49,7 +49,7 @@ def check_fields(value: Any) -> None:
 
 def as_kind(name: str, kind: str, value: Any) -> Any:
     """The value as what an annotation asks for; names of classes that are not in the table are looked for."""
-    options = [option.strip() for option in kind.split("|")]
+    options = kind.split(" | ")
     if value is None and not {"None", "Any", "Bound"}.isdisjoint(options):
         return None
     wanted = []

@@ -170,7 +170,7 @@ class Zonotope(Generated):
         of the generators of ``W Z``. Exact for a point and for one generator.
         """
         image = checks.as_map(W, self.dim) @ self
-        hull = np.linalg.norm(np.abs(image.c) + image.half_widths, axis=-1)
+        hull = np.linalg.norm(image.extent, axis=-1)
         total = np.linalg.norm(image.c, axis=-1) + np.linalg.norm(image.G, axis=-2).sum(axis=-1)
         return np.asarray(np.minimum(hull, total))
 

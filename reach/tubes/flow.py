@@ -123,8 +123,7 @@ class LinearFlow:
     def bow(self, nodes: Zonotope) -> Array:
         """Bound ``(h^2/8) sup |M''(s) e|`` on ``|e(t) - chord|`` after each node, shape (..., n)."""
         curvature = (self.A_x @ self.A_c) @ nodes
-        extent = np.abs(curvature.c) + curvature.half_widths
-        return np.asarray(self.h**2 / 8 * extent @ self.growth.T)
+        return np.asarray(self.h**2 / 8 * curvature.extent @ self.growth.T)
 
     @property
     def lyapunov(self) -> tuple[Array, float]:

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from polaris.cli import app as cli
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import find_worst, make_cases, read_campaign, replay_run, schedules
+from polaris.runs.campaign.plan import parse_grid
 from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import MODES, RUNS, TINY, rows, table
 from tests.campaign.scene import run as fly_campaign
@@ -183,3 +184,50 @@ def test_replay_needs_to_know_which_run(flown):
     ):
         done = invoke("campaign-replay", flown.path, *arguments)
         assert done.exit_code == 2 and word in done.stderr
+
+
+SOFT = ["feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60.0,60.0]"]
+LITTLE = "state_error=[0.001,0.001,0.001,0.001]"
+PLACES = "matrix=[[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0]]"
+TOGETHER = (
+    (
+        f"navigation.{LITTLE}",
+        f"navigation.phases=[{{from_s=4.0,{LITTLE}}}]",
+        "navigation.phases[0].within_m=20.0",
+        "timing.delay_s=0.25",
+        "timing.missed_periods=1",
+        "timing.clock_error_s=0.01",
+        "thrusters.magnitude_error=0.01",
+        "thrusters.mass_error=0.01",
+        "faults=[{kind='navigation_lost',lasts_s=0.5}]",
+        "chaser.radius_m=0.01",
+        "tank.delta_v_m_s=50.0",
+        "abort.keep_in=false",
+        "tracking.thrust_share=1.0",
+    ),
+    (
+        "navigation.measurement.error=[0.01,0.01]",
+        f"navigation.measurement.initial={{{LITTLE}}}",
+        "timing.delay_s=0.1",
+        "thrusters.impulse_bit_N_s=0.001",
+        "thrusters.remainder=carried",
+        "thrusters.pulse=held,centred",
+        "faults[0].share=0.05",
+        "abort.orbit={kind='goal'}",
+        "abort.within_s=6.0",
+        "abort.delta_v_max_m_s=20.0",
+    ),
+)
+
+
+@pytest.mark.parametrize("texts", TOGETHER)
+def test_what_flights_may_suffer_from_can_be_a_grid_and_is_replayed(texts, tmp_path):
+    """Keys that have no meaning without others may be of the grid, and those others common to all."""
+    common = ["abort.drift_s=1.0"]
+    if texts is not TOGETHER[0]:
+        common = [f"navigation.measurement.{PLACES}", "faults=[{kind='loss',share=0.1}]"]
+    cases = make_cases([TINY], parse_grid(texts), [*SOFT, *common])
+    folder = fly_campaign(cases, 3, tmp_path / "c")
+    assert len(rows(folder.path)) == 3 * len(cases)
+    for row in rows(folder.path)[::2]:
+        np.testing.assert_equal(replay_run(folder, row["case"], row["batch"], row["run"]).row, row)

@@ -148,9 +148,7 @@ class Loop:
                     seen = at[mine] + eta[i, mine]  # noqa: B023
                     raw[mine] = attack.free[i, mine] if free else self.command(number, k, half, seen)  # noqa: B023
                 u = np.clip(raw, -limit, limit)
-                size = np.linalg.norm(u, axis=1, keepdims=True)
-                wrong = errors.along * np.abs(u) + errors.across * size + errors.bit
-                return u + off[i] * wrong, np.abs(raw) > limit  # noqa: B023
+                return u + off[i] * errors.error(u), np.abs(raw) > limit  # noqa: B023
 
             if self.sampled:
                 fresh, over = inputs(2 * j, x)

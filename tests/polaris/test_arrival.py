@@ -18,6 +18,7 @@ from polaris.certificate.argument import Argument
 from polaris.certificate.balls import matrix
 from polaris.certificate.checker import verify
 from polaris.certificate.document import read
+from polaris.certificate.spending import spent
 from polaris.certificate.verdict import Failed, Record, Rejected
 from polaris.certificate.zonotopes import Merging, widest
 from polaris.model.errors import PolarisError
@@ -123,7 +124,10 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     _, schedule = synthesised()
     safety, final = schedule.safety, schedule.final
     late = safety.tracking.memory + 5
-    spent = [_correcting(safety, ((final, 0),), nodes) for nodes in (0, late, late + 10, late + 20)]
+    after = SimpleNamespace(
+        until=lambda nodes: [SimpleNamespace(law=None, errors=(), most=np.full((nodes, 1), 1e9))]
+    )
+    spent = [_correcting(safety, ((final, 0),), nodes, after) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
     assert spent[2] - spent[1] == pytest.approx(spent[3] - spent[2], rel=1e-9)
     assert spent[2] > spent[1]
@@ -171,6 +175,7 @@ def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):
     found, _, _ = derived(forgers("reached"))
     document = found.document
     nodes = 2 * document.q
+    found._joint[nodes] = arb(1e9)  # S's sets are flown once, about the path as it was
     coasting = float(found.correcting(nodes).mid())
     assert document.cells >= document.steps + 2
     document.inputs[document.steps] = [0.05, 0.0]
@@ -190,10 +195,11 @@ def derived(forger):
     path = argument.reference()
     sets, flown = argument.tubes(path, Merging(80))
     memory = checked.Memory.of(argument.loop, widest(sets), document.q)
-    spent = sum((step.spent for step in flown), arb(0)) / document.mass
+    taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
-    found = checked.Arrival(document, path, argument.loop, memory, held, spent)
+    given = document, path, argument.loop, memory, held, taken
+    found = checked.Arrival(*given, pilot=argument.pilots[0])
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 

@@ -5,7 +5,6 @@ import tomllib
 from functools import cache
 
 import pytest
-from rich.console import Console
 
 from polaris.certificate.assumptions import Premises
 from polaris.certificate.document import Document, digest
@@ -72,12 +71,11 @@ def test_those_that_apply_and_no_others_are_said_everywhere_in_the_same_words(na
     assert Document(data).assumptions == said[:-1]
 
 
-def test_screen_and_report_say_all_of_them():
+def test_screen_and_report_say_all_of_them(capsys):
     scenario, schedule = scene("tiny")
     result = {"title": scenario.title, **SCHEDULE.tell(scenario, FlownSchedule(schedule, flown()), {})}
-    console = Console(record=True, width=300, highlight=False)
-    show_summary(result, "folder", console)
-    screen, page = console.export_text(), told_in_report(result["guarantee"], "polytope")
+    show_summary(result, "folder")
+    screen, page = capsys.readouterr().out, told_in_report(result["guarantee"], "polytope")
     for line in schedule.assumptions:
         assert f"  - {line}\n" in screen
         assert line.replace("'", "&#39;").replace("<", "&lt;") in page or line in page

@@ -37,6 +37,7 @@ from polaris.simulation.integration import Integrator
 from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
 from polaris.simulation.simulate import initial_states, simulate
 from polaris.synthesis.black_box import BlackBox
+from polaris.synthesis.transients import moved
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
@@ -630,8 +631,9 @@ class Refusing:
 def test_a_box_that_fails_elsewhere_is_one_error():
     with pytest.raises(NoAnswer, match="no memory left"):
         box(Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
-    with pytest.raises(NoAnswer, match="must answer finite numbers"):
+    with pytest.raises(NoAnswer, match="must answer finite numbers") as error:
         box(lambda t, x, xi: Refusing()).command(0, np.zeros(4), np.zeros(4), np.zeros((1, 4)))
+    assert str(error.value.__cause__) == "part of a graph"
 
 
 def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
@@ -702,6 +704,30 @@ def test_statements_hold_of_other_boxes(seed):
         assert np.mean(outside(flown) > 1) <= found.schedule.statement.probability
 
 
+def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
+    """Of the answers to states that it has moved nothing is known but the limits of the thrusters."""
+    fault = {"kind": "loss", "share": 0.05, "isolation_s": PERIOD}
+    soft = {"tracking": {"Q": [25.0] * 4, "R": [60.0] * 2}, "faults": [fault]}
+    scenario = ScheduleScenario.from_dict(document() | soft)
+    part = polaris.get_safety(scenario)
+    system, gain, h = part.problem.system, part.tracking.gain, part.tracking.flow.h
+    (known,) = system.transients
+    for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
+        faults = (replace(known, lasts=lasts * h, asked=asked) for asked in (True, False))
+        more, none = (moved(system, one, gain, h, np.zeros((1, 4))) for one in faults)
+        least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
+        assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
+    asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}
+    found = synthesize_sampled(scenario, part, [box(part=part)], **asked)
+    assert found.schedule.sampled_steps and found.worst.failure is None
+    verdict = verify_document(certificate(found.schedule, "scene"))
+    assert verdict.outcome == "STATISTICAL", verdict.text()
+    unknown = replace(part.problem, system=replace(system, transients=(replace(known, asked=False),)))
+    plain = polaris.get_safety(unknown)
+    with pytest.raises(ScenarioError, match="isolated late needs any thrust"):
+        polaris.synthesize(plain, experimental=[box(part=plain)])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 3, 7, 14, 20, 28, 35])
 def test_random_scenes(seed):
@@ -718,6 +744,9 @@ def test_random_scenes(seed):
         error = error if scenario.system().mean_motion else {"state_error": half}
         scene |= {"navigation": error, "thrusters": {"magnitude_error": 0.005}}
         scenario = ScheduleScenario.from_dict(scene)
+    if seed % 14 == 0:
+        fault = {"kind": "loss", "share": 0.02, "isolation_s": scene["feedback"]["period_s"]}
+        scenario = ScheduleScenario.from_dict(scene | {"faults": [fault]})
     part = polaris.get_safety(scenario)
     nu, top = part.reference.nu, part.problem.system.u_max
     gain = part.tracking.gain * np.random.default_rng(seed).uniform(0.6, 1.1, part.tracking.gain.shape)

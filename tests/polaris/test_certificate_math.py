@@ -78,7 +78,7 @@ def values(M):
 def test_reachable_sets_contain_what_is_flown(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(12))
+    sets, flown = argument.tubes(path, Merging(12, 3 if "sampled" in name else 1))
     runs = simulate(schedule, 200, 3)
     q, K = argument.document.q, argument.K
     fullest = 0.0
@@ -315,6 +315,22 @@ def test_reduced_sets_contain_the_set():
     few = faded.reduced(120)
     assert few.G.ncols() == 5 + 3  # what has faded is merged, however many generators there may be
     assert all(a <= b for a, b in zip(faded.spread(rows), few.spread(rows), strict=True))
+
+
+def test_what_periods_in_a_row_add_is_gathered_in_a_set_that_contains_it():
+    rng = np.random.default_rng(4)
+    before, first = rng.normal(size=(3, 4)), rng.normal(size=(3, 5))
+    turned = [first + k * 0.05 * rng.normal(size=(3, 5)) for k in range(3)]
+    full = Zonotope(column([1.0, 2.0, 3.0]), matrix(np.hstack([before, *turned]).tolist()))
+    few = full.gathered(5, 5, 5)
+    assert few.G.ncols() == 4 + 5 + 3
+    rows = matrix(rng.normal(size=(500, 3)).tolist())
+    spread = [np.array([float(x) for x in z.spread(rows)]) for z in (full, few)]
+    assert np.all(spread[0] <= spread[1] * (1 + 1e-12)) and np.max(spread[1] / spread[0]) < 1.2
+    merging = Merging(12, 2)
+    grown = [Zonotope(full.c, matrix(np.hstack([before, *turned[:k]]).tolist())) for k in range(3)]
+    assert merging.after(grown[0], grown[1]).G.ncols() == 4 + 5 and not merging.lossy
+    assert merging.after(grown[1], grown[2]).G.ncols() == 4 + 5 + 3 and merging.lossy
 
 
 def test_sums_and_lengths_from_above_are_above_and_close():

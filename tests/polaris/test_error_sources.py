@@ -2,6 +2,7 @@
 
 import json
 import pydoc
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -26,11 +27,14 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.estimate import BoxFilter, BoxMotion
 from polaris.runs.certificate import certificate
+from polaris.runs.schedule import fly_schedule
+from polaris.runs.stages import Stages
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.scenario.tables import ScenarioModel
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 from reach.numerics.linear import discretize
 
@@ -157,8 +161,20 @@ def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
         safety = synthesize(scenario.with_assignments([f"navigation.state_error=[{error}, 0, 0, 0]"])).safety
         needs.append(error_tube(safety.tracking, safety.start, safety.tracking.gain).need[-1, 0])
     assert needs[0] < needs[1] < needs[2]
+    far = scenario.with_assignments(["navigation.state_error=[50.0, 0, 0, 0]", "chaser.radius_m=0.001"])
     with pytest.raises(SynthesisInfeasible, match="navigation"):
-        synthesize(scenario.with_assignments(["navigation.state_error=[50.0, 0, 0, 0]"]))
+        synthesize(far)
+    with pytest.raises(SynthesisInfeasible, match=r"; or declare navigation.state_error = \[.*, 0") as error:
+        fly_schedule(far, Stages())
+    told = re.search(r"state_error = \[([\d.]+), 0, 0, 0\] \(not \[50.0, 0.0, 0.0, 0.0\]\)", str(error.value))
+    assert told is not None and "radius_m" not in str(error.value)
+    enough = [
+        f"navigation.state_error=[{told[1]}, 0, 0, 0]",
+        f"navigation.state_error=[{1.3 * float(told[1])}, 0, 0, 0]",
+    ]
+    assert get_safety(far.with_assignments(enough[:1]).problem())
+    with pytest.raises(SynthesisInfeasible):
+        get_safety(far.with_assignments(enough[1:]).problem())
 
 
 @pytest.mark.parametrize(
@@ -180,6 +196,14 @@ def test_bad_tables_are_refused_by_name(assignment, field):
     assert error.value.field.startswith(field)
 
 
+def test_less_feedback_is_tried_where_errors_of_thrusters_leave_no_safe_reference():
+    scenario = load_scenario("keep_out").with_assignments(["thrusters.misalignment_deg=20"])
+    with pytest.raises(SynthesisInfeasible, match="cross-track thrust"):
+        get_safety(scenario.set("tracking.thrust_share", 0.5).problem())
+    found = get_safety(scenario.problem())
+    assert found.problem.thrust_share == 0.35 and found.start_margin.inside
+
+
 def test_in_hills_frame_errors_have_units():
     scenario = load_scenario("static").with_assignments(
         ["navigation.position_error_m=[1, 2, 3]", "navigation.velocity_error_m_s=0.5"]
@@ -187,6 +211,8 @@ def test_in_hills_frame_errors_have_units():
     assert scenario.system().navigation.tolist() == [1, 2, 3, 0.5, 0.5, 0.5]
     with pytest.raises(ScenarioError, match="position_error_m"):
         load_scenario("static").with_assignments(["navigation.state_error=[0.1, 0, 0, 0, 0, 0]"])
+    with pytest.raises(ScenarioError, match="full thrust makes in a period, 0.4 N s"):
+        scenario.with_assignments(["thrusters.impulse_bit_N_s=0.41"])
 
 
 def test_errors_of_thrusters_cover_every_way_to_make_them():

@@ -2,12 +2,14 @@
 
 import itertools
 from dataclasses import replace
+from functools import cache, lru_cache
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib.text import Text
 
+from polaris.model.distances import stretches
 from polaris.model.errors import PolarisError
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.keep_in import KeepInCone, KeepInPolytope
@@ -19,7 +21,7 @@ from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.style import style
 from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.geometry import faces, flat_outline, stretches, tube_support
+from polaris.report.scene.geometry import faces, flat_outline, tube_support
 from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
 from polaris.report.scene.palette import (
     GREEN,
@@ -48,7 +50,9 @@ def picture():
     return replace(picture_of(schedule), flights={key: item.flights for key, item in flown().items()})
 
 
+@lru_cache(maxsize=16)
 def drawn(name, picture, dpi=150):
+    """A figure to look at, not to change."""
     with style():
         figure = FIGURES[name](picture)
         figure.set_dpi(dpi)
@@ -180,7 +184,7 @@ def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path,
 
 def test_the_users_settings_come_back(picture):
     before = dict(matplotlib.rcParams)
-    drawn("modes", picture)
+    drawn.__wrapped__("modes", picture)
     assert dict(matplotlib.rcParams) == before
 
 
@@ -245,6 +249,7 @@ LINE = LinearSystem(np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.arr
 HILL = clohessy_wiltshire(0.0012, 10.0, 0.1)
 
 
+@cache
 def random_picture(seed):
     """A flight by modes in one to three dimensions, with every kind of set and goal, in units of any size."""
     rng = np.random.default_rng(seed)

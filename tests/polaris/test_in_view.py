@@ -7,13 +7,14 @@ from time import perf_counter
 import numpy as np
 import pytest
 
+from polaris.model.distances import stretches
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.planning.following import Followed, FollowingSearch
 from polaris.planning.rows import Rows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.arrival import _weights, distance
-from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours, windows
+from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours
 from polaris.synthesis.search import SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.worth import Worth
@@ -73,11 +74,11 @@ def test_a_followed_path_is_that_of_the_law():
 
 def test_windows_and_their_neighbours():
     mask = in_windows([(2, 5), (9, 10)], 12)
-    assert windows(mask) == [(2, 5), (9, 10)]
+    assert stretches(mask) == [(2, 5), (9, 10)]
     found = {other.tobytes() for other in neighbours(mask)}
     for parts in ([(3, 5), (9, 10)], [(2, 5)], [(2, 10)], [(2, 5), (8, 9)], [(1, 4), (9, 10)]):
         assert in_windows(parts, 12).tobytes() in found
-    assert windows(np.zeros(4, dtype=bool)) == []
+    assert stretches(np.zeros(4, dtype=bool)) == []
 
 
 def test_dwell_and_cap_are_kept_by_the_windows():

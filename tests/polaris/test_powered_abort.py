@@ -14,12 +14,13 @@ from polaris.certificate.checker import verify_document
 from polaris.certificate.document import Document, digest
 from polaris.certificate.lemma import Stated
 from polaris.certificate.plants import precision_for
-from polaris.certificate.verdict import Record
+from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.report.html.run_report import aborts
 from polaris.runs.certificate import certificate
 from polaris.runs.tables import abort_told
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.failing import Failing
 from polaris.simulation.falsification.aborting import Aborted
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
@@ -28,9 +29,11 @@ from polaris.synthesis.synthesize import synthesize
 from .closed_loops import attack
 from .forging import CERTIFICATE, COARSE, Forger, make
 from .test_error_sources import exact, tables
+from .test_transients import LATE, SOFT
 from .tiny import TINY
 
 ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
+STUCK = 'faults=[{kind="stuck_off"}]'
 OWN = f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"
 
 
@@ -112,7 +115,31 @@ def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
         asked(10.0, 4.5)
     with pytest.raises(SynthesisInfeasible, match=r"in step \d+ .*no branch is found") as late:
         asked(3.0, 20.0)
+    with pytest.raises(NotCertified, match=r"the tank holds 9 m/s; raise tank.delta_v_m_s by"):
+        synthesize(
+            load_scenario(TINY).with_assignments([OWN[:-1] + ",required=true}", "tank.delta_v_m_s=9.0"])
+        )
     assert (scarce.value.exit_code, late.value.exit_code) == (4, 3)
+
+
+def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
+    """As many steps are left as what is spent and what S needs allow; a checker that knows less refuses."""
+    spent = np.cumsum([0.0, *(most for _, most in tiny._pushed)]) / tiny.safety.problem.system.mass
+    spent = spent[np.arange(12) + (tiny.modes > 0)]
+    tank = float(np.median(spent + [way.delta_v for way in tiny.powered.ways]) * 1.02)
+    schedule = synthesize(load_scenario(TINY).with_assignments([OWN, f"tank.delta_v_m_s={tank!r}"]))
+    left = [tank - spent[k] - schedule.powered.ways[k].delta_v for k in proven(schedule)]
+    assert 0 < len(left) < 12 and min(left) >= 0 and np.array_equal(schedule.modes, tiny.modes)
+    assert any("the tank holds" in way.why for way in schedule.powered.ways)
+    document = Document(json.loads(json.dumps(certificate(schedule, "tiny"))))
+    for known, outcome in ((tank, True), (0.5 * tank, False)):
+        with flint.ctx.workprec(precision_for(document)):
+            argument = Argument(document, Record(), Stated(tank=known))
+            if outcome:
+                argument.run()
+                continue
+            with pytest.raises(Rejected, match="the tank of"):
+                argument.run()
 
 
 @pytest.mark.parametrize(
@@ -272,6 +299,33 @@ def verified(scenario, schedule):
     finally:
         flint.ctx.prec = before
     return "powered_abort" in dict(record.checked)
+
+
+def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
+    """In the aborted flight each thruster fails right before the orbit is claimed to be reached."""
+
+    def least(schedule, k=5):
+        (fault,) = schedule.safety.problem.system.transients
+        tried, count = Aborted(schedule, k, 8, np.random.default_rng(0)), len(fault.thrust)
+        q, h = schedule.safety.clearance.q, schedule.safety.tracking.flow.h
+        ends = np.full(count, schedule.powered.ways[k].cell * q)
+        share = np.full(count, -1.0 if fault.name == "stuck_on" else fault.share)
+        begins, on_board = ends - int(fault.lasts / h + 1e-9), np.zeros(count, dtype=bool)
+        failing = Failing(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
+        tried.attack = replace(tried.attacker.worst(count), failing=failing)
+        tried.runs = tried.attack.fly(tried.attacker.flight)
+        return tried.exceeded()[2]
+
+    schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, OWN]))
+    assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"
+    assert len(proven(schedule)) == 12 and least(schedule) >= 0
+    assert falsify(schedule, 400, 0).failure is None
+    twos = f"thrusters.directions={[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]] * 2}"
+    naive = load_scenario(TINY).with_assignments([*SOFT, twos, "thrusters.thrust_max_N=1.0", STUCK, OWN])
+    late = naive.with_assignments([STUCK.replace("off", "on").replace("}", ",isolation_s=3.0}")])
+    schedule = synthesize(naive)
+    object.__setattr__(schedule.safety.problem.system, "transients", late.problem().system.transients)
+    assert least(schedule) < -0.1
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from scipy.linalg import expm
 
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.prediction import predicting, pulse_error
+from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
@@ -205,7 +206,7 @@ def test_forged_pulses_are_refused(tmp_path):
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
 
 
-@pytest.mark.parametrize(("fired", "carried", "ahead", "left"), [([], 0.0, 0, 0), ([1.0], 0.5, 0.5, 0.25)])
+@pytest.mark.parametrize(("fired", "carried", "ahead", "left"), [([], 0.0, 0, 0), ([1.0], 0.5, 0.5, 0.375)])
 def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fired, carried, ahead, left):
     pytest.importorskip("flint")
     from flint import arb
@@ -214,7 +215,9 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
 
     known = {"fired": fired, "carried": carried, "system_kind": "clohessy_wiltshire", "mean_motion": 0.001}
     document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
-    plant = SimpleNamespace(u_max=[arb(1)], h=arb(2), spent=lambda most: arb(1))  # in a period of 2 s
+    known = {"u_max": [arb(1)], "h": arb(2), "spent": lambda most: arb(1)}  # in a period of 2 s
+    column = SimpleNamespace(ncols=lambda: 1)
+    plant = SimpleNamespace(**known, B=column, carried=carried, thrusters=(0.5, 0.0, 0.0))
     told = {}
     arrival = SimpleNamespace(
         document=document,
@@ -240,7 +243,7 @@ def test_what_is_carried_is_a_displacement_and_a_drift():
         timing = Timing(carried=bit, period=h)
         Ad, Bd = discretize(system.A, system.B, h)
         moved = np.array(predicting(system, Timing(carried=bit), h).timing.displaced)
-        drift = discretize(system.A, replace(system, timing=timing).adrift, h)[1] / bit
+        drift = discretize(system.A, replace(system, timing=timing).adrift[:, : system.m], h)[1] / bit
         x = other = rng.normal(size=system.n)
         left, made, asked = np.zeros(system.m), np.zeros(system.m), np.zeros(system.m)
         seen = np.zeros(system.n)
@@ -255,6 +258,35 @@ def test_what_is_carried_is_a_displacement_and_a_drift():
             seen = np.maximum(seen, np.abs(x - other))
             assert np.all(made <= asked * (1 + 1e-12)), "no more is spent than is commanded"
         assert np.all(seen <= moved) and np.all(seen >= 0.5 * moved)
+
+
+def test_errors_of_what_is_carried_are_those_of_what_is_asked_for_and_a_displacement():
+    """Backwards through flights whose thrust is off by a share: no more than is booked stands for that."""
+    share, bit, h, parts, rng = 0.3, 0.01, 2.0, 8, np.random.default_rng(6)
+    for system in systems():
+        exact, wrong = (replace(system, thrusters=Thrusters(along)) for along in (0.0, share))
+        drift = replace(wrong, timing=Timing(carried=bit, period=h)).adrift[:, system.m :]
+        assert np.allclose(drift, share * bit * system.A @ system.B)
+        less, more = (predicting(each, Timing(carried=bit), h).timing.displaced for each in (exact, wrong))
+        moved, dt = np.array(more) - np.array(less), h / parts
+        left, periods = np.zeros(system.m), []
+        for _ in range(120):
+            u = rng.choice([-1, 1], system.m) * rng.choice([0.0, 0.2, 1.0]) * bit / h * 1.7
+            v = np.trunc((u * h + left) / bit) * bit / h
+            left = left + (u - v) * h
+            periods.append((u, v, share * rng.choice([-1, 1, 1], (parts, system.m)) * v))
+        y, farthest = np.zeros(system.m), 0.0
+        for u, v, off in reversed(periods):
+            slower = np.abs(v) < np.abs(u)
+            kept = np.divide(np.abs(u), np.abs(v), out=np.ones_like(u), where=~slower & (v != 0))
+            for r in off[::-1]:
+                back = np.sign(y) * np.minimum(share * (np.abs(u) - np.abs(v)), np.abs(y) / dt)
+                rate = np.where(slower, back, r * (kept - 1))
+                assert np.all(np.abs(r + rate) <= share * np.abs(u) * (1 + 1e-9))
+                y = y - rate * dt
+                farthest = max(farthest, np.abs(y).max())
+        assert 0.4 * share * bit < farthest <= share * bit * (1 + 1e-9)
+        assert np.all(np.abs(system.B) @ np.full(system.m, farthest) <= moved * (1 + 1e-9))
 
 
 def test_flights_that_carry_keep_what_is_proven():

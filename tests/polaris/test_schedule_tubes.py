@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from polaris.synthesis.controllers import AffineController
+from polaris.synthesis.tracking import at_nodes
 from reach import Ellipsoid, LinearSystem, Zonotope, support_tube
 from reach.numerics.linear import powers
 
@@ -70,3 +71,8 @@ def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name):
         wider.append((widths[0] / widths[1]).max())
     assert len(wider) > len(schedule.steps) / 3
     assert max(wider) <= WIDER, f"up to {max(wider):.4f} times as wide"
+
+
+def test_a_bow_at_a_node_is_that_of_the_larger_of_its_sides():
+    parts = np.array([[[1.0, 5.0], [3.0, 2.0], [2.0, 4.0]]])
+    assert at_nodes(parts).tolist() == [[[1.0, 5.0], [3.0, 5.0], [3.0, 4.0], [2.0, 4.0]]]

@@ -181,3 +181,22 @@ def test_a_run_does_not_depend_on_its_neighbours():
         together = fly(made, make(made), conditions)
         alone = fly(made, make(made), conditions.only(2))
         assert np.allclose(together.states[2], alone.states[0], atol=1e-7), key
+
+
+def test_no_limit_is_left_out_however_late_it_is():
+    """All limits worked out one by one: none needs a larger share of its room than is told."""
+    recovery = Monitor(scene("robot")).recovery
+    system, W = recovery.grid.system, recovery.grid.tracking.W
+    demand, late = recovery.demand(np.zeros((system.n, 1))), 0
+    errors = np.random.default_rng(0).normal(size=(40, system.n)) * np.geomspace(0.01, 1, 40)[:, None]
+    size = np.linalg.norm(errors @ W.T, axis=1)
+    need = np.column_stack([errors, size]) @ recovery.matrix.T + recovery.booked
+    for node in range(0, recovery.grid.last, 20):
+        limits = recovery.window(node)
+        shares = np.where(
+            limits > 0, need / np.where(limits > 0, limits, 1.0), np.where(need > 0, np.inf, 0.0)
+        )
+        told, near = recovery.share(node, errors, size, demand), shares[:, : demand.near].max(axis=1)
+        assert np.all(np.minimum(shares.max(axis=1), 1e3) <= told * (1 + 1e-9))
+        late += np.count_nonzero(shares.max(axis=1) > near * (1 + 1e-6))
+    assert late > 0

@@ -10,33 +10,31 @@ from rich.text import Text
 RED = "bold red"
 
 
-class Printout:
-    """Prints to a console, by default to standard output."""
+def say(text: str, style: str = "") -> None:
+    """Print a line."""
+    Console(highlight=False).print(Text(text, style=style), soft_wrap=True)
 
-    def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(highlight=False)
 
-    def say(self, text: str, style: str = "") -> None:
-        """Print a line."""
-        self.console.print(Text(text, style=style), soft_wrap=True)
+def show_table(shown: Table, width: int = 0) -> None:
+    """Print a table, at least so wide: numbers that are cut off say nothing."""
+    console = Console(highlight=False)
+    console.width = max(console.width, width)
+    console.print(shown)
 
-    def table(self, shown: Table, width: int = 0) -> None:
-        """Print a table, at least so wide: numbers that are cut off say nothing."""
-        wide = Console(file=self.console.file, highlight=False, width=max(self.console.width, width))
-        (wide if width else self.console).print(shown)
 
-    def claim(self, claim: Mapping[str, Any]) -> None:
-        """Print what is claimed, and on what assumptions."""
-        self.say(f"Guarantee: {str(claim['kind']).replace('_', ' ')}; {claim['reason']}.", "bold")
-        if claim.get("periods") and claim["kind"] == "per_period":
-            covered = f"{claim['periods_covered']} of {claim['periods']} periods"
-            self.say(f"That is {covered} of this flight, assuming that")
-        self.assume(claim["assumptions"])
+def show_claim(claim: Mapping[str, Any]) -> None:
+    """Print what is claimed, and on what assumptions."""
+    say(f"Guarantee: {str(claim['kind']).replace('_', ' ')}; {claim['reason']}.", "bold")
+    if claim.get("periods") and claim["kind"] == "per_period":
+        covered = f"{claim['periods_covered']} of {claim['periods']} periods"
+        say(f"That is {covered} of this flight, assuming that")
+    assume(claim["assumptions"])
 
-    def assume(self, assumptions: Iterable[str]) -> None:
-        """Print assumptions, one a line."""
-        for assumption in assumptions:
-            self.say(f"  - {assumption}")
+
+def assume(assumptions: Iterable[str]) -> None:
+    """Print assumptions, one a line."""
+    for assumption in assumptions:
+        say(f"  - {assumption}")
 
 
 def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str | Text, ...]] = ()) -> Table:

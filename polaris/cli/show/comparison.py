@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.box import SIMPLE
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
 from ...synthesis.recoverable import directed
-from . import Printout, table
+from . import say, show_table, table
 
 SAFETY = (
     ("violations", "viola-\ntions"),
@@ -33,10 +32,9 @@ COST = (
 LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
 
 
-def show_comparison(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
     """Print the comparison as a table, and where its folder lies."""
-    out = Printout(console)
-    out.say(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
+    say(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
     flown = [method for method in summary["methods"] if method["available"]]
     for columns in (SAFETY, COST):
         shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)
@@ -49,14 +47,14 @@ def show_comparison(summary: Mapping[str, Any], folder: str, console: Console | 
             claim = [method["guarantee"]] if columns is SAFETY else []
             cells = [_cell(key, method["metrics"].get(key)) for key, _ in columns]
             shown.add_row(Text(method["name"]), *claim, *cells)
-        out.table(shown)
-    out.say("Least distance and TTC: worst over all runs. The others: means over runs, whose")
-    out.say("95 % intervals and paired differences are in comparison.json and in the report.")
+        show_table(shown)
+    say("Least distance and TTC: worst over all runs. The others: means over runs, whose")
+    say("95 % intervals and paired differences are in comparison.json and in the report.")
     for method in summary["methods"]:
         if not method["available"]:
-            out.say(f"not available: {method['key']} ({method['reach']})")
-    out.say(f"Comparison folder: {folder}")
-    out.say(f"Interactive report: polaris report {shlex.quote(folder)}")
+            say(f"not available: {method['key']} ({method['reach']})")
+    say(f"Comparison folder: {folder}")
+    say(f"Interactive report: polaris report {shlex.quote(folder)}")
 
 
 def _cell(key: str, told: Any) -> str:
@@ -80,19 +78,19 @@ HEADS = ("", "share of U", "switches", "mean m/s", "largest", "proven", "goal by
 """Of the table; velocity changes are simulated (mean and largest) and proven never to be exceeded."""
 
 
-def show_tradeoff(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_tradeoff(summary: Mapping[str, Any], folder: str) -> None:
     """Print the points, those that no other outdoes marked, and where their folders lie."""
-    out, points = Printout(console), summary["points"]
-    out.say(f"{summary['title']}: {counted(len(points), 'schedule')}", "bold")
+    points = summary["points"]
+    say(f"{summary['title']}: {counted(len(points), 'schedule')}", "bold")
     longest = max(len(point["folder"]) for point in points)
-    out.table(table(*HEADS, wrap=0, rows=map(_row, points)), 80 + longest)
+    show_table(table(*HEADS, wrap=0, rows=map(_row, points)), 80 + longest)
     if summary["needed"]:
         for one in summary["needed"]:
-            out.say(answered(one))
+            say(answered(one))
     else:
-        out.say("* no other is as good in all of share, mean velocity change, switches, goal and guarantee.")
-    out.say(f"Trade-off: {folder}")
-    out.say(f"One of them in detail: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
+        say("* no other is as good in all of share, mean velocity change, switches, goal and guarantee.")
+    say(f"Trade-off: {folder}")
+    say(f"One of them in detail: polaris report {shlex.quote(folder + '/' + points[0]['folder'])}")
 
 
 def _row(point: Mapping[str, Any]) -> tuple[str, ...]:

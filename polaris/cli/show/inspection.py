@@ -3,18 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
 from rich.text import Text
 
 from ...model.checks import counted
 from ...runs.inspection import MEANING
-from . import RED, Printout, alarming, table
+from . import RED, alarming, say, show_claim, show_table, table
 
 
-def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_flight(summary: Mapping[str, Any], folder: str) -> None:
     """Print the least value of every constraint, the answers of the filter, and what is claimed."""
-    out = Printout(console)
-    out.say(str(summary["title"]), "bold")
+    say(str(summary["title"]), "bold")
     crew = counted(summary["deputies"], "deputy", "deputies")
     found = table(f"{crew}, {summary['duration_s']:g} s", "least", "at", "deputies")
     for row in summary["constraints"]:
@@ -24,30 +22,29 @@ def show_flight(summary: Mapping[str, Any], folder: str, console: Console | None
             f"{row['time_s']:g} s",
             ", ".join(map(str, row["deputies"])),
         )
-    out.table(found)
+    show_table(found)
     safe, steps, seconds = summary["safe"], summary["steps"], summary["filter_seconds"]
-    out.say("No constraint is violated." if safe else "CONSTRAINTS ARE VIOLATED.", "" if safe else RED)
+    say("No constraint is violated." if safe else "CONSTRAINTS ARE VIOLATED.", "" if safe else RED)
     total = sum(steps.values())
     told = ", ".join(f"{name} {count / total:.1%}" for name, count in steps.items() if count)
-    out.say(f"Filter ({summary['filter']['kind']}): {told} of {total} answers.")
-    out.say(f"Time of an answer: {1e3 * seconds['median']:.3g} ms, p99 {1e3 * seconds['p99']:.3g} ms.")
+    say(f"Filter ({summary['filter']['kind']}): {told} of {total} answers.")
+    say(f"Time of an answer: {1e3 * seconds['median']:.3g} ms, p99 {1e3 * seconds['p99']:.3g} ms.")
     spent = ", ".join(f"{value:.4g}" for value in summary["delta_v_m_s"])
-    out.say(f"Velocity change per deputy: {spent} m/s.")
+    say(f"Velocity change per deputy: {spent} m/s.")
     smooth = summary.get("smoothness")
     if smooth:
         applied, wanted = (
             f"{one['switches']:.2g} and {one['variation']:.2g} N"
             for one in (smooth["applied"], smooth["wanted"])
         )
-        out.say(f"Changes of sign and of thrust per axis and minute: {applied}; wanted {wanted}.")
-    out.claim(summary["guarantee"])
-    out.say(f"Run folder: {folder}")
+        say(f"Changes of sign and of thrust per axis and minute: {applied}; wanted {wanted}.")
+    show_claim(summary["guarantee"])
+    say(f"Run folder: {folder}")
 
 
-def show_fuel(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_fuel(summary: Mapping[str, Any], folder: str) -> None:
     """Print what was spent, when the backup took over, and what is claimed."""
-    out = Printout(console)
-    out.say(str(summary["title"]), "bold")
+    say(str(summary["title"]), "bold")
     latched, last, least = summary["latched_at_s"], summary["last_thrust_s"], summary["distance_least_m"]
     rows = [
         ("velocity change", f"{summary['delta_v_m_s']:.4g} of {summary['delta_v_max_m_s']:g} m/s"),
@@ -60,19 +57,18 @@ def show_fuel(summary: Mapping[str, Any], folder: str, console: Console | None =
         ("least distance from the chief", f"{least:.4g} m at {summary['distance_least_time_s']:g} s"),
         ("semi-minor axis at the end", f"{summary['parking_orbit']['semi_minor_m']:.4g} m"),
     ]
-    out.table(table("", "", rows=rows))
+    show_table(table("", "", rows=rows))
     if latched is not None:
-        out.say(f"Why: {summary['latch_reason']}.")
+        say(f"Why: {summary['latch_reason']}.")
     safe = summary["safe"]
-    out.say("The fuel limit is kept." if safe else "THE FUEL LIMIT IS EXCEEDED.", "" if safe else RED)
-    out.claim(summary["guarantee"])
-    out.say(f"Run folder: {folder}")
+    say("The fuel limit is kept." if safe else "THE FUEL LIMIT IS EXCEEDED.", "" if safe else RED)
+    show_claim(summary["guarantee"])
+    say(f"Run folder: {folder}")
 
 
-def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     """Print the success of every study and what its failures were."""
-    out = Printout(console)
-    out.say(str(summary["title"]), "bold")
+    say(str(summary["title"]), "bold")
     kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
     head = f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s"
     found = table(head, "success", "at least, 95%", *kinds, wrap=0)
@@ -84,6 +80,6 @@ def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | No
             f"{study['success_share_lower_95']:.2%}",
             *(Text(str(count), style="red" if count else "") for count in failures),
         )
-    out.table(found, 60 + 8 * len(kinds))
-    out.claim(summary["guarantee"])
-    out.say(f"Run folder: {folder}")
+    show_table(found, 60 + 8 * len(kinds))
+    show_claim(summary["guarantee"])
+    say(f"Run folder: {folder}")

@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
 from ...runs.tables import besides
 from ...synthesis.recoverable import directed
-from . import RED, Printout, alarming, table
+from . import RED, alarming, assume, say, show_table, table
 
 TITLES = {"safety": "S alone", "experimental": "U alone", "polaris": "Polaris"}
 
@@ -27,35 +26,34 @@ ROWS = (
 """Title, key, form, and what stands where there is no value."""
 
 
-def show_summary(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     """Print the metrics, the guarantee with its assumptions, and where the folder lies."""
-    out = Printout(console)
-    out.say(str(summary["title"]), "bold")
-    out.table(_metrics(summary))
+    say(str(summary["title"]), "bold")
+    show_table(_metrics(summary))
     synthesis, claim = summary["synthesis"], summary["guarantee"]
     seconds, plan = synthesis["seconds"], synthesis["planner"]
     parts = [name for name in ("bounds", "plan", "recoverable", "schedule") if name in seconds]
     stages = ", ".join(f"{name} {seconds[name]:.2f}" for name in parts)
     clearance = directed(plan["margin_m"], ".4g")
     reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
-    out.say(f"Plan: {_planned(plan)}, {reached}.")
+    say(f"Plan: {_planned(plan)}, {reached}.")
     start, limit = synthesis["start_margin"], synthesis["start_limit"]
     if start is not None:
-        out.say(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}.")
-    out.say(f"U flies {_share(synthesis)}.")
+        say(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}.")
+    say(f"U flies {_share(synthesis)}.")
     if "proven_share" in synthesis:
         told = "proven for anything within the thrust limits instead of black boxes"
-        out.say(f"{synthesis['proven_share']:.1%} of the time is {told}.")
-        out.say(_worst(synthesis["worst_found"]))
-    out.say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
+        say(f"{synthesis['proven_share']:.1%} of the time is {told}.")
+        say(_worst(synthesis["worst_found"]))
+    say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
     proved = claim["kind"] != "none"
-    out.say(f"Guarantee: {_claim(claim)}", "bold" if claim["kind"] == "proved" else RED)
-    out.assume(claim["assumptions"] if proved else ())
+    say(f"Guarantee: {_claim(claim)}", "bold" if claim["kind"] == "proved" else RED)
+    assume(claim["assumptions"] if proved else ())
     if proved:
-        out.say(f"Goal: {_goal(claim['goal'])}")
+        say(f"Goal: {_goal(claim['goal'])}")
     for head, sentence in besides(claim) if proved else ():
-        out.say(f"{head}: {sentence}")
-    out.say(f"Run folder: {folder}")
+        say(f"{head}: {sentence}")
+    say(f"Run folder: {folder}")
 
 
 def _share(synthesis: Mapping[str, Any]) -> str:
@@ -131,26 +129,26 @@ COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probabil
 COLUMNS += ("its mean, 95 %", "share of U", "velocity change, 95 %")
 
 
-def show_campaign(summary: Mapping[str, Any], folder: str, console: Console | None = None) -> None:
+def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     """Print violations, distances, use of U and velocity change of every case and mode."""
-    out, found = Printout(console), table("case", *COLUMNS, wrap=0)
+    found = table("case", *COLUMNS, wrap=0)
     for case in summary["cases"]:
         label = f"{case['case']}: {case['label']}"
         for mode, told in case.get("modes", {}).items():
             found.add_row(label, *_row(mode, told))
             label = ""
-    out.table(found, max(len(str(case["label"])) for case in summary["cases"]) + 157)
+    show_table(found, max(len(str(case["label"])) for case in summary["cases"]) + 157)
     for case in summary["cases"]:
         if "failure" in case:
-            out.say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
-    out.assume(summary["assumptions"])
-    out.say(f"Campaign: {folder}")
+            say(f"{case['case']}: {case['label']}: no schedule. {case['failure']}", RED)
+    assume(summary["assumptions"])
+    say(f"Campaign: {folder}")
 
 
-def show_run(row: Mapping[str, Any], console: Console | None = None) -> None:
+def show_run(row: Mapping[str, Any]) -> None:
     """Print what the table says of one run."""
     rows = ((name, "-" if value is None else str(value)) for name, value in row.items())
-    Printout(console).table(table("", "", rows=rows))
+    show_table(table("", "", rows=rows))
 
 
 def _row(mode: str, told: Mapping[str, Any]) -> list[Text]:

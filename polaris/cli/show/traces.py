@@ -4,34 +4,32 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
 from ...traces.evaluation import Separation, Spread, TraceMetrics
 from ...traces.legacy import Legacy, Raises
-from . import Printout, alarming, table
+from . import alarming, say, show_table, table
 
 
-def show_metrics(found: TraceMetrics, console: Console | None = None) -> None:
+def show_metrics(found: TraceMetrics) -> None:
     """Print what `polaris.traces.evaluate_trace` found, as tables."""
-    out = Printout(console)
     axes = "" if found.dims is None else f", {counted(found.dims, 'axis', 'axes')}"
     for name, agent in found.agents.items():
-        out.say(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
+        say(f"{name}: {counted(agent.samples, 'sample')} over {agent.duration:.6g} s{axes}", "bold")
         if agent.unsafe or agent.others:
-            out.table(_separations((*agent.unsafe, *agent.others)))
-            out.say(f"velocity: {agent.velocity}")
+            show_table(_separations((*agent.unsafe, *agent.others)))
+            say(f"velocity: {agent.velocity}")
         else:
-            out.say("no unsafe set, no other agent")
+            say("no unsafe set, no other agent")
         shares = ", ".join(f"{mode} {share:.1%}" for mode, share in agent.usage.items() if share > 0)
-        out.say(f"share of time: {shares}; switches: {agent.switches}")
+        say(f"share of time: {shares}; switches: {agent.switches}")
         if agent.running_times is not None:
             mean, most, least = agent.running_times
-            out.say(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s")
+            say(f"decision: mean {mean:.3g} s, max {most:.3g} s, min {least:.3g} s")
     for note in found.notes:
-        out.say(f"note: {note}")
+        say(f"note: {note}")
 
 
 QUANTITIES = (("distance", "distance [m]"), ("ttc", "TTC, straight [s]"), ("drift_ttc", "TTC, drift [s]"))
@@ -66,13 +64,12 @@ LEGACY_FORMS = {
 }
 
 
-def show_legacy(found: Legacy, console: Console | None = None) -> None:
+def show_legacy(found: Legacy) -> None:
     """Print what RTAEval's methods return, in their order."""
-    out = Printout(console)
     for name, methods in found.items():
-        out.say(f"{name}: as RTAEval computes it, defects included", "bold")
+        say(f"{name}: as RTAEval computes it, defects included", "bold")
         rows = [(method, LEGACY_FORMS[method], Text(_shown(value))) for method, value in methods.items()]
-        out.table(table("method", "returns", "value", words=3, rows=rows))
+        show_table(table("method", "returns", "value", words=3, rows=rows))
 
 
 def _shown(value: Any) -> str:

@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
+from ...model.distances import stretches
 from ...runs.picture import Picture
 from ..scene import palette
-from ..scene.geometry import stretches
 from ..scene.palette import BLACK, GREEN, GREY, PILOTS, RED, mode_colour, shades, tint
 from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, step_edges
 
@@ -78,6 +78,7 @@ def _spent(ax: Any, picture: Picture) -> None:
 def _input(ax: Any, picture: Picture) -> None:
     """Input under Polaris: nominal run, band over all runs, limits shaded."""
     flights, limit = picture.flights["polaris"], picture.system.u_max
+    assert flights.input_range is not None  # known of controllers
     label, names = palette.input_labels(picture.system)
     same = bool(np.all(limit == limit[0]))
     scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)

@@ -7,11 +7,11 @@ from typing import Any
 from markupsafe import Markup
 
 from ...model.checks import counted
+from ...model.distances import stretches
 from ...runs.folder import RunFolder
 from ...runs.picture import Picture
 from ...runs.tables import besides
 from ...synthesis.recoverable import directed
-from ..scene.geometry import stretches
 from ..scene.palette import PILOTS, mode_colour
 from .page import Cell, Measure, Page, badge, macros, reading, table
 from .timelines import Flown, flight_data

@@ -22,7 +22,6 @@ from ...model.distances import UNKNOWN, signed_distances
 from ...model.obstacles import perceive
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
-from ...rta.arena import Shown
 from ...runs.picture import Picture
 from ...simulation.baselines import Flights
 from ...synthesis.recoverable import directed
@@ -44,7 +43,7 @@ class Flown(NamedTuple):
     key: str
     name: str
     look: dict[str, Any]
-    runs: Flights | Shown
+    runs: Flights
 
 
 def flight_data(
@@ -71,7 +70,7 @@ def flight_data(
             band = runs.nearest[[0, 2]][:, chosen]
             distances.append({"pilot": one.key, "runs": plain(found[:, chosen]), "band": plain(band)})
         spent.append({"pilot": one.key, "runs": plain(picture.velocity_change(runs)[:, chosen])})
-        span = runs.input_range[:, held] if isinstance(runs, Flights) else None
+        span = None if runs.input_range is None else runs.input_range[:, held]
         drawn.append((one.key, runs.inputs[:, held], span))
     bound = proven_distance(picture) if proved else None
     if bound is not None:

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ...model.shapes import Polytope
@@ -65,12 +65,6 @@ def gapped(lines: Iterable[Array], dim: int) -> Array:
     """Lines (N, dim) as one, with a gap after each."""
     gap = np.full((1, dim), np.nan)
     return np.vstack([gap[:0], *(part for line in lines for part in (line, gap))])
-
-
-def stretches(flags: ArrayLike) -> list[tuple[int, int]]:
-    """First and one-past-last index of every stretch of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=int), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def hull(points: Array) -> Shape | None:

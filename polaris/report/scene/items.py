@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.distances import stretches
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
 from ...model.satellite import SatelliteObstacle
 from ...model.shapes import Ball
 from ...model.system import Array
 from ...runs.picture import Picture
-from .geometry import Shape, flat_outline, gapped, stretches
+from .geometry import Shape, flat_outline, gapped
 from .space import Space
 
 if TYPE_CHECKING:
-    from ...rta.arena import Shown
     from ...simulation.baselines import Flights
 
 
@@ -106,7 +106,7 @@ class Scene:
         return [item for role in roles for item in self.items if item.role == role]
 
 
-def modes_per_node(runs: Flights | Shown) -> NDArray[np.int_]:
+def modes_per_node(runs: Flights) -> NDArray[np.int_]:
     """Who flies from each node to the next in every run, shape (r, N)."""
     if np.ndim(runs.modes) == 2:
         return np.asarray(runs.modes)
@@ -208,11 +208,8 @@ def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Arra
     times, path = picture.safe_path()
     if isinstance(obstacle, SatelliteObstacle) or not shape.bounded:  # by the facets that are seen edge on
         (timed,) = obstacle.timed_polytopes(system, picture.reference.delta, picture.planned)
-        cell = np.clip(times / picture.reference.delta, 0, picture.planned)
-        k = np.minimum(cell.astype(int), picture.planned - 1)
-        s = (cell - k)[:, None]
         rows = np.all(np.abs(np.delete(timed.normals, axes, axis=1)) < 1e-9, axis=1)
-        offsets = (timed.offsets[k, 0] * (1 - s) + timed.offsets[k, 1] * s)[:, rows]
+        offsets = timed.at(times, picture.reference.delta)[:, rows]
         return np.asarray((path @ timed.normals[rows].T - offsets).max(axis=1, initial=-np.inf))
     path = path - obstacle.centre(times, system)
     if isinstance(shape, Ball):

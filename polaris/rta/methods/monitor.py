@@ -41,7 +41,8 @@ class Monitor(Method):
     trust : {"declared", "thrust_limits"}
         What is assumed of U: by default nothing but the thrust limits, so that no fault of U can break the
         proof; ``declared``: its law (and its thrust limits where the law would clip). Controllers that may do
-        anything are always taken at the limits.
+        anything are always taken at the limits, and so is every one where faults are isolated late and a
+        decision lasts, with its latency, for more than a control period.
     dwell : int
         Decisions for which S keeps control once it has it.
     reentry : float
@@ -80,13 +81,16 @@ class Monitor(Method):
         self.settings = {"reentry": self.reentry, "dwell": float(self.dwell)}
         self.modes = tuple(range(1, len(grid.controllers)))  # who may fly beside S, in order of preference
         self.chosen = ""
-        self.recovery, self.trust = Recovery.certified(grid), trust
+        self.recovery = Recovery.certified(grid)
+        late = bool(grid.system.transients)  # then U may act on worse estimates until the answer takes effect
+        self.trust = "thrust_limits" if late and grid.nodes + grid.delay > 1 else trust
         # By controller (0: anything within the thrust limits) and by who flies until a decision takes effect.
         self.prospects: dict[tuple[int, int], Prospect] = {}
-        any_thrust, safe = Leg.any_thrust(self.recovery), Leg.declared(self.recovery, 0)
+        any_thrust = Leg.any_thrust(self.recovery)
+        safe = any_thrust if late else Leg.declared(self.recovery, 0)
         legs = {0: any_thrust}
         for mode, law in enumerate(grid.controllers):
-            if mode and trust == "declared" and isinstance(law, AffineController):
+            if mode and self.trust == "declared" and isinstance(law, AffineController):
                 legs[mode] = Leg.declared(self.recovery, mode)
         for mode, leg in legs.items():
             for flown, before in enumerate((safe, any_thrust)):

@@ -69,7 +69,9 @@ class BoxMotion:
 
     def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
         self.system, self.longest, self._grain = system, longest, TIME * period
-        self.most = system.u_max + system.thrusters.error(system.u_max)
+        wrong = (fault.wrong(system.thrusters) for fault in system.transients)
+        self.unasked = np.vstack([np.zeros((1, system.m)), *wrong]).max(axis=0)  # by faults not isolated yet
+        self.most = system.u_max + system.thrusters.error(system.u_max) + self.unasked
         one, two = (float(np.linalg.norm(power, 1)) for power in (system.A, system.A @ system.A))
         rate = max(sqrt(two), 1e-3 * one)  # norm(A^i) <= lead rate^i: two factors at a time
         lead = one / rate if one else 1.0
@@ -144,7 +146,7 @@ class BoxFilter:
             return
         system = self.motion.system
         most = np.minimum([bounds[1], -bounds[0]], system.u_max)  # of +u and of -u
-        given = (most + system.thrusters.error(most.max(axis=0))).ravel()
+        given = (most + system.thrusters.error(most.max(axis=0)) + self.motion.unasked).ravel()
         self._inputs = given if fresh else np.maximum(self._inputs, given)
 
     def reaches(self, t: float) -> bool:

@@ -150,6 +150,13 @@ class FlightLoop:
         u = np.clip(np.asarray(self.laws[0](self._told, self._x.copy()), dtype=float), -limit, limit)
         return Command(0, np.asarray(u), self._next())
 
+    def isolated(self) -> None:
+        """Say that a fault is isolated, or measurements come again: U flies by decisions on later ones alone.
+
+        S takes over where the permission in force ends, with the latency no later than the next decision.
+        """
+        self._waiting = []
+
     def _take_effect(self, t: float) -> None:
         while self._waiting and t >= self._waiting[0][0] - self._same:
             effect, answer = self._waiting.pop(0)

@@ -179,10 +179,10 @@ def make_cases(
     found: list[Case] = []
     for scenario in scenarios:
         loaded = load_scenario(scenario, only=ScheduleScenario) if isinstance(scenario, str) else scenario
-        loaded = loaded.with_assignments(overrides)
+        common = dict(map(parse_assignment, overrides))
         for combination in itertools.product(*values.values()):
             chosen = dict(zip(values, combination, strict=True))
-            text = loaded.with_overrides(chosen).text_elsewhere()
+            text = loaded.with_overrides({**common, **chosen}).text_elsewhere()  # some need each other
             found.append(Case(loaded.name, tuple(chosen.items()), text))
     if len({case.text for case in found}) < len(found) or not found:
         raise ScenarioError("scenarios", [case.label for case in found], "must be different cases")

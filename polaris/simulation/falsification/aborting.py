@@ -13,8 +13,9 @@ class Aborted:
 
     def __init__(self, schedule: Schedule, step: int, count: int, rng: np.random.Generator) -> None:
         self.schedule, self.step = schedule, step
-        self.attacker = Attacker.of(schedule.aborted(step), True, rng)
-        self.attack: Attack = self.attacker.worst(count)
+        failing = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
+        self.attacker = Attacker.of(schedule.aborted(step), True, rng, failing)
+        self.attack: Attack = self.attacker.failed(count) if failing else self.attacker.worst(count)
         self.runs: Runs = self.attack.fly(self.attacker.flight)
 
     def exceeded(self) -> tuple[str, float, float, Attack]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
+from ..delayed import flight_of
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
 from ..failing import Failing, drawn
 from ..integration import Integrator
@@ -70,7 +71,7 @@ class Attacker:
     def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
         """With S's flight after T or without, one integration step per node."""
         claims = Claims(schedule, tail, failing)
-        return cls(claims, Integrator(schedule, claims.modes, 1), rng)
+        return cls(claims, flight_of(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:
         """Random disturbances from random states and corners; inputs at random, most of them bang-bang."""
@@ -144,6 +145,27 @@ class Attacker:
         per_step = np.repeat(clipped.swapaxes(0, 1), self.flight.substeps, axis=0)
         return self._towards(rows[:count], step[:count], per_step[:, :count], runs.states[:count])
 
+    def spending(self, count: int, rounds: int = 6) -> Attack:
+        """The worst case, to first order, for the velocity change: its signs are those of the flight before.
+
+        At first thrust changes its sign after periods of all lengths, or as in flights by chance.
+        """
+        flight, (steps, m) = self.flight, (self.flight.steps, self.flight.system.m)
+        runs = self.random(count).fly(flight)
+        half = np.exp(self.rng.uniform(0, np.log(max(steps / 4, 2)), count)).astype(int)[None, :, None]
+        waves = (np.arange(steps)[:, None, None] + self.rng.integers(0, 2 * half, (1, count, m))) // half % 2
+        at = np.arange(count) % 2 == 0
+        for number in range(rounds):
+            inputs = np.repeat(runs.inputs.swapaxes(0, 1), flight.substeps, axis=0)
+            signs = (
+                np.where(at[:, None], 2.0 * waves - 1, np.sign(inputs)) if number == 0 else np.sign(inputs)
+            )
+            clipped = np.abs(inputs) >= flight.system.u_max * (1 - 1e-12)
+            rows, targets = np.zeros_like(runs.states[:, 0]), np.full(count, steps)
+            found = self._towards(rows, targets, clipped, runs.states, signs)
+            runs = found.fly(flight)
+        return found
+
     def mutate(self, elites: Attack, count: int) -> Attack:
         """Elites changed a little: a stretch of their disturbance from elsewhere, a corner flipped."""
         parents = elites.pick(self.rng.integers(0, len(elites.x0), count))
@@ -168,8 +190,9 @@ class Attacker:
         targets: NDArray[np.int_],
         clipped: NDArray[np.bool_] | None = None,
         about: Array | None = None,
+        spends: Array | None = None,
     ) -> Attack:
-        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped, about)
+        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped, about, spends)
         return Attack(self.flight.schedule.safety.problem.initial_set.support_vector(adjoint), w, free)
 
     def _row(self, limit: int, x: Array, node: int) -> Array:

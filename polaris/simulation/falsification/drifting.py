@@ -7,7 +7,6 @@ from scipy.linalg import expm
 from reach.numerics.linear import powers
 
 from ...model.system import Array, LinearSystem
-from ...model.timed_polytope import TimedPolytope
 from ...synthesis.passive import PassiveSafety
 from ..run_metrics import Runs
 
@@ -35,19 +34,12 @@ def least_distances(
     position = flight.system.position @ moved
     place = np.einsum("jdn,sn->sjd", position, runs.states[run, node])
     for o, item in enumerate(flight.sets):
-        offsets = _offsets(item, node[:, None] * h + ahead, flight.delta)
+        offsets = item.at(node[:, None] * h + ahead, flight.delta)
         pushed = _pushes(flight.system, item.normals, position, ahead)
         best = (place @ item.normals.T - offsets).argmax(axis=-1)
         hit = place + pushed[best, np.arange(len(ahead))]
         out[:, o] = (hit @ item.normals.T - offsets).max(axis=-1).min(axis=1)
     return out, run, np.asarray(node * h, dtype=float)
-
-
-def _offsets(item: TimedPolytope, times: Array, delta: float) -> Array:
-    """Offsets of a polytope at some times, shape (..., F)."""
-    cell = np.minimum((times / delta * (1 + 1e-12)).astype(int), item.cells - 1)
-    share = (times / delta - cell)[..., None]
-    return np.asarray(item.offsets[cell, 0] * (1 - share) + item.offsets[cell, 1] * share)
 
 
 def _pushes(system: LinearSystem, normals: Array, position: Array, ahead: Array) -> Array:

@@ -13,7 +13,7 @@ from ...synthesis.schedule import Schedule
 from ..run_metrics import Runs
 from .aborting import Aborted
 from .attacks import Attack, Attacker
-from .claims import EXACT_M, Attained, Claims, attained
+from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 from .drifting import least_distances
 from .violations import Failure, Found, broken, confirm
 
@@ -35,7 +35,7 @@ TAIL_EVERY = 8
 SMALLEST = 50
 """Fewest runs in a batch, but for the last."""
 
-ROUND = ("worst", "again", "again", "mutate", "mutate", "random")
+ROUND = ("worst", "again", "again", "mutate", "mutate", "random", "spending")
 """One round of the search, a batch each."""
 
 
@@ -75,6 +75,8 @@ class Falsification:
     failure: Failure | None
     case: tuple[Attack, bool, int] | None
     abort: int | None = None
+    spent: float = 0.0
+    """Largest velocity change until T [m/s]; what is proven of it is `Schedule.delta_v`."""
 
     @property
     def ratio(self) -> Array:
@@ -91,6 +93,8 @@ class Falsification:
             "guarantee": self.schedule.guarantee,
             "violated": self.failure is not None,
             "failure": None if self.failure is None else vars(self.failure),
+            "delta_v_m_s": self.spent,
+            "delta_v_proven_m_s": self.schedule.delta_v[1],
             "limits": [
                 {"limit": name, "least": least, "proven": proven, "proven_share": share, "time_s": at}
                 for name, least, proven, share, at in zip(
@@ -143,6 +147,7 @@ class _Search:
         ways = () if schedule.powered is None else schedule.powered.ways
         self.aborts = [k for k, way in enumerate(ways) if way.branch is not None]
         self.abort: int | None = None
+        self.spent = 0.0
 
     def run(self, progress: Callable[[int, int], None] | None) -> Falsification:
         begun = time.perf_counter()
@@ -166,6 +171,7 @@ class _Search:
             found = self._record(attacker.claims, attack, measured)
             found = found if found or attacker is self.failing else self._stopped(attack, flown)
             if attacker is self.main:
+                found = found or self._overspent(attack, flown)
                 self.last = flown, measured
                 self._keep(attack, measured)
             if progress:
@@ -173,7 +179,7 @@ class _Search:
         failure, case = found or (None, None)
         names, spent = self.main.claims.names, time.perf_counter() - begun
         limits = names, self.least, self.proven, self.at
-        return Falsification(self.schedule, *limits, self.flown, spent, failure, case, self.abort)
+        return Falsification(self.schedule, *limits, self.flown, spent, failure, case, self.abort, self.spent)
 
     def _attack(self, attacker: Attacker, kind: str, count: int) -> Attack:
         if attacker is self.main:
@@ -181,8 +187,8 @@ class _Search:
                 return attacker.again(*self.last, count)
             if kind == "mutate":
                 return attacker.mutate(Attack.join([pool for pool, _ in self.elites.values()]), count)
-            if kind == "random":
-                return attacker.random(count)
+            if kind in ("random", "spending"):
+                return attacker.random(count) if kind == "random" else attacker.spending(count)
         return attacker.failed(count) if attacker is self.failing else attacker.worst(count)
 
     def _record(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
@@ -207,7 +213,7 @@ class _Search:
         """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
         tried = Aborted(self.schedule, int(self.main.rng.choice(self.aborts)), count, self.main.rng)
         claims = tried.attacker.claims
-        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs))
+        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs, tried.attack.failing))
         limit, when, margin, attack = tried.exceeded()
         if found is None and margin < -EXACT_M:
             found = Failure("abort", limit, when, margin, 0.0), (attack, True, 1)
@@ -227,6 +233,17 @@ class _Search:
             return None
         failure = Failure("drift", passive.flight.sets[o].name, float(when[stop]), least, passive.least)
         return failure, (attack.pick(run[[stop]]), False, 1)
+
+    def _overspent(self, attack: Attack, flown: Runs) -> Found | None:
+        """The worst violation of what is claimed of the velocity change until T."""
+        run, (_, most) = int(np.argmax(flown.delta_v)), self.schedule.delta_v
+        self.spent = max(self.spent, found := float(flown.delta_v[run]))
+        sampled = self.schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
+        if not sampled or self.schedule.guarantee != "proved" or found <= most * (1 + EXACT_INPUT):
+            return None
+        end = float(self.schedule.times[-1])
+        failure = Failure("velocity change", "the bound until T", end, most - found, most)
+        return failure, (attack.pick(np.array([run])), False, 1)
 
     def _keep(self, attack: Attack, measured: Attained) -> None:
         """Keep the best attacks on every limit."""

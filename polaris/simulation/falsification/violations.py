@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from ...synthesis.recoverable import directed
-from ..integration import Integrator
+from ..delayed import flight_of
 from .attacks import Attack
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 
 KINDS = ("unsafe set", "saturation", "margin")
-"""Kinds of violation while it is flown, the gravest first; besides, those of the drift and of an abort."""
+"""Kinds of violation while it is flown, the gravest first; then those of drift, abort and velocity change."""
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,10 @@ class Failure:
 
     Attributes
     ----------
-    kind : {"unsafe set", "saturation", "margin", "drift", "abort"}
+    kind : {"unsafe set", "saturation", "margin", "drift", "abort", "velocity change"}
         A timed polytope was entered; S asked for more thrust than there is; a run came closer than proven; so
-        did the drift of one in which all thrust stopped; an aborted one missed its orbit, or spent more.
+        did the drift of one in which all thrust stopped; an aborted one missed its orbit, or spent more; one
+        spent more until T.
     limit : str
         Which unsafe set or input.
     time_s : float
@@ -47,6 +48,7 @@ class Failure:
             "unsafe set": f"{self.limit} is entered",
             "saturation": f"S asks for more {self.limit} than there is",
             "margin": f"the margin to {self.limit} is below the proven one",
+            "velocity change": f"the velocity change exceeds {self.limit}",
             "abort": f"an aborted flight exceeds its {self.limit}",
             "drift": f"the drift after all thrust stops comes closer to {self.limit} than proven",
         }[self.kind]
@@ -88,6 +90,6 @@ def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | Non
     substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
     free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
     finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
-    flight = Integrator(claims.schedule, claims.modes, substeps)
+    flight = flight_of(claims.schedule, claims.modes, substeps)
     failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
     return None if failure is None else (failure, finer, substeps)

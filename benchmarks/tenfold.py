@@ -1,0 +1,135 @@
+"""Each error of the flight hardware alone, up to ten times the size that missions ask for.
+
+    python -m benchmarks.tenfold                          print the table of docs/tradeoff.md (hours)
+    python -m benchmarks.tenfold --write                  and put it into the page
+    python -m benchmarks.tenfold static --only mass --times 10
+
+For each scene, error and size a run folder is written under `--out`. At the largest size its certificate is
+checked, and a search for runs that break a claim flies `--attacks` trajectories. What has been found is kept
+in `tenfold.json` there: a command that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from docs.generate.method_docs import PAGE, put
+from polaris.certificate.checker import verify
+from polaris.model.errors import NotCertified, SynthesisInfeasible
+from polaris.runs.schedule import fly_schedule, write_run
+from polaris.runs.stages import Stages
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.search import falsify
+
+SCENES = ("static", "dynamic", "keep_out", "hold_point")
+TIMES = (1.0, 2.0, 5.0, 10.0)
+NAME, TRADEOFFS = "tenfold", PAGE.with_name("tradeoff.md")
+
+ERRORS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
+    "navigation": ({"navigation.position_error_m": 0.05, "navigation.velocity_error_m_s": 0.002}, ()),
+    "delay": ({"timing.delay_s": 2.0}, ()),
+    "bit, carried": ({"thrusters.impulse_bit_N_s": 0.005}, ("thrusters.remainder=carried",)),
+    "bit, dropped": ({"thrusters.impulse_bit_N_s": 0.005}, ()),
+    "magnitude": ({"thrusters.magnitude_error": 0.05}, ()),
+    "misalignment": ({"thrusters.misalignment_deg": 2.0}, ()),
+    "mass": ({"thrusters.mass_error": 0.03}, ()),
+}
+"""Once the size of each error, and what is set besides."""
+MOST = {"thrusters.magnitude_error": 0.49}
+"""What is more is refused: errors of the magnitude stay below a half."""
+CHEAP = ("schedule.bound_programs=0", "simulation.runs=20")
+"""Without a bound on other schedules, and with few of the runs that only illustrate."""
+
+Found = dict[str, Any]  # of one scene, error and size; strict JSON
+
+
+def settings(error: str, times: float) -> list[str]:
+    """What a scene is run with."""
+    sizes, besides = ERRORS[error]
+    scaled = [f"{key}={min(size * times, MOST.get(key, size * times)):g}" for key, size in sizes.items()]
+    return [*scaled, *besides, *CHEAP]
+
+
+def judged(scene: str, error: str, times: float, attacks: int, out: Path) -> Found:
+    """Share of U and velocity change, with attacks what they and the checker say; or why there is none."""
+    scenario = load_scenario(scene, settings(error, times))
+    try:
+        flown = fly_schedule(scenario, Stages())
+    except (SynthesisInfeasible, NotCertified) as none:
+        return {"reason": str(none), "exit_code": none.exit_code}
+    folder = out / f"{scene}-{error.replace(', ', '-')}-{times:g}"
+    told = write_run(folder, scenario, flown.schedule, flown.flown).summary
+    found = {"share": told["synthesis"]["experimental_share"], "delta_v_m_s": told["polaris"]["delta_v_m_s"]}
+    found |= {"goal": told["guarantee"]["goal"]["reached"]}
+    if attacks:
+        found |= {"outcome": verify(folder).outcome, "attacks": falsify(flown.schedule, attacks).summary()}
+    return found
+
+
+def cell(found: Found) -> str:
+    """The share of U, and what is not as it should be."""
+    if "reason" in found:
+        return f"none ({found['exit_code']})"
+    wrong = [] if found.get("outcome", "VERIFIED") == "VERIFIED" else [found["outcome"]]
+    wrong += [] if found["goal"] is True else ["goal not proven"]
+    return ", ".join([f"{100 * found['share']:.1f}", *wrong])
+
+
+def table(
+    found: Mapping[str, Found], scenes: Sequence[str], errors: Sequence[str], times: Sequence[float]
+) -> str:
+    """A row for each scene and error of which all sizes are known."""
+    sizes = " | ".join("once" if size == 1 else f"{size:g} times" for size in times)
+    lines = [f"| Scene | Error | {sizes} | velocity change, m/s | attacked | proven/least |"]
+    lines.append("|---" * (len(times) + 5) + "|")
+    for scene in scenes:
+        for error in errors:
+            row = [found[name] for size in times if (name := f"{scene}, {error}, {size:g}") in found]
+            if len(row) < len(times):
+                continue
+            ends = (one for one in (row[0], *row[1:][-1:]) if "reason" not in one)
+            spent = " to ".join(f"{one['delta_v_m_s']:.2f}" for one in ends) or "-"
+            attack = row[-1].get("attacks")
+            said = ["-", "-"]
+            if attack is not None:
+                ratio = [limit["proven_share"] for limit in attack["limits"] if limit["proven_share"]]
+                flights = f"{attack['runs']:,}: {'violated' if attack['violated'] else 'none violates'}"
+                said = [flights, f"{100 * min(ratio, default=0):.0f} to {100 * max(ratio, default=0):.0f} %"]
+            lines.append(f"| {' | '.join([f'`{scene}`', error, *map(cell, row), spent, *said])} |")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
+    parser.add_argument("--only", choices=ERRORS, action="append", help="errors, by default all")
+    parser.add_argument("--times", type=float, nargs="+", default=TIMES, help="sizes, in ascending order")
+    parser.add_argument("--attacks", type=int, default=2000, help="trajectories at the largest size")
+    parser.add_argument("--out", type=Path, default=Path("runs/tenfold"))
+    parser.add_argument("--kept", action="store_true", help="tell what has been found, and compute nothing")
+    parser.add_argument("--write", action="store_true", help="put the table into the page")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    kept, errors = given.out / "tenfold.json", given.only or list(ERRORS)
+    found: dict[str, Found] = json.loads(kept.read_text()) if kept.is_file() else {}
+    for size in () if given.kept else reversed(given.times):
+        attacks = given.attacks if size == given.times[-1] else 0
+        for scene in given.scenes:
+            for error in errors:
+                name = f"{scene}, {error}, {size:g}"
+                if name not in found or attacks > found[name].get("attacks", {"runs": attacks})["runs"]:
+                    found[name] = judged(scene, error, size, attacks, given.out)
+                    kept.write_text(json.dumps(found, indent=1))
+                print(f"{name}: {cell(found[name])}", flush=True)
+    told = table(found, given.scenes, errors, given.times)
+    print(f"\n{told}")
+    if given.write:
+        TRADEOFFS.write_text(put(TRADEOFFS.read_text(encoding="utf-8"), NAME, told), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""Which of the errors that a scenario declares stand in the way of a safe reference, and by how much."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from ..scenario.scenario import ScheduleScenario
+from ..synthesis.get_safety import find_safety
+
+TABLES = ("navigation", "thrusters", "timing", "chaser")
+OTHERS = ("from_s", "within_m", "directions", "thrust_max_N", "matrix")
+"""Numbers in these tables that are no errors."""
+SHARES = tuple(2 ** (-i / 4) for i in range(81))
+"""Of a bound, with which a safe reference is looked for: from all of it to a millionth."""
+
+Bounds = Mapping[str, Any]  # numbers, or lists of them, by their keys in the scenario
+
+
+def naming_errors(error: SynthesisInfeasible, scenario: ScheduleScenario) -> SynthesisInfeasible:
+    """The same, told to what each declared bound must be lowered alone, or all of them together."""
+    data = scenario.to_dict()
+    bounds = {key: value for table in TABLES for key, value in _bounds(table, data.get(table))}
+    if not bounds or not _found(scenario, bounds, SHARES[-1]):
+        return error
+    ways = [_lowered(scenario, {key: value}) for key, value in bounds.items()]
+    told = [way for way in ways if way] or [_lowered(scenario, bounds)]
+    relax = (
+        f"{error.relax.rstrip('.')}; or declare {', or '.join(told)}: with that a safe reference is found."
+    )
+    return SynthesisInfeasible(error.condition, error.shortfall, relax)
+
+
+def _bounds(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Errors that are not zero in a part of the scenario."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from () if name in OTHERS else _bounds(f"{key}.{name}", part)
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for i, part in enumerate(value):
+            yield from _bounds(f"{key}[{i}]", part)
+    elif not isinstance(value, str) and any(value if isinstance(value, list) else [value]):
+        yield key, value
+
+
+def _less(value: Any, share: float) -> Any:
+    """A share of a bound, rounded down to two digits; whole numbers stay whole."""
+    if isinstance(value, list):
+        return [_less(one, share) for one in value]
+    if isinstance(value, int) or not value:
+        return int(value * share)
+    unit = 10.0 ** (math.floor(math.log10(value * share)) - 1)
+    return float(f"{math.floor(value * share / unit) * unit:.2g}")
+
+
+def _found(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
+    """Whether a safe reference is found with a share of some bounds."""
+    less = {key: _less(value, share) for key, value in bounds.items()}
+    try:
+        find_safety(scenario.with_overrides(less).problem())
+    except (SynthesisInfeasible, NotCertified, ScenarioError):
+        return False
+    return True
+
+
+def _lowered(scenario: ScheduleScenario, bounds: Bounds) -> str:
+    """With how much of some bounds a safe reference is found, the most that was; "" if with none."""
+    if not _found(scenario, bounds, SHARES[-1]):
+        return ""
+    none, some = 0, len(SHARES) - 1
+    while some - none > 1:
+        tried = (none + some) // 2
+        none, some = (none, tried) if _found(scenario, bounds, SHARES[tried]) else (tried, some)
+    return " and ".join(
+        f"{key} = {_less(value, SHARES[some])} (not {value})" for key, value in bounds.items()
+    )

@@ -1,0 +1,88 @@
+"""Bounds on the velocity change: of linear loops all at once, attacked, and derived alike twice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.falsification.attacks import Attacker
+from polaris.simulation.falsification.search import falsify
+from polaris.synthesis import spending
+from polaris.synthesis.spending import Spell, peak, spent, together
+from polaris.synthesis.synthesize import synthesize
+
+from ..kept import kept
+from .tiny import TINY
+
+SAMPLED = ["feedback.kind=sampled", "feedback.period_s=0.25"]
+NOISY = [*SAMPLED, "navigation.state_error=[0.01, 0.01, 0.005, 0.005]"]
+WEAK = [*SAMPLED, "thrusters.magnitude_error=0.03", "thrusters.impulse_bit_N_s=0.002"]
+CARRIED = [*WEAK, "thrusters.remainder=carried"]
+
+
+def tiny(*more):
+    """The schedule of the tiny scene with overrides."""
+    return kept("-".join(["tiny", *more]), lambda: synthesize(load_scenario(TINY).with_assignments(more)))
+
+
+def responses(seed):
+    """Impulse responses of loops, well damped or not, and noise."""
+    rng = np.random.default_rng(seed)
+    pole = rng.uniform(0.5, 0.99) * np.exp(1j * rng.uniform(0, np.pi))
+    ring = np.real(rng.normal() * pole ** np.arange(1, int(rng.integers(2, 400))))
+    return np.append(1.0, ring) if seed % 2 else np.append(ring, rng.normal(size=5))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_frequency_exceeds_the_peak_of_a_response(seed):
+    """Whatever lies between the frequencies looked at; it is a few per cent above, and in balls the same."""
+    response = responses(seed)
+    most = np.abs(np.fft.rfft(response, 1 << 16)).max()
+    assert most <= peak(response) <= 1.2 * most
+    flint = pytest.importorskip("flint")
+    checked = pytest.importorskip("polaris.certificate.spending")
+    found = checked.peak([flint.arb(x) for x in response])
+    assert float(found.mid()) == pytest.approx(peak(response), rel=1e-9)
+
+
+@pytest.mark.parametrize("errors", [SAMPLED, NOISY, WEAK, CARRIED], ids=["none", "estimate", "made", "left"])
+def test_the_worst_flights_spend_most_of_what_is_proven(errors):
+    schedule = tiny(*errors)
+    attacker = Attacker.of(schedule, False, np.random.default_rng(1))
+    most = float(attacker.spending(20).fly(attacker.flight).delta_v.max())
+    by_chance = float(attacker.random(20).fly(attacker.flight).delta_v.max())
+    assert by_chance < most <= schedule.delta_v[1] * (1 + 1e-9)
+    assert most > 0.6 * schedule.delta_v[1]
+
+
+def test_periods_cannot_all_be_the_worst():
+    """The bound of linear steps is less than the sum of its periods', where errors are renewed."""
+    schedule = tiny(*NOISY)
+    scale = schedule.safety.tracking.flow.h / schedule.safety.problem.system.mass
+    spells = [Spell.of(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps]
+    apart = sum(spell.most.sum() for spell in spells) * scale
+    assert schedule.delta_v[1] < 0.9 * apart
+    run = [spell for spell in spells if spell.law is spells[0].law and spell.errors]
+    assert together(run, 7) <= together(run, 8) and spent(run, 0) == 0
+
+
+def test_a_bound_that_is_too_small_is_found_out(monkeypatch):
+    """Errors that are left out of the bound are flown all the same."""
+    schedule = tiny(*NOISY)
+    assert falsify(schedule, 700, seed=3).failure is None
+    without = replace(schedule)  # nothing of what was worked out
+    monkeypatch.setattr(spending, "together", lambda run, count: sum(s.middle.sum() for s in run))
+    failure = falsify(without, 700, seed=3).failure
+    assert failure.kind == "velocity change" and "velocity change" in str(failure)
+
+
+@pytest.mark.slow
+def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_all():
+    """One scene of the table in docs/guarantees.md; the others give the rest of its figures."""
+    from benchmarks import tightness
+
+    told = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
+    page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN)[1].split(tightness.END)[0]
+    assert [row.split("|")[1] for row in page.splitlines()[2:]] == [cells[0] for cells in told]
+    assert all(float(cell.strip(" %")) <= 100 for cells in told for cell in cells[3:])
