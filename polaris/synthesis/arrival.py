@@ -170,18 +170,18 @@ def _needs(
     pushed = tracking.responses(rows, last)
     late = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
     always = pushed[-1] + late * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
-    settled = always
+    settled, twice, hidden = always, 1.0, tracking.system.timing.hidden
     if tracking.profile is not None:
-        older = tracking.late(rows, tracking.caused(tracking.profile)[0])[0]
+        older, twice = tracking.late(rows, tracking.caused(tracking.profile)[0])[0], tracking.decay[-1]
         always, settled = always + older, settled - pushed[-1] + older + _settled(tracking, rows)
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
         lag = since + np.arange(nodes)
-        near, gone = np.minimum(lag, last), (lag > last)[:, None]
+        near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > 2 * last + hidden)[:, None]
         centre = np.where(gone, 0.0, (carried @ z.c)[near])
         spread = np.abs(carried @ z.G).sum(axis=-1)[near]
-        now = np.where((lag > 2 * last + tracking.system.timing.hidden)[:, None], settled, always)
-        forgotten = late * float(z.norm_bound(tracking.W)) + now
+        once = late * float(z.norm_bound(tracking.W))
+        forgotten = np.where(far, once * twice + settled, once + always)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     away = np.abs(rows) @ tracking.system.displaced_at_nodes
     need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away

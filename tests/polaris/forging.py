@@ -264,9 +264,9 @@ def forgeries(data, at, value, share):
         yield "a number", 1.0
         yield "no text", ""
     elif isinstance(value, list):
-        yield "emptied", []
         yield "a number", 1
         if value:
+            yield "emptied", []
             yield "last dropped", value[:-1]
             yield "first dropped", value[1:]
             yield "last repeated", [*value, value[-1]]
