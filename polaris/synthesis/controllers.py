@@ -114,7 +114,7 @@ class AffineController(AffineLaw):
         most = LEVELS[0] * self.system.u_max
         while True:
             tube, commanded = here._like(most=most)._flown(start, k)
-            if tube.refused or np.all(commanded <= most):
+            if np.all(commanded <= most):
                 return tube
             above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
             most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)

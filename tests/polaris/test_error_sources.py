@@ -37,6 +37,7 @@ from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
 
 from ..kept import ROOT, kept
 from .closed_loops import attack, attack_monitor
@@ -242,6 +243,16 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     least, most = (replace(law, most=share * law.system.u_max, _relaxed={}) for share in (1e-9, 1.0))
     sizes = [tube.end.half_widths for tube in (least._flown(start, 0)[0], told, most._flown(start, 0)[0])]
     assert np.all(sizes[0] <= sizes[1] + 1e-12) and np.all(sizes[1] <= sizes[2] + 1e-12)
+
+
+def test_s_has_the_errors_of_all_that_it_may_command_where_its_tube_is_wide():
+    """That a wide tube's bound on commands exceeds the limits refuses U; S flies on, with errors as large."""
+    schedule = synthesize(load_scenario(TINY).with_assignments(["thrusters.magnitude_error=0.1"]))
+    law, start = schedule.safety.controller, schedule.safety.start
+    wide = Zonotope(start.c, 100 * np.eye(len(start.c)))
+    widest, _ = law._like(most=law.system.u_max)._flown(wide, 0)
+    assert widest.refused
+    assert np.array_equal(law.fly(wide, 0).nodes.half_widths, widest.nodes.half_widths)
 
 
 def test_a_profile_allows_for_the_errors_of_its_own_commands():
