@@ -31,8 +31,8 @@ from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
-GUESSES, ROUNDS = 3, 5
-"""How often a period's commands are guessed before the limits are taken, and a clip's range is narrowed."""
+GUESSES, ROUNDS = (1e-3, 4e-3, 2e-2), 5
+"""How much more than found is guessed of a period's commands, in turn; how often a clip's range is narrowed."""
 GUESSED = "safety", "affine", "saturated_affine"  # kinds of laws of which they are
 
 
@@ -152,9 +152,9 @@ class Pilot:
             error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
             return Period(plant.loop(-K), plant.B * (c - u), push, error, most)
         found = self.clipped(command_ranges(u, d.through(self.commands).tops()))
-        for _ in range(GUESSES if plant.thrusters else 0):
+        for more in GUESSES if plant.thrusters else ():
             guess = [
-                smallest((top, 1.02 * x.upper() + 1e-3 * top))
+                smallest((top, x.upper() * (1 + more) + top * more / 20))
                 for top, x in zip(plant.u_max, found, strict=True)
             ]
             period, found = self._under(guess, d, u, k, i)
