@@ -32,7 +32,7 @@ from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
 GUESSES, ROUNDS = (1e-3, 4e-3, 2e-2), 5
-"""How much more than found is guessed of a period's commands, in turn; how often a clip's range is narrowed."""
+"""How much more than found is guessed of commands of a period, in turn; rounds that narrow a clip's range."""
 GUESSED = "safety", "affine", "saturated_affine"  # kinds of laws of which they are
 
 
