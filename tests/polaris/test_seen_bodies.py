@@ -373,9 +373,9 @@ def test_a_certificate_that_lies_alone_is_whole_about_bodies(change, made):
 
 def test_bodies_that_are_altered_in_certificate_and_scenario_alike_are_refused(made, tmp_path):
     """Then the unsafe set is another; where that is altered too, what the network does is."""
-    text = (made.path / "scenario.toml").read_text(encoding="utf-8")
-    assert "state = [9.0, -2.0" in text
-    moved = text.replace("state = [9.0, -2.0", "state = [9.5, -2.0").encode()
+    scenario = tomllib.loads((made.path / "scenario.toml").read_text(encoding="utf-8"))
+    scenario["obstacles"][-1]["state"][0] += 0.5
+    moved = write_toml(scenario).encode()
     verdict = forged(made.path, tmp_path / "forged", _path, [("scenario.toml", moved)])
     assert verdict.outcome == "REJECTED" and verdict.claim == "unsafe_sets", verdict.text()
 
