@@ -162,10 +162,10 @@ def design(system: LinearSystem, measures: Array, noise: Array, h: float, missed
     covariance = np.diag((noise * SCATTER) ** 2)
     try:
         P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
+        steady = Observer(measures, noise, _kalman(P, measures, covariance))
     except (np.linalg.LinAlgError, ValueError) as error:
         rule = f"must see every motion that does not decay: there is no steady gain ({error})"
         raise ScenarioError("navigation.measurement", measures.tolist(), rule) from error
-    steady = Observer(measures, noise, _kalman(P, measures, covariance))
     if not missed:
         return steady
     loop, prompt, later = steady.rest @ step, [], []

@@ -21,6 +21,7 @@ class Transient:
     gains: NDArray[np.float64]  # largest sizes of the entries of all experimental controllers' gains, (m, n)
     asked: bool = False  # whether black boxes fly, whose answers may be any
     networks: NDArray[np.float64] | None = None  # the same of networks: how steep they are in the state
+    after: float = 0.0  # so much longer [s] decisions on predictions go on that did not know of it
     unseen: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost
 
     @property

@@ -105,7 +105,7 @@ class DecisionGrid:
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
             q = per_step * nodes
-        system = _judged(known.system, (nodes - 1) * known.flow.h, nodes + delay)
+        system = _judged(known.system, nodes, delay, known.flow.h)
         tracking = Tracking(system, known.gain, Feedback(q, feedback.sampled), delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
@@ -241,16 +241,18 @@ def _at_nodes(arcs: Array) -> Array:
     return np.concatenate([arcs[:, :-1].reshape(-1, *arcs.shape[2:]), arcs[-1, -1:]])
 
 
-def _judged(system: LinearSystem, wait: float, unseen: int) -> LinearSystem:
-    """Faults as decisions meet them: `wait` [s] until one takes effect, after so many periods unseen."""
+def _judged(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSystem:
+    """Faults as decisions of so many periods of h [s] meet them, which take effect `delay` periods late."""
     if not (faults := system.transients):
         return system
     if system.observer is not None:
         rule = "isolated late are not covered by run-time methods where an observer makes the estimates"
         raise ScenarioError("faults", faults[0].name, rule)
+    wait, after = h * (nodes - 1), h * delay * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
-    met = (replace(fault, lasts=x, unseen=unseen) for fault, x in zip(faults, lasts, strict=True))
-    return replace(system, transients=tuple(met))
+    met = zip(faults, lasts, strict=True)
+    known = (replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in met)
+    return replace(system, transients=tuple(known))
 
 
 def _parts(name: str, whole: float, part: float, rule: str) -> int:

@@ -193,9 +193,16 @@ class Tracking:
     def upsets(self) -> Array:
         """Boxes of states, one of which holds what a fault that is isolated late has added, shape (J, n)."""
         system, h, found = self.system, self.flow.h, [np.zeros((0, self.system.n))]
-        for fault, off in zip(system.transients, self.misled, strict=True):
-            pushed = moved(system, fault, self.gain, h, off[:, 0])
-            found.append(pushed if len(fault.thrust) else lost(system, fault, h, self.left))
+        try:
+            with np.errstate(over="raise", invalid="raise"):
+                for fault, off in zip(system.transients, self.misled, strict=True):
+                    if len(fault.thrust):
+                        found.append(moved(system, fault, self.gain, h, off[:, 0]))
+                    else:
+                        found.append(lost(system, fault, h, self.left))
+        except (ReachError, FloatingPointError) as error:
+            told = [(fault.name, fault.lasts) for fault in system.transients]
+            raise ScenarioError("faults", told, "isolated so late are bounded by nothing") from error
         return np.vstack(found)
 
     def left(self, rows: Array, boxes: Array) -> Array:

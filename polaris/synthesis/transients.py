@@ -30,10 +30,12 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float, off: Ar
     found, later = _spread(system, fault.lasts, h, most, given), h * (ceil(fault.lasts / h * (1 - WHOLE)) - 1)
     if later > 0 and (fault.asked or fault.networks is not None):
         found = found + _spread(system, later, h, most, (2 * system.u_max[None], 0 * off[:1]))
-    if fault.networks is None or fault.asked:
-        return found
-    steep = np.maximum(most, fault.networks)
-    return np.asarray(np.minimum(found, _spread(system, fault.lasts, h, steep, given)))
+    if fault.networks is not None and not fault.asked:
+        steep = np.maximum(most, fault.networks)
+        found = np.minimum(found, _spread(system, fault.lasts, h, steep, given))
+    if fault.after > 0:  # meanwhile nobody's answer counts
+        found = np.maximum(found, _spread(system, fault.lasts + fault.after, h, 0 * most, given))
+    return np.asarray(found)
 
 
 def hidden(system: LinearSystem, gain: Array, h: float) -> Array:

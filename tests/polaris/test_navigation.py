@@ -43,6 +43,7 @@ PHASED = (
     " {from_s=8.5, state_error=[0.006, 0.0, 0.003, 0.003]}]",
 )
 FIRST = "navigation.measurement.initial={state_error=[0.03, 0.03, 0.01, 0.01]}"
+EXACT = MEASURED[0], "navigation.measurement.error=[1e-300, 1e-300]"
 SMALL = "navigation.measurement.error=[0.002, 0.002]"
 RANGED = (
     "navigation.state_error=[0.01, 0.01, 0.004, 0.004]",
@@ -219,6 +220,7 @@ def test_without_phases_everything_is_as_it_was():
         ((MEASURED[0], "navigation.measurement.error=[0.1]"), "navigation.measurement.error"),
         ((*MEASURED, "feedback={kind='continuous'}"), "navigation.measurement"),
         ((*MEASURED, "timing.missed_periods=21"), "timing.missed_periods"),
+        ((*EXACT, "system.disturbance_max=0.0"), "navigation.measurement"),
         (("navigation.measurement.position_error_m=0.1",), "navigation.measurement.position_error_m"),
         (("navigation.measurement.matrix=[[0,0,1,0]]", "navigation.measurement.error=[0.1]"), "navigation"),
         (("navigation.measurement.matrix=[[1,0]]", "navigation.measurement.error=[0.1]"), "navigation"),

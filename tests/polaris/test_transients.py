@@ -295,6 +295,17 @@ def test_bad_tables_are_refused_by_name(fault):
     assert error.value.field.startswith("faults")
 
 
+@pytest.mark.parametrize(
+    "late", ['kind="loss",share=0.1,isolation_s=1e3', 'kind="navigation_lost",lasts_s=1e4']
+)
+def test_what_nothing_bounds_is_refused_by_name(late):
+    """Numbers go beyond floating point: of what a fault does until then, or of a prediction."""
+    unstable = "system.A=[[0,0,1,0],[0,0,0,1],[0,0,0.2,0],[0,0,0,0.2]]"
+    given = [*SOFT, f"faults=[{{{late}}}]", *([unstable] if "lost" in late else [])]
+    with pytest.raises(ScenarioError, match="bounded by nothing"):
+        synthesize(load_scenario(TINY).with_assignments(given))
+
+
 def test_what_cannot_be_survived_is_named():
     scenario = load_scenario(TINY).with_assignments(SOFT)
     faults = 'faults=[{kind="loss",share=0.3,isolation_s=0.8},{kind="navigation_lost",lasts_s=1.0}]'

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import NotCertified
-from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.decision_grid import DecisionGrid, _judged
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
 from polaris.rta.methods import METHODS
@@ -19,6 +19,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
 from polaris.synthesis.black_box import BlackBox
 from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.transients import moved
 
 from ..polaris.test_transients import SOFT, made
 from ..polaris.tiny import TINY
@@ -132,3 +133,30 @@ def test_what_a_fault_does_is_no_lie_and_isolation_ends_what_was_decided_before(
     assert loop.command(10 * h, x).mode == 0
     assert loop.decide(10, 10 * h, Measurement(10 * h, x), applied=grid.mu[9]).mode == 1
     assert loop.command(11 * h, x).mode == 1
+
+
+def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_to_their_end():
+    """No law answers: what a fault in the period before the decision has done when the next takes effect."""
+    system = tiny(WEAK).safety.tracking.system
+    h, late = tiny(WEAK).safety.tracking.flow.h, replace(system.timing, delay=0.25)
+    (fault,) = system.transients
+    calm = replace(fault, lasts=h, gains=0 * fault.gains)
+    found = _judged(replace(system, timing=late, transients=(calm,)), 1, 1, h)
+    bound = moved(found, found.transients[0], 0 * fault.gains, h, np.zeros((1, 4))).max(axis=0)
+    Ad, Bd, _ = DecisionGrid.of(tiny(WEAK)).held
+    assert np.all(np.abs(Ad @ Ad @ Bd @ fault.pushes[-1]) <= bound)
+
+
+def test_where_navigation_may_be_lost_an_older_measurement_is_none():
+    """S would fly on an estimate that is older than what is booked for it."""
+    for told, mode in ((LOST, 0), (WEAK, 1)):
+        schedule = tiny(told)
+        grid, h = DecisionGrid.of(schedule, half_widths=0.02), schedule.safety.tracking.flow.h
+        loop, x, (Ad, Bd, _) = FlightLoop(OnlineMonitor(Monitor(grid))), grid.xi[0], grid.held
+        for k in range(10):
+            before, x = x, Ad @ x + Bd @ grid.mu[k]
+            assert loop.decide(k, k * h, Measurement(k * h, before)).mode == (k > 0) or k < 8
+        between = (before + x) / 2
+        old = Measurement(9.5 * h, between, [1e-4] * 4)
+        answer = loop.decide(10, 10 * h, old, applied=grid.mu[9])
+        assert answer.mode == mode and (mode or "stale" in str(answer.faults[0])), answer

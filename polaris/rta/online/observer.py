@@ -31,7 +31,8 @@ class Observer:
     def __init__(self, grid: DecisionGrid, limits: Limits, farthest: float, trusted: int) -> None:
         self.grid = grid
         self._same = TIME * grid.period
-        self._max_age, self._farthest = limits.max_age, farthest
+        lost = any(not len(fault.thrust) for fault in grid.system.transients)  # then no older one counts
+        self._max_age, self._farthest = self._same if lost else limits.max_age, farthest
         self._shape = (grid.system.n,)
         self._newest, self._state = -np.inf, b""  # of the good ones
         theta = grid.schedule.safety.problem.initial_set
