@@ -12,8 +12,8 @@ from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .clearance import Clearance
 from .error_bounds import ErrorBounds
+from .intersample import at_nodes
 from .recoverable import Margin, left
-from .tracking import at_nodes
 
 
 @dataclass(frozen=True, eq=False)

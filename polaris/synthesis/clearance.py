@@ -13,7 +13,8 @@ from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .demand import Scheduled, command_errors
-from .tracking import Tracking, at_nodes
+from .intersample import at_nodes
+from .tracking import Tracking
 
 
 @dataclass(frozen=True, eq=False)

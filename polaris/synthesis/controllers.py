@@ -18,9 +18,9 @@ from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .affine_law import AffineLaw
 from .demand import taken_over
-from .intersample import affine_bow, clipped_bow
+from .intersample import affine_bow, at_nodes, clipped_bow
 from .saturation import clipped_step
-from .tracking import Tracking, at_nodes
+from .tracking import Tracking
 
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""

@@ -71,3 +71,10 @@ def _switch(law: AffineLaw, inputs: Array, slope: Array, k: int) -> Array:
     inputs = inputs + law.flow.h * slope
     inner = slope @ np.abs(system.B).T + inputs @ np.abs(safe.flow.A_c @ system.B).T
     return np.asarray(inner @ safe.flow.growth.T)
+
+
+def at_nodes(parts: Array) -> Array:
+    """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
+    end = np.zeros((*parts.shape[:-2], 1, parts.shape[-1]))
+    left, right = np.concatenate([parts, end], axis=-2), np.concatenate([end, parts], axis=-2)
+    return np.asarray(np.maximum(left, right))

@@ -11,8 +11,8 @@ from reach.sets.zonotope import Zonotope
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .clearance import Clearance
+from .intersample import at_nodes
 from .recoverable import Margin, left
-from .tracking import at_nodes
 
 COARSE = (0.5, 0.05)
 """Shares of the room up to which a bound by the norm stands for what a set needs, tried in this order."""

@@ -23,9 +23,9 @@ from .clearance import Clearance, error_tube
 from .controllers import TubeSegment
 from .end_condition import coast, judge_end, tail_length
 from .get_safety import Safety, get_recover
+from .intersample import at_nodes
 from .problem import PoweredAbort
 from .takeover import SPARE, Branch, Takeover, Way
-from .tracking import at_nodes
 
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""

@@ -20,13 +20,6 @@ LEFT_OVER = 1e-3
 but collected in one ball. Smaller: more rows per recoverable set, and a larger ball."""
 
 
-def at_nodes(parts: Array) -> Array:
-    """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
-    end = np.zeros((*parts.shape[:-2], 1, parts.shape[-1]))
-    left, right = np.concatenate([parts, end], axis=-2), np.concatenate([end, parts], axis=-2)
-    return np.asarray(np.maximum(left, right))
-
-
 @dataclass(frozen=True)
 class Feedback:
     """How a feedback law runs: continuously, or on a flight computer with a control period.

@@ -19,8 +19,8 @@ from ..model.tolerances import REFERENCE, ROUNDING
 from ..planning.lp import GrowingLP
 from .controllers import AffineController
 from .get_safety import Safety
+from .intersample import at_nodes
 from .saturation import clipped_map
-from .tracking import at_nodes
 
 FREE = 0  # a step in which any thrust within the limits is allowed, as under S
 PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)

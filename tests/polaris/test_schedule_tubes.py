@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.tracking import at_nodes
+from polaris.synthesis.intersample import at_nodes
 from reach import Ellipsoid, LinearSystem, Zonotope, support_tube
 from reach.numerics.linear import powers
 

@@ -13,8 +13,8 @@ from ...model.satellite import SatelliteObstacle
 from ...model.system import Array, LinearSystem
 from ...synthesis.clearance import error_tube
 from ...synthesis.get_safety import Safety
+from ...synthesis.intersample import at_nodes
 from ...synthesis.schedule import Schedule
-from ...synthesis.tracking import at_nodes
 
 
 @dataclass(frozen=True, eq=False)
