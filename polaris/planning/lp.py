@@ -84,9 +84,12 @@ class GrowingLP:
         """Optimal value and point, or None where there is none, or no time (then `out_of_time` is set)."""
         status, kind = self._run(seconds), self._highspy.HighsModelStatus
         if status not in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
-            # a stale basis or huge costs can leave the simplex stuck: once more from scratch, costs near 1
-            self.highs.clearSolver()
-            largest = max(np.abs(self.highs.getLp().col_cost_).max(), 1.0)
+            # a stale basis, pivoting once made stricter or huge costs can leave the simplex stuck: once more
+            # in a solver of its own, costs near 1
+            stuck, self.highs = self.highs, type(self.highs)()
+            self.highs.passOptions(stuck.getOptions())
+            self.highs.passModel(stuck.getLp())
+            largest = max(np.abs(stuck.getLp().col_cost_).max(), 1.0)
             self._set(presolve="on", user_objective_scale=-int(np.log2(largest)))
             status = self._run(seconds)
             self._set(presolve="off", user_objective_scale=0)

@@ -155,6 +155,13 @@ def test_without_errors_everything_is_as_without_the_tables():
     assert certificate(synthesize(plain), "tiny") == certificate(synthesize(zero), "tiny")
 
 
+def test_a_planner_whose_solver_has_got_stuck_starts_another():
+    """Strict pivoting, once asked for, stays with a solver; from this scene's programs it found no way out."""
+    scenario = exact(7013)
+    scenario = scenario.with_assignments(tables(scenario, 7013, 0.05))
+    assert get_safety(scenario.problem()).start_margin.inside
+
+
 def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
     scenario = load_scenario(TINY)
     needs = []
