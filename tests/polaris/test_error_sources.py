@@ -156,7 +156,7 @@ def test_without_errors_everything_is_as_without_the_tables():
 
 
 def test_a_planner_whose_solver_has_got_stuck_starts_another():
-    """Strict pivoting, once asked for, stays with a solver; from this scene's programs it found no way out."""
+    """Strict pivoting, once asked for, stays with a solver; with this scene it found no way out."""
     scenario = exact(7013)
     scenario = scenario.with_assignments(tables(scenario, 7013, 0.05))
     assert get_safety(scenario.problem()).start_margin.inside
