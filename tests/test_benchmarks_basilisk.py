@@ -79,7 +79,7 @@ def test_what_is_left_of_a_bit_is_carried_to_the_next_period(run, tmp_path):
 def test_feedback_without_a_period_is_refused(run, tmp_path):
     shutil.copytree(run[1], tmp_path / "static")
     gains = tmp_path / "static" / "gains.json"
-    gains.write_text(gains.read_text().replace('"sampled": true', '"sampled": false'))
+    gains.write_text(gains.read_text().replace('"kind": "sampled"', '"kind": "continuous"'))
     with pytest.raises(ValueError, match="sampled"):
         FlightSoftware(tmp_path / "static")
 

@@ -38,23 +38,23 @@ class FlightSoftware:
     def __init__(self, folder: Path) -> None:
         gains = json.loads((folder / "gains.json").read_text())
         scenario = tomllib.loads((folder / "scenario.toml").read_text())
-        if not gains["feedback"]["sampled"]:
+        if gains["sampling"]["kind"] != "sampled":
             raise ValueError(
                 f"{folder}: thrusters are commanded periodically; feedback.kind must be 'sampled'"
             )
         self.A, self.B = (np.array(gains["system"][name]) for name in "AB")
         self.limit = np.array(gains["system"]["input_max"])
-        self.period = float(gains["feedback"]["node_spacing_s"])
+        self.period = float(gains["sampling"]["step"]) / gains["sampling"]["nodes_per_step"]
         self.delay = float(scenario.get("timing", {}).get("delay_s", 0.0))
         with (folder / "schedule.csv").open() as file:
             self.modes = [int(row["mode"]) for row in csv.DictReader(file)]
         table = np.genfromtxt(folder / "reference.csv", delimiter=",", skip_header=1)
         self.step = float(table[1, 0] - table[0, 0])
         self.laws = {}
-        for law in gains["controllers"]:
+        for mode, law in enumerate(gains["controllers"]):
             states = np.array(law.get("own_states", table[:, 1:7]))
             inputs = np.array(law.get("own_inputs", table[:, 7:10]))
-            self.laws[law["mode"]] = np.array(law["gain"]), states, inputs
+            self.laws[mode] = np.array(law["gain"]), states, inputs
         self.issued: list[np.ndarray] = []  # one per period; the last `late` are not in effect yet
         thrusters = scenario.get("thrusters", {})
         self.bit = float(thrusters.get("impulse_bit_N_s", 0.0))

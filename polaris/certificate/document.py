@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .assumptions import SATELLITES, Premises
-from .file_keys import CERTIFICATE
+from .file_keys import CERTIFICATE, REPEATED
 from .files import contents
 from .layers import network_of
 from .parts import Law, Matrix, Powered, UnsafeSet, Vector, abort_of, check_law, powered_of, unsafe_set
@@ -65,6 +65,7 @@ class Document:
             raise Rejected("digest", f"the certificate was changed: its digest is {found}")
         lengths: Lengths = {}
         read = conform(data, CERTIFICATE, "format", "certificate", lengths)
+        self.repeated: dict[str, Any] = {key: read[key] for key in REPEATED}
         try:
             self._take_system(read["system"], read["sampling"])
             self._take_scene(read)

@@ -180,24 +180,12 @@ SCHEDULE = {
 }
 """``schedule.json``."""
 
+REPEATED = "system", "sampling", "controllers"
+"""What ``gains.json`` repeats of the certificate, its numbers as decimals."""
+
 GAINS = {
     "law": TEXT,
-    "system": {
-        **every(MATRIX, "A B C D"), "input_max": VECTOR, "disturbance_max": NOT_NEGATIVE, "mass_kg": REAL,
-        "estimate_error?": VECTOR, "thrusters?": every(NOT_NEGATIVE, "along across bit"),
-        "timing?": {
-            **every(NOT_NEGATIVE, "delay jitter clock bit longer"), "missed": Whole(),
-            **every(VECTOR, "measured displaced pulsed? fired?"), "carried?": NOT_NEGATIVE,
-        },
-        "error_by_step?": MATRIX,
-        "observer?": {**every(MATRIX, "measures gain"), "after?": Rows(MATRIX),
-                      **every(VECTOR, "noise initial? settled?")},
-    },
-    "feedback": {"sampled": bool, "node_spacing_s": REAL, "nodes_per_step": Whole(1)},
-    "controllers": Rows({
-        "mode": Whole(), **every(TEXT, "name kind"), "clips?": bool,
-        **every(MATRIX, "gain? own_states? own_inputs?"),
-    }),
+    **every(object, " ".join(REPEATED)),
     "error_bounds": {
         "method": TEXT,
         "weight": MATRIX,

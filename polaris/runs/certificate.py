@@ -1,4 +1,7 @@
-"""The certificate of a schedule: everything that the argument for its safety rests on, as JSON."""
+"""The certificate of a schedule: everything that the argument for its safety rests on, as JSON.
+
+``gains.json`` repeats of it what a replay needs.
+"""
 
 import hashlib
 from collections.abc import Iterable
@@ -14,10 +17,12 @@ from reach.numerics.linear import growth
 
 from ..certificate.bodies import MOVES
 from ..certificate.document import FORMAT, VERSION, canonical, digest
+from ..certificate.repeated import LAW
 from ..model.allocation import Allocation
 from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
+from ..model.timing import Observer, Timing
 from ..model.tolerances import ROUNDING
 from ..model.transient import Transient
 from ..scenario.fields import python_name
@@ -30,7 +35,7 @@ from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
 from ..synthesis.schedule import Schedule
-from .tables import errors_of, strict, write_text
+from .tables import json_text, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
@@ -41,24 +46,21 @@ def hexadecimal(values: Any) -> Any:
 def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> dict[str, Any]:
     """The certificate of a schedule of a named scenario, with hashes of files; see docs/certificate.md."""
     safety = schedule.safety
-    start, end, feedback = safety.problem.initial_set, safety.end, safety.tracking.feedback
-    K, q = safety.problem.K, feedback.nodes_per_cell
+    start, end = safety.problem.initial_set, safety.end
+    K, q = safety.problem.K, safety.tracking.feedback.nodes_per_cell
     # Cells over which the unsafe sets are known: those of the reference, and those that drifts need.
     covered = max(safety.reference.cells, 0 if (flight := safety.free_flight) is None else K + flight.cells)
-    kind = "sampled" if feedback.sampled else "continuous"
     data: dict[str, Any] = {
         "format": FORMAT,
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
-        "system": _system(safety),
-        "sampling": {"kind": kind, "step": float(safety.problem.delta), "steps": K, "nodes_per_step": q},
+        **_flown(schedule),
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": _sets(schedule, covered),
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
         "facets": safety.clearance.facets,
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
-        "controllers": [_controller(item, safety) for item in schedule.controllers],
         "schedule": {"modes": schedule.modes, "margins": [finite(m) for m in schedule.margins]},
         **_bounds(safety),
         "recoverable": {
@@ -85,6 +87,30 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
     write_text(folder / "certificate.json", canonical(data) + "\n")
 
 
+def write_gains(path: Path, schedule: Schedule) -> None:
+    """Write ``gains.json``: the law, the certificate's system and controllers, the bounds of Lemma 1."""
+    bounds = schedule.safety.bounds
+    parts = ("gamma", "gain", "gamma_position", "gain_position", "gamma_input", "gain_input")
+    lemma = {"method": bounds.method, "weight": bounds.W, "beta_1_s": bounds.beta}
+    lemma |= {name: getattr(bounds, name) for name in parts}
+    write_text(path, json_text({"law": LAW, **_flown(schedule), "error_bounds": lemma}))
+
+
+def _flown(schedule: Schedule) -> dict[str, Any]:
+    """What flies: the system, its sampling and its controllers."""
+    safety, feedback = schedule.safety, schedule.safety.tracking.feedback
+    return {
+        "system": _system(safety),
+        "sampling": {
+            "kind": "sampled" if feedback.sampled else "continuous",
+            "step": float(safety.problem.delta),
+            "steps": safety.problem.K,
+            "nodes_per_step": feedback.nodes_per_cell,
+        },
+        "controllers": [_controller(item, safety) for item in schedule.controllers],
+    }
+
+
 def _system(safety: Safety) -> dict[str, Any]:
     system = safety.problem.system
     return {
@@ -98,9 +124,32 @@ def _system(safety: Safety) -> dict[str, Any]:
         "input_max": system.u_max,
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
-        **errors_of(safety),
+        **_errors(safety),
         **_allocation(safety.problem.allocation),
         **_transients(system.transients),
+    }
+
+
+def _observer(observer: Observer) -> dict[str, Any]:
+    """What is said of an observer."""
+    told = asdict(observer)
+    unsaid = "fading", *(() if observer.after else ("after",))
+    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
+
+
+def _errors(safety: Safety) -> dict[str, Any]:
+    """Errors of estimates, thrusters and timing, if any."""
+    system = safety.problem.system
+    timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
+    timing = {
+        key: x for key, x in timing.items() if key not in ("period", "unseen") and (x or key not in added)
+    }
+    return {
+        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
+        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({} if system.timing == Timing() else {"timing": timing}),
+        **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
+        **({} if system.observer is None else {"observer": _observer(system.observer)}),
     }
 
 

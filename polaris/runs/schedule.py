@@ -4,7 +4,7 @@
 scenario.toml      the scenario, with the overrides applied
 schedule.csv/json  who flies each step, with its containment margin and what limits it
 reference.csv      states and inputs of the safe reference, coasting tail included
-gains.json         system, gains, error bounds
+gains.json         law, system, gains, error bounds
 sets.npz           what the recoverable sets are made from
 tubes.npz          reachable sets of every step
 trajectories.npz   some simulated runs of S, U and Polaris
@@ -40,7 +40,7 @@ from ..synthesis.share_bound import ShareBound, share_bound
 from ..synthesis.withheld import withheld
 from . import arrays
 from . import tables as files
-from .certificate import described, hexadecimal, write_certificate
+from .certificate import described, hexadecimal, write_certificate, write_gains
 from .declared import naming_errors
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .picture import Picture, SlicePicture
@@ -162,7 +162,7 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     schedule, rules = found.schedule, asdict(scenario.switching_rules())
     files.write_schedule(folder, schedule, rules, guarantee(schedule))
     files.write_reference(folder / "reference.csv", schedule.safety.reference)
-    files.write_text(folder / "gains.json", files.json_text(files.gains(schedule)))
+    write_gains(folder / "gains.json", schedule)
     flights = {key: item.flights for key, item in found.flown.items()}
     picture = picture_of(schedule, flights)
     assert picture.slices is not None

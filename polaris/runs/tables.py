@@ -3,18 +3,14 @@
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..model.system import LinearSystem
-from ..model.timing import Observer, Timing
 from ..planning.reference import Reference
 from ..simulation.metrics import finite
-from ..synthesis.controllers import AffineController
-from ..synthesis.get_safety import Safety
 from ..synthesis.recoverable import directed
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import in_words
@@ -124,72 +120,6 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     if chi.shape != (len(rows), system.n) or nu.shape != (len(rows) - 1, system.m):
         raise ValueError("wrong number of columns")
     return Reference(system, delta, chi, nu)
-
-
-def _observer(observer: Observer) -> dict[str, Any]:
-    """What a run folder says of an observer."""
-    told = asdict(observer)
-    unsaid = "fading", *(() if observer.after else ("after",))
-    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
-
-
-def errors_of(safety: Safety) -> dict[str, Any]:
-    """Errors of estimates, thrusters and timing, if any."""
-    system = safety.problem.system
-    timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
-    timing = {
-        key: x for key, x in timing.items() if key not in ("period", "unseen") and (x or key not in added)
-    }
-    return {
-        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
-        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
-        **({} if system.timing == Timing() else {"timing": timing}),
-        **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({} if system.observer is None else {"observer": _observer(system.observer)}),
-    }
-
-
-def gains(schedule: Schedule) -> dict[str, Any]:
-    """System, gains, error bounds and the experimental controllers' own references."""
-    safety = schedule.safety
-    system, tracking, bounds = safety.problem.system, safety.tracking, safety.bounds
-    controllers = controller_rows(schedule)
-    for entry, controller in zip(controllers, schedule.controllers, strict=True):
-        if isinstance(controller, AffineController):
-            entry |= {"gain": controller.gain, "clips": controller.clips}
-        own = getattr(controller, "own", safety.reference)
-        if own is not safety.reference:
-            entry |= {"own_states": own.chi, "own_inputs": own.nu}
-    return {
-        "law": "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu",
-        "system": {
-            "A": system.A,
-            "B": system.B,
-            "C": system.position,
-            "D": system.D,
-            "input_max": system.u_max,
-            "disturbance_max": system.w_max,
-            "mass_kg": system.mass,
-            **errors_of(safety),
-        },
-        "feedback": {
-            "sampled": tracking.feedback.sampled,
-            "node_spacing_s": tracking.flow.h,
-            "nodes_per_step": tracking.feedback.nodes_per_cell,
-        },
-        "controllers": controllers,
-        "error_bounds": {
-            "method": bounds.method,
-            "weight": bounds.W,
-            "beta_1_s": bounds.beta,
-            "gamma": bounds.gamma,
-            "gain": bounds.gain,
-            "gamma_position": bounds.gamma_position,
-            "gain_position": bounds.gain_position,
-            "gamma_input": bounds.gamma_input,
-            "gain_input": bounds.gain_input,
-        },
-    }
 
 
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:

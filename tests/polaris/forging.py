@@ -20,6 +20,7 @@ import numpy as np
 
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
+from polaris.certificate.file_keys import REPEATED
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 
@@ -100,6 +101,20 @@ def written(name, data):
 # -- several files that agree on the same lie -------------------------------------------------------
 
 
+def repeat(certificate, gains):
+    """Let ``gains.json`` repeat what the certificate says."""
+    gains |= {key: decimals(certificate[key]) for key in REPEATED}
+
+
+def decimals(data):
+    """A tree of a certificate with its numbers as decimals."""
+    if isinstance(data, dict):
+        return {key: decimals(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [decimals(value) for value in data]
+    return float.fromhex(data) if _hexadecimal(data) else data
+
+
 class Lie:
     """Data of every file of a folder, to be changed and judged together."""
 
@@ -118,6 +133,7 @@ class Lie:
 
     def verdict(self, **texts):
         """The verdict, with some files as other text: name, its dot as an underscore, to text."""
+        repeat(self.certificate, self.gains)
         header = list(self.schedule["steps"][0])
         steps = [["" if x is None else x for x in step.values()] for step in self.schedule["steps"]]
         files = {f"{name}.json": json.dumps(getattr(self, name)) for name in ("schedule", "gains", "summary")}
@@ -154,13 +170,11 @@ class Lie:
     def gain(self, mode, K):
         """Another gain, everywhere."""
         self.certificate["controllers"][mode]["gain"] = [[float(x).hex() for x in row] for row in K]
-        self.gains["controllers"][mode]["gain"] = [[float(x) for x in row] for row in K]
 
     def own(self, mode, states, inputs):
         """Another reference of its own, everywhere."""
         for name, rows in (("own_states", states), ("own_inputs", inputs)):
             self.certificate["controllers"][mode][name] = [[float(x).hex() for x in row] for row in rows]
-            self.gains["controllers"][mode][name] = [[float(x) for x in row] for row in rows]
 
     def plant(self):
         """A, B as arrays."""

@@ -210,8 +210,7 @@ def test_another_plan_than_an_unaware_one_is_refused(forgers, what):
     elif what == "cut short":
         states, inputs = states[:-1], inputs[:-1]
     else:  # not given at all: U would follow the safe reference
-        for item in (lie.certificate["controllers"][1], lie.gains["controllers"][1]):
-            del item["own_states"], item["own_inputs"]
+        del lie.certificate["controllers"][1]["own_states"], lie.certificate["controllers"][1]["own_inputs"]
         lie.judge({"controllers"})
         return
     lie.own(1, states, inputs)

@@ -98,11 +98,7 @@ def test_a_scenario_has_an_orbit_to_end_in_only_in_hills_frame():
 @pytest.mark.parametrize("name", ["hasty", "s"])
 def test_the_safety_controller_has_its_own_name(lie, name):
     """Or every step would seem to be flown by the same controller."""
-    for controllers in (
-        lie.certificate["controllers"],
-        lie.gains["controllers"],
-        lie.schedule["controllers"],
-    ):
+    for controllers in (lie.certificate["controllers"], lie.schedule["controllers"]):
         controllers[0]["name"] = name
     lie.summary["safety"]["controller"] = name
     for step in lie.schedule["steps"]:
@@ -131,7 +127,6 @@ def test_a_scene_without_unsafe_sets_proves_nothing(lie):
 def test_coordinates_of_the_position_are_independent(lie, place):
     lie.scenario["system"]["position_states"] = place
     rows = [[float(i == j) for j in range(4)] for i in place]
-    lie.gains["system"]["C"] = rows
     lie.certificate["system"]["C"] = [[x.hex() for x in row] for row in rows]
     refused(lie.verdict(), "system")
 

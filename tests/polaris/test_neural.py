@@ -44,6 +44,7 @@ from reach.networks.network import Activation, Affine, Network
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
+from .forging import repeat
 from .tiny import TINY
 
 HASTY = scenario_folder() / "policies" / "hasty.onnx"
@@ -332,6 +333,9 @@ def forged(made, folder, change, files=()):
         (folder / name).write_bytes(contents)
     data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
     change(data)
+    gains = json.loads((folder / "gains.json").read_text(encoding="utf-8"))
+    repeat(data, gains)
+    (folder / "gains.json").write_text(json.dumps(gains), encoding="utf-8")
     for name in data["artefacts"]:
         data["artefacts"][name] = sha256((folder / name).read_bytes()).hexdigest()
     data["digest"] = digest(data)

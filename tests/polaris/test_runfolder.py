@@ -115,7 +115,7 @@ def test_gains_hold_what_a_replay_needs(folder):
     data, schedule = load_strict(folder.path / "gains.json"), synthesised()[1]
     np.testing.assert_array_equal(data["controllers"][0]["gain"], schedule.safety.tracking.gain)
     assert np.shape(data["controllers"][1]["own_states"]) == (13, 4)
-    assert data["feedback"]["sampled"] is False
+    assert data["sampling"]["kind"] == "continuous"
 
 
 @pytest.mark.parametrize("name", ["sets.npz", "tubes.npz", "trajectories.npz"])
