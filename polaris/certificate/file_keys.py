@@ -5,6 +5,9 @@ import math
 from .structure import Either, Hexadecimal, Kinds, Name, Named, Real, Rows, Shape, Text, Whole, every
 
 HEX = Hexadecimal()
+AT_LEAST_0 = Hexadecimal(Real(least=0, most=math.inf))
+ABOVE_0 = Hexadecimal(Real(above=0, most=math.inf))
+UP_TO_1 = Hexadecimal(Real(least=0, most=1))
 TEXT, NAME = Text(), Name()
 REAL = Real(least=-math.inf, most=math.inf)
 NOT_NEGATIVE = Real(least=0, most=math.inf)
@@ -38,9 +41,10 @@ _NETWORK = {
     "name": NAME, "inputs": Rows(Text(pattern=f"{READ}.+"), 1, 100),
     "bodies?": Rows({
         "name": NAME, **every(Either((grid("d"), None)), "center_m velocity_m_s"),
-        **every(Either((grid("n"), None)), "state state_half_widths"), "thrust_accel_max_m_s2": HEX,
+        "state": Either((grid("n"), None)), "state_half_widths": Either((grid("n", AT_LEAST_0), None)),
+        "thrust_accel_max_m_s2": AT_LEAST_0,
     }, 1, 64),
-    "input_scale": grid("*"), "output_scale": grid("m"),
+    "input_scale": grid("*"), "output_scale": grid("m", ABOVE_0),
     "own_states?": grid("* n"), "own_inputs?": grid("* m"),
     "layers": Rows(Kinds({
         "affine": {"W": grid("* *"), "b": grid("*")}, **every(_LIMITS, "relu tanh sigmoid clip"),
@@ -55,22 +59,22 @@ CERTIFICATE = {
     "system": {
         "kind": Text(("linear", "clohessy_wiltshire")),
         "A": grid("n n"), "B": grid("n m"), "C": grid("d n"), "D": grid("n p"),
-        "input_max": grid("m"), "input_names": grid("m", NAME),
-        **every(HEX, "disturbance_max mass"), "mean_motion": Either((HEX, None)),
-        "estimate_error?": grid("n"), "thrusters?": every(HEX, "along across bit"),
+        "input_max": grid("m", ABOVE_0), "input_names": grid("m", NAME),
+        "disturbance_max": AT_LEAST_0, "mass": ABOVE_0, "mean_motion": Either((ABOVE_0, None)),
+        "estimate_error?": grid("n", AT_LEAST_0), "thrusters?": every(AT_LEAST_0, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
-        "error_by_step?": grid("K+1 n"),
+        "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
                       "after?": grid("missed n measured"), **every(grid("n"), "initial? settled?")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
-        "transients?": Rows({"name": NAME, "lasts": HEX, "pushes?": grid("* m")}, 1, 8),
+        "transients?": Rows({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
     },
-    "chaser_radius?": HEX,
+    "chaser_radius?": AT_LEAST_0,
     "sampling": {
-        "kind": Text(("continuous", "sampled")), "step": HEX, **every(Whole(1), "steps nodes_per_step"),
+        "kind": Text(("continuous", "sampled")), "step": ABOVE_0, **every(Whole(1), "steps nodes_per_step"),
     },
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
     "unsafe_sets": Rows({
@@ -95,10 +99,10 @@ CERTIFICATE = {
     },
     "enclosures": {
         **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
-        "slopes": grid("K", Either((None, grid("q m")))),
+        "slopes": grid("K", Either((None, grid("q m", UP_TO_1)))),
     },
     "drift?": {
-        "horizon": HEX, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
+        "horizon": ABOVE_0, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
             "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
             "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
         }, 1)))),

@@ -29,11 +29,7 @@ def network_of(law: dict[str, Any]) -> dict[str, Any]:
             layer.kind != "clip" or layer.low <= layer.high
         ):
             raise ValueError(f"{law['name']} has a {layer.kind} that decreases")
-    if (
-        width != len(law["output_scale"])
-        or min(law["output_scale"]) <= 0
-        or len(set(law["inputs"])) < len(law["inputs"])
-    ):
+    if width != len(law["output_scale"]) or len(set(law["inputs"])) < len(law["inputs"]):
         raise ValueError(f"inputs or outputs of {law['name']} do not fit")
     scales = {name: law[name] for name in ("input_scale", "output_scale")}
     return {"reads": law["inputs"], "layers": layers, "bodies": law.get("bodies", []), **scales}

@@ -42,6 +42,8 @@ class Whole:
 class Hexadecimal:
     """The one text that `float.hex` makes of a finite float: "10" is neither 10 nor 16."""
 
+    within: Real = Real(least=-math.inf, most=math.inf)
+
 
 @dataclass(frozen=True)
 class Text:
@@ -136,8 +138,8 @@ def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
                 except ValueError as error:
                     reasons.append(str(error))
             raise ValueError("; ".join(reasons))
-        case Hexadecimal():
-            return number(value)
+        case Hexadecimal(within):
+            return _read(number(value), within, where, lengths)
     if not _is(value, shape):
         raise ValueError(f"{where}: {shown(value)} is no {shape}")
     return value

@@ -1,24 +1,25 @@
 """Models of the tables of a scenario that describe a filter: strengthening functions, kinds of filter."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
+from ..inspection.backup.all_time import AllTime
+from ..inspection.backup.brake import Brake
+from ..inspection.backup.planner import Planner
+from ..inspection.backup.tube import Uncertainty
+from ..inspection.constraints.families import Families
+from ..inspection.constraints.motion import SampledData
+from ..inspection.constraints.strengthening import Strengthening
+from ..inspection.filters.assured import Explicit, Implicit, SimplexExplicit, SimplexImplicit
+from ..inspection.filters.explicit import CENTRALIZED, make_filter
+from ..inspection.flights.simulation import BatchFilter, OneFlight
+from ..inspection.inspection import Inspection
+from ..rta.one_call import RunTimeFilter
 from . import fields as f
 from .fields import ScenarioPart, unit
-
-if TYPE_CHECKING:
-    from ..inspection.backup.brake import Brake
-    from ..inspection.backup.planner import Planner
-    from ..inspection.backup.tube import Uncertainty
-    from ..inspection.constraints.strengthening import Strengthening
-    from ..inspection.flights.simulation import BatchFilter
-    from ..inspection.inspection import Inspection
-    from ..rta.one_call import RunTimeFilter
 
 Family = Literal[
     "chief_separation",
@@ -87,10 +88,6 @@ class BarrierFilter(ScenarioPart):
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
     ) -> BatchFilter:
         """The filter, for a control period [s]; it takes everything for exact."""
-        from ..inspection.constraints.families import Families
-        from ..inspection.constraints.motion import SampledData
-        from ..inspection.filters.explicit import CENTRALIZED, make_filter
-
         sampled = SampledData(period, self.sampled_data_share) if self.sampled_data else None
         families = Families(q, alpha, self.without, sampled)
         return make_filter(families, getattr(self, "sharing", CENTRALIZED))
@@ -120,19 +117,12 @@ class AssuredFilter(ScenarioPart):
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
     ) -> BatchFilter:
         """The filter, for a control period [s]."""
-        from ..inspection.backup.brake import Brake
-        from ..inspection.constraints.families import Families
-        from ..inspection.flights.simulation import OneFlight
-
         watched, brake = Families(q, alpha, self.without), Brake(q, period, unknown)
         self.start(brake, alpha, 0.0)
         return OneFlight(lambda sun: self.start(brake, alpha, sun), watched, period)
 
     def planner(self, brake: Brake, sun: float) -> Planner:
         """What plans and proves, from an angle of the sun [rad] on."""
-        from ..inspection.backup.all_time import AllTime
-        from ..inspection.backup.planner import Planner
-
         return Planner(AllTime(brake, sun, self.without))
 
     @abstractmethod
@@ -151,11 +141,6 @@ class ExplicitFilter(AssuredFilter):
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """See `AssuredFilter.start`."""
-        from ..inspection.constraints.families import Families
-        from ..inspection.constraints.motion import SampledData
-        from ..inspection.filters.assured import Explicit
-        from ..inspection.filters.explicit import make_filter
-
         sampled = SampledData(brake.period, self.sampled_data_share)
         families = Families(brake.inspection, alpha, self.without, sampled)
         return Explicit(self.planner(brake, sun), make_filter(families, self.sharing))
@@ -168,8 +153,6 @@ class ImplicitFilter(AssuredFilter):
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """See `AssuredFilter.start`."""
-        from ..inspection.filters.assured import Implicit
-
         return Implicit(self.planner(brake, sun))
 
 
@@ -192,9 +175,6 @@ class SimplexExplicitFilter(_Switching):
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """See `AssuredFilter.start`."""
-        from ..inspection.constraints.families import Families
-        from ..inspection.filters.assured import SimplexExplicit
-
         families, limits = Families(brake.inspection, alpha, self.without), (self.margin, self.release)
         return SimplexExplicit(self.planner(brake, sun), families, *limits, self.dwell_s, self.looks)
 
@@ -208,8 +188,6 @@ class SimplexImplicitFilter(_Switching):
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """See `AssuredFilter.start`."""
-        from ..inspection.filters.assured import SimplexImplicit
-
         release = self.release_distance_m, self.release_speed_m_s
         return SimplexImplicit(self.planner(brake, sun), *release, self.dwell_s)
 

@@ -1,31 +1,29 @@
 """Scenarios of the inspection problem: one flight under a filter, one into the fuel limit, many."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..inspection.backup.tracker import Tracker
+from ..inspection.backup.tube import Uncertainty
+from ..inspection.constraints.allowable_set import allowable
+from ..inspection.constraints.families import Families
 from ..inspection.constraints.strengthening import PRESETS, Strengthening
+from ..inspection.enmt import Ellipses
+from ..inspection.flights.primary import LQR, NoInput, Phases, Primary
+from ..inspection.flights.sampling import InitialConditions
+from ..inspection.flights.simulation import BatchFilter, Errors
 from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.errors import ScenarioError
 from ..model.prediction import prediction_error
+from ..model.system import Array
 from . import inspection_tables as models
 from .base import Scenario, kept
 from .fields import check_length, in_file_terms, whole_parts
 from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
-
-if TYPE_CHECKING:
-    from ..inspection.backup.tracker import Tracker
-    from ..inspection.backup.tube import Uncertainty
-    from ..inspection.constraints.families import Families
-    from ..inspection.flights.primary import Primary
-    from ..inspection.flights.simulation import BatchFilter, Errors
-    from ..model.system import Array
 
 
 class InspectionScenario(Scenario):
@@ -78,8 +76,6 @@ class FilteredScenario(InspectionScenario):
 
     def families(self) -> Families:
         """All constraints, nothing tightened: the judge of a flight."""
-        from ..inspection.constraints.families import Families
-
         return Families(self.inspection(), self.strengthening(), exact=True)
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
@@ -88,8 +84,6 @@ class FilteredScenario(InspectionScenario):
 
     def uncertainty(self) -> Uncertainty:
         """What is not known exactly; nothing, where the scenario has no tables of it."""
-        from ..inspection.backup.tube import Uncertainty
-
         return Uncertainty()
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
@@ -131,8 +125,6 @@ class FlightScenario(FilteredScenario):
 
     def _check_start(self, given: models.InitialStates) -> None:
         """Every constraint must hold at the start: a filter keeps a flight safe, it does not make it so."""
-        from ..inspection.constraints.allowable_set import allowable
-
         (x, sun), q, families = self.initial(), self.inspection(), self.families()
         broken: list[tuple[str, int, float]] = []
         for name, values in allowable(q, x, sun).items():
@@ -160,8 +152,6 @@ class FlightScenario(FilteredScenario):
 
     def initial(self) -> tuple[Array, float]:
         """States of the deputies, shape (N, 6), and the angle of the sun [rad]."""
-        from ..inspection.flights.sampling import InitialConditions
-
         given = self.model.initial
         if isinstance(given, models.InitialStates):
             return np.array(given.states, dtype=float), float(np.radians(given.sun_angle_deg))
@@ -170,8 +160,6 @@ class FlightScenario(FilteredScenario):
 
     def uncertainty(self) -> Uncertainty:
         """What is not known exactly."""
-        from ..inspection.backup.tube import Uncertainty
-
         model, push = self.model, self.model.flight.disturbance_max_m_s2
         refused = ("thrusters", "directions"), ("thrusters", "thrust_max_N")
         for table, key in (
@@ -191,15 +179,11 @@ class FlightScenario(FilteredScenario):
 
     def errors(self) -> Errors | None:
         """What errors are flown, if any."""
-        from ..inspection.flights.simulation import Errors
-
         unknown = self.uncertainty()
         return None if unknown.exact else Errors(unknown, self.inspection(), self.model.flight.errors_seed)
 
     def primary(self) -> Primary:
         """The primary controller, phase by phase."""
-        from ..inspection.flights.primary import LQR, NoInput, Phases
-
         controllers: list[Primary] = []
         for phase in self.model.primary:
             if isinstance(phase, models.NoThrust):
@@ -239,9 +223,6 @@ class FuelLimitScenario(InspectionScenario):
     @kept
     def backup(self) -> Tracker:
         """The backup controller."""
-        from ..inspection.backup.tracker import Tracker
-        from ..inspection.enmt import Ellipses
-
         given, q, usual = self.model.fuel, self.inspection(), Ellipses.of(self.inspection())
         limits = {
             "least": given.semi_minor_least_m,
@@ -255,8 +236,6 @@ class FuelLimitScenario(InspectionScenario):
 
     def primary(self) -> Primary:
         """Regulators to the outer and to the inner target in turn."""
-        from ..inspection.flights.primary import LQR, Phases
-
         q, given = self.inspection(), self.model.primary
         targets = [
             LQR(q, distance, *_weights(given)) for distance in (given.distance_m / 4, given.distance_m)

@@ -82,7 +82,7 @@ def test_a_mean_motion_that_is_not_positive_is_refused(value):
     data["system"]["mean_motion"] = float(value).hex()
     data["digest"] = digest(data)
     verdict = verify_document(data)
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", "format")
 
 
 def test_step_tables_that_say_something_else_are_refused(forge):

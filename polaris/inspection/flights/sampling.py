@@ -3,7 +3,6 @@
 import threading
 
 import numpy as np
-from scipy.stats import qmc
 
 from ...model.checks import whole
 from ...model.errors import ScenarioError
@@ -34,6 +33,8 @@ class InitialConditions:
     """
 
     def __init__(self, families: Families, seed: int = 0, block: int = 4096) -> None:
+        from scipy.stats import qmc  # takes longer to load than all the rest of a scenario
+
         q = families.inspection
         self.families, self.block = families, block
         self.wide = np.tile(np.repeat([q.distance_max, q.speed_max], 3), q.deputies)
