@@ -9,8 +9,7 @@ from .balls import dot, require
 from .document import Document
 from .verdict import Rejected
 
-MOST_INPUTS = 6
-"""Most inputs: their box has two corners for each."""
+MOST_INPUTS = 6  # most inputs: their box has two corners for each
 
 
 def per_axis(given: Any, count: int) -> list[float]:

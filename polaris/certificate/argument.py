@@ -39,8 +39,7 @@ NARROWER = (
 )
 """Claims that may fail because sets are wider than they need to be."""
 
-TUBE_SLACK = 1e-6
-"""By how much a stored bound may fall short of the derived one, relative to it."""
+TUBE_SLACK = 1e-6  # by how much a stored bound may fall short of the derived one, relative to it
 
 BOX_SLACK = 0.05
 """By how much a stored enclosure may fall short of the derived one, as a share of its own width.

@@ -25,10 +25,8 @@ SHARE, SOON = 0.05, 0.25
 HOLDING = 0.21
 """By how much more what counts as reached may be than what S needs for ever: it is claimed with less,
 but of a number that others derive a little differently."""
-SLACK = 1e-6
-"""By how much a claim may fall short of what is derived, relative to it."""
-MOST = 300
-"""Nodes at which a distance is looked for that is claimed of none in particular."""
+SLACK = 1e-6  # by how much a claim may fall short of what is derived, relative to it
+MOST = 300  # nodes at which a distance is looked for that is claimed of none in particular
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,20 +18,13 @@ from .verdict import Rejected, Undecided
 FORMAT = "polaris-certificate"
 VERSION = 1
 
-ROUNDED = 1e-12
-"""Rounding of what is worked out from numbers of the file or the scenario, relative to them."""
-MOST_NODES = 100_000
-"""Most periods in a step."""
-MOST_NODES_IN_ALL = 2_000_000
-"""Most periods in all steps, those of the tail included."""
-MOST_GENERATORS = 1000
-"""Most generators of the initial set."""
-MOST_WORK = 10**10
-"""Most products of numbers that all enclosures of a network may take."""
-MOST_FLIGHTS = 10**7
-"""Most flights of a statement."""
-MOST_STATES = 32
-"""Most states of a system: Lyapunov's equation is solved as n^2 linear ones."""
+ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
+MOST_NODES = 100_000  # most periods in a step
+MOST_NODES_IN_ALL = 2_000_000  # most periods in all steps, those of the tail included
+MOST_GENERATORS = 1000  # most generators of the initial set
+MOST_WORK = 10**10  # most products of numbers that all enclosures of a network may take
+MOST_FLIGHTS = 10**7  # most flights of a statement
+MOST_STATES = 32  # most states of a system: Lyapunov's equation is solved as n^2 linear ones
 
 
 def digest(data: dict[str, Any]) -> str:

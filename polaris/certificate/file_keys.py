@@ -13,8 +13,7 @@ REAL = Real(least=-math.inf, most=math.inf)
 NOT_NEGATIVE = Real(least=0, most=math.inf)
 SHARE = Real(least=0, most=1)
 OPTIONAL = Either((REAL, None))
-BOUND = Either((NOT_NEGATIVE, None))
-"""Null for infinity, which bounds nothing."""
+BOUND = Either((NOT_NEGATIVE, None))  # null for infinity, which bounds nothing
 VECTOR = Rows(REAL)
 MATRIX = Rows(VECTOR)
 ONE = Whole(1, 1)

@@ -13,11 +13,9 @@ from flint import arb, arb_mat
 from .balls import diagonal, largest, matrix, norms, smallest
 from .document import Document
 
-USUAL_RATE = 1e-2
-"""Rate [1/s] by which velocities are divided where there is no mean motion."""
+USUAL_RATE = 1e-2  # rate [1/s] by which velocities are divided where there is no mean motion
 
-Row = tuple[list[arb], arb]
-"""Coefficients of the states, and what they may come to."""
+Row = tuple[list[arb], arb]  # coefficients of the states, and what they may come to
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,9 @@ from .transients import check_transients
 from .verdict import Record, Rejected
 from .zonotopes import inner_radius
 
-HILL_RANGE = 1e5
-"""Farthest start from the target in Hill's frame [m]."""
+HILL_RANGE = 1e5  # farthest start from the target in Hill's frame [m]
 
-MOST_GENERATORS = 200
-"""Most generators of the zonotope around a ball: every two of them span a facet."""
+MOST_GENERATORS = 200  # most generators of the zonotope around a ball: every two of them span a facet
 
 
 def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -> None:

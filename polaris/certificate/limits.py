@@ -13,8 +13,7 @@ from .document import Document
 from .loop import Needs
 from .scheduled import Along
 
-SPARE = 1e-12
-"""Of rooms in doubles, which tell where a need is certainly within: far above their rounding."""
+SPARE = 1e-12  # of rooms in doubles, which tell where a need is certainly within: far above their rounding
 
 
 @dataclass(frozen=True)

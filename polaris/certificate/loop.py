@@ -15,11 +15,9 @@ from .timing import late
 from .verdict import Imprecise, Undecided
 from .zonotopes import Zonotope
 
-FORGOTTEN = 1e-6
-"""What is left of an error once the loop counts as having forgotten it."""
+FORGOTTEN = 1e-6  # what is left of an error once the loop counts as having forgotten it
 
-LONGEST = 20000
-"""Most periods that are followed one by one."""
+LONGEST = 20000  # most periods that are followed one by one
 
 
 @dataclass(frozen=True, eq=False)

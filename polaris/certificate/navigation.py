@@ -14,11 +14,9 @@ from .plants import plant_of
 from .timing import displaced
 from .verdict import Rejected
 
-PARTS = 4
-"""Parts of a period over each of which integrals are bounded by the trapezoid rule."""
+PARTS = 4  # parts of a period over each of which integrals are bounded by the trapezoid rule
 
-INSTANT = 1e-9
-"""Share of a step by which instants may differ and count as one."""
+INSTANT = 1e-9  # share of a step by which instants may differ and count as one
 
 FORGOTTEN, LONGEST = 1e-9, 4096
 """What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""

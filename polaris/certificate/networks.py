@@ -13,10 +13,8 @@ from .motion import Plant
 from .parts import Law
 from .zonotopes import Zonotope
 
-FLATTEST = 1e-30
-"""Slopes of bands below it are taken for 0."""
-OWN = 3
-"""Generators per input that stand for what all bands of a network leave open."""
+FLATTEST = 1e-30  # slopes of bands below it are taken for 0
+OWN = 3  # generators per input that stand for what all bands of a network leave open
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ from typing import Any
 from .layers import Layer
 from .verdict import Rejected
 
-UNIT = 4e-9
-"""How far the square of a unit normal may be off 1."""
+UNIT = 4e-9  # how far the square of a unit normal may be off 1
 
 Vector = list[float]
 Matrix = list[list[float]]

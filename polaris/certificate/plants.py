@@ -11,11 +11,9 @@ from .document import Document
 from .motion import Plant
 from .verdict import Rejected, Undecided
 
-WHOLE = 1e-9
-"""Share by which a delay may exceed a whole number of periods and count as one."""
+WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
 
-MOST_BITS = 4096
-"""Most bits that are added to follow a reference."""
+MOST_BITS = 4096  # most bits that are added to follow a reference
 
 
 def plant_of(document: Document) -> Plant:

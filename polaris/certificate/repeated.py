@@ -23,14 +23,11 @@ STEP_COLUMNS = (
 )
 """Header of ``schedule.csv``."""
 
-BEYOND = "limits beyond the loop's memory"
-"""What limits a step besides unsafe sets and inputs."""
+BEYOND = "limits beyond the loop's memory"  # what limits a step besides unsafe sets and inputs
 
-LAW = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"
-"""The law that ``gains.json`` states."""
+LAW = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"  # the law that ``gains.json`` states
 
-MARGIN_ROUNDING = 1e-9
-"""How far a margin may be off the need and the room that explain it."""
+MARGIN_ROUNDING = 1e-9  # how far a margin may be off the need and the room that explain it
 
 _NUMBER = r"-?(?:\d[\d.]*(?:e[+-]?\d+)?|inf|nan)"
 

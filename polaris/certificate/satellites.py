@@ -10,11 +10,9 @@ from .parts import UnsafeSet
 from .plants import plant_of
 from .verdict import Rejected
 
-ROUNDED = 1e-9
-"""Rounding of offsets, relative to the numbers they are made from."""
+ROUNDED = 1e-9  # rounding of offsets, relative to the numbers they are made from
 
-MOST_PARTS = 256
-"""Most parts into which a step is divided to follow it."""
+MOST_PARTS = 256  # most parts into which a step is divided to follow it
 
 
 class Satellite:

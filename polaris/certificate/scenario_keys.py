@@ -12,8 +12,7 @@ from .file_keys import READ
 from .structure import Either, Kinds, Real, Rows, Text, Whole, conform, every
 from .verdict import Rejected
 
-STEPS = 100_000
-"""Most steps of a horizon."""
+STEPS = 100_000  # most steps of a horizon
 
 NAME = Text(pattern=r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 NUMBER = Real()

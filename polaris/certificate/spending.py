@@ -15,8 +15,7 @@ from .periods import Spell
 LONGEST, SQUARED = 4000, 4
 """Most periods that are looked at all at once; how often the power of a response is squared for its peak."""
 
-TOP = 2 ** (SQUARED + 1)
-"""The power of the response that it is."""
+TOP = 2 ** (SQUARED + 1)  # the power of the response that it is
 
 
 def spent(flights: Iterable[Flown], periods: int | None = None) -> arb:

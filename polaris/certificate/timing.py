@@ -28,8 +28,7 @@ from .verdict import Rejected
 AT_NODES = arb(1e-6)
 """Share of what pulses displace at most within `NEAR` of a period's ends, where it is nothing."""
 
-NEAR = 1e-9
-"""Share of a period."""
+NEAR = 1e-9  # share of a period
 
 
 def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:

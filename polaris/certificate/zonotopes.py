@@ -24,8 +24,7 @@ from .balls import (
     widths,
 )
 
-NOTHING = 1e-8
-"""Share of a set's extent that generators may come to which are merged whatever their number."""
+NOTHING = 1e-8  # share of a set's extent that generators may come to which are merged whatever their number
 
 
 class Generators:

@@ -11,10 +11,8 @@ from reach.numerics.programs import maximise
 from .errors import ScenarioError, SynthesisInfeasible
 from .system import Array
 
-MOST_INPUTS = 6
-"""Most inputs: the box has two corners for each."""
-ROUNDED = 1e-9
-"""Share by which the box is smaller than what is found: rounding of a linear program."""
+MOST_INPUTS = 6  # most inputs: the box has two corners for each
+ROUNDED = 1e-9  # share by which the box is smaller than what is found: rounding of a linear program
 
 
 @dataclass(frozen=True)

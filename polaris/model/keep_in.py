@@ -18,11 +18,9 @@ from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
 
-FAR = 1000.0
-"""Times as far out is a set in steps in which it does not hold."""
+FAR = 1000.0  # times as far out is a set in steps in which it does not hold
 
-INSTANT = 1e-9
-"""Share of a step by which instants may differ and count as one."""
+INSTANT = 1e-9  # share of a step by which instants may differ and count as one
 
 MOST_CORNERS = 8192  # of a zonotope that is compared with a cone corner by corner
 

@@ -14,14 +14,11 @@ from .errors import ScenarioError
 from .system import Array, LinearSystem
 from .timing import Observer, Timing
 
-PARTS = 32
-"""Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
+PARTS = 32  # parts of a prediction over each of which integrals are bounded by the trapezoid rule
 
-IN_PERIOD = 4
-"""The same of a control period of an observer."""
+IN_PERIOD = 4  # the same of a control period of an observer
 
-ROUNDED = 1e-9
-"""Relative round-off of a bound, upwards."""
+ROUNDED = 1e-9  # relative round-off of a bound, upwards
 
 SCATTER = 0.4
 """Share of their bounds by which measurements scatter in the design of a gain; any gain is sound."""
@@ -32,8 +29,7 @@ ROUNDS, SPARE = 100, 1e-3
 LEFT_OVER, LONGEST = 1e-2, 4096
 """What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
 
-UNSEEN = 1e-6
-"""Share of the thrust limits that is taken for unknown, so that every gain forgets."""
+UNSEEN = 1e-6  # share of the thrust limits that is taken for unknown, so that every gain forgets
 
 AT_NODES = 1e-6
 """Share of what pulses displace at most within a billionth of a period of its ends, where it is nothing."""

@@ -19,8 +19,7 @@ from .system import Array, LinearSystem, as_finite
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
 
-MOST_PARTS = 256
-"""Most parts into which a cell is divided to follow the bend of the motion."""
+MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend of the motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WHOLE = 1e-9
-"""Share by which a delay may exceed a whole number of periods and count as one."""
+WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
 
 
 @dataclass(frozen=True)

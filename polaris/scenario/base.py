@@ -20,8 +20,7 @@ KINDS: dict[str, type["Scenario"]] = {}
 
 _KEY = re.compile(r"[A-Za-z0-9_-]+(\[\d{1,4}\])*(\.[A-Za-z0-9_-]+(\[\d{1,4}\])*)*")
 
-SCHEDULE = "schedule"
-"""Kind of a file without the key ``kind``."""
+SCHEDULE = "schedule"  # kind of a file without the key ``kind``
 
 Owner = TypeVar("Owner")
 Built = TypeVar("Built")

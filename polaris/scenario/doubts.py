@@ -7,14 +7,11 @@ from ..model.system import LinearSystem
 from .base import Scenario
 from .schedule import ScheduleScenario
 
-FAR = 1.0
-"""Times its own size that a scene is crossed in one step at full thrust: worth a note."""
+FAR = 1.0  # times its own size that a scene is crossed in one step at full thrust: worth a note
 
-MANY_STEPS = 2000
-"""Steps from which a run takes hours rather than minutes: worth a note."""
+MANY_STEPS = 2000  # steps from which a run takes hours rather than minutes: worth a note
 
-FASTEST_ORBIT = 1.25e-3
-"""Mean motion [rad/s] of a circular orbit at the Earth's surface, rounded up."""
+FASTEST_ORBIT = 1.25e-3  # mean motion [rad/s] of a circular orbit at the Earth's surface, rounded up
 
 
 def doubts(scenario: Scenario) -> list[str]:

@@ -26,8 +26,7 @@ from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..model.tolerances import TIME
 
-LARGEST = 1e12
-"""Largest magnitude of any number in a scenario: beyond it, double precision loses millimetres."""
+LARGEST = 1e12  # largest magnitude of any number in a scenario: beyond it, double precision loses millimetres
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 """Names become file names and column heads, so they are letters, digits, ``_`` and ``-`` only."""
@@ -167,8 +166,7 @@ Text = Annotated[str, Strict()]
 VersionOne = Annotated[Literal[1], BeforeValidator(_whole)]
 Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN, max_length=64)]
 _READ = rf"^(error|state|time|reference_input|(relative_)?(position|velocity):{NAME_PATTERN[1:-1]})$"
-Input = Annotated[str, Strict(), Field(pattern=_READ)]
-"""What a network may read."""
+Input = Annotated[str, Strict(), Field(pattern=_READ)]  # what a network may read
 
 _ENTRIES = Field(min_length=1, max_length=100)
 Vector = Annotated[tuple[Number, ...], _ENTRIES, BeforeValidator(_plain)]

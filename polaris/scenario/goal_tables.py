@@ -11,8 +11,7 @@ from ..planning import goals
 from . import fields as f
 from .fields import ScenarioPart, in_file_terms, unit
 
-USUAL_RATE = 1e-2
-"""Rate [rad/s] by which velocities are weighed against positions where there is no orbit."""
+USUAL_RATE = 1e-2  # rate [rad/s] by which velocities are weighed against positions where there is no orbit
 
 
 def hill_rate(system: LinearSystem, field: str, given: object) -> float:

@@ -14,8 +14,7 @@ from .fields import ScenarioPart, unit
 from .filter_tables import Filter, FlightFilter, StrengtheningTable
 from .navigation_tables import Estimate
 
-MOST_PERIODS = 200_000
-"""Most control periods of one flight."""
+MOST_PERIODS = 200_000  # most control periods of one flight
 
 
 class Parameters(ScenarioPart):

@@ -13,8 +13,7 @@ from . import fields as f
 from .error_tables import Timing
 from .fields import ScenarioPart, unit
 
-MOST_MISSED = 20
-"""Most periods without a measurement that an observer is designed for."""
+MOST_MISSED = 20  # most periods without a measurement that an observer is designed for
 
 
 class Estimate(ScenarioPart):

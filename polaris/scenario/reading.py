@@ -16,8 +16,7 @@ from ..model.checks import counted
 from ..model.errors import ScenarioError
 from .fields import LARGEST, NAME_PATTERN
 
-MAX_BYTES = 1_000_000
-"""Largest scenario file read; the largest sensible one is a hundred times smaller."""
+MAX_BYTES = 1_000_000  # largest scenario file read; the largest sensible one is a hundred times smaller
 
 Model = TypeVar("Model", bound=BaseModel)
 

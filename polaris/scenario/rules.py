@@ -26,8 +26,7 @@ MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not
 proximity operations, and one step of the plan would jump over it."""
 
-HILL_RANGE_M = 1e5
-"""Range [m] within which Hill's linear equations are taken to hold."""
+HILL_RANGE_M = 1e5  # range [m] within which Hill's linear equations are taken to hold
 
 
 _TOUCH_M = 1e-9

@@ -23,20 +23,13 @@ from .falsification.search import Falsification, falsify
 from .run_metrics import Runs
 from .simulate import simulate
 
-ATTEMPTS = 4
-"""How often wider bands are tried, with other flights each, before no statement is made."""
-WIDEN = 1.6
-"""By how much they are wider each time."""
-SPARE = 8
-"""Flights that may leave a band without a further attempt: what they cost is more flights."""
-MOST = 10_000_000
-"""No more flights than this are ever drawn for a statement."""
-BATCH = 1000
-"""Flights at a time."""
-FEW = slice(7, None, -1)
-"""Of a batch, those about which boxes are asked on their own."""
-ROUNDED = 1e-6
-"""By how much commands may be off then, as a share of the limits."""
+ATTEMPTS = 4  # how often wider bands are tried, with other flights each, before no statement is made
+WIDEN = 1.6  # by how much they are wider each time
+SPARE = 8  # flights that may leave a band without a further attempt: what they cost is more flights
+MOST = 10_000_000  # no more flights than this are ever drawn for a statement
+BATCH = 1000  # flights at a time
+FEW = slice(7, None, -1)  # of a batch, those about which boxes are asked on their own
+ROUNDED = 1e-6  # by how much commands may be off then, as a share of the limits
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from ..planning.reference import Reference
 from .demand import taken_over
 from .tracking import Feedback, Tracking
 
-TOGETHER = 5
-"""Periods whose errors are merged in a tube."""
+TOGETHER = 5  # periods whose errors are merged in a tube
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,8 @@ from .problem import Problem
 from .spending import Spell, spent
 from .tracking import Tracking
 
-GOAL_SHARE = 0.05
-"""Share of the goal's size within which it counts as reached, where no length is given."""
-SOON = 0.25
-"""Share of the horizon in which a velocity error has become the length that it counts for."""
+GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached, where no length is given
+SOON = 0.25  # share of the horizon in which a velocity error has become the length that it counts for
 
 
 SPARE, FLOWN = 0.1, 0.02

@@ -23,8 +23,7 @@ from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 from .tracking import Tracking
 
-AFRESH = 2
-"""How often it is planned again where bows between nodes or errors by the time leave no room."""
+AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no room
 AGAIN = 1000, 2
 """Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
 

@@ -32,19 +32,14 @@ The states are those that the box is told, errors of the estimate included. At t
 each row: until the next question at time 0 a row is always the same flight.
 """
 
-Before = Sequence[tuple[Zonotope, Controller]]
-"""Of the steps so far: where each began, and who flew it."""
+Before = Sequence[tuple[Zonotope, Controller]]  # of the steps so far: where each began, and who flew it
 
-SAMPLES = 400
-"""Starts that shape the sets of a step; that these hold is asked of other flights."""
+SAMPLES = 400  # starts that shape the sets of a step; that these hold is asked of other flights
 
-BANDS = 2.0
-"""By how much the bands are wider than what the samples leave over."""
+BANDS = 2.0  # by how much the bands are wider than what the samples leave over
 
-NARROW = 1e-7
-"""Share of its size from which on a state varies enough for a command to be fitted to it."""
-FARTHEST = 1e60
-"""States beyond which nothing is computed."""
+NARROW = 1e-7  # share of its size from which on a state varies enough for a command to be fitted to it
+FARTHEST = 1e60  # states beyond which nothing is computed
 
 
 @dataclass(frozen=True, eq=False)

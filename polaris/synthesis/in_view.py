@@ -35,22 +35,15 @@ from .worth import Mask, Worth
 
 STICKING = (20.0, 3.0)
 """Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
-SOFT = 5.0
-"""The same where U's own command leaves S no room above it: the reference goes on with less."""
-DEPARTS = 1e-2
-"""Share of full thrust from which on a departure from U's path is one."""
-SHORT = 1e4
-"""Price of a lacking length, beside that of fuel."""
-PROGRAMS = 120
-"""Most windows tried from each start."""
-STARTS, ATTEMPTS = 3, 4
-"""Sets of windows that are improved, and attempts to prove each."""
+SOFT = 5.0  # the same where U's own command leaves S no room above it: the reference goes on with less
+DEPARTS = 1e-2  # share of full thrust from which on a departure from U's path is one
+SHORT = 1e4  # price of a lacking length, beside that of fuel
+PROGRAMS = 120  # most windows tried from each start
+STARTS, ATTEMPTS = 3, 4  # sets of windows that are improved, and attempts to prove each
 APART = tuple((i, j) for i in (3, 5, 7, 9) for j in (3, 5, 7, 9))  # steps left of a window that is split
 SETTLED = 12  # steps after which S has done with the initial set
-SIDES = 8
-"""Sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply."""
-SPARE = 2.0
-"""By how much more than was lacking the clearance is raised from one attempt to the next."""
+SIDES = 8  # sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply
+SPARE = 2.0  # by how much more than was lacking the clearance is raised from one attempt to the next
 
 Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
 """What both algorithms make of a plan and the modes intended along it; None if nothing is proven."""

@@ -150,8 +150,7 @@ class Problem:
         one_of("recourse", self.recourse, RECOURSE)
 
 
-ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")
-"""What a bare system needs besides."""
+ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # what a bare system needs besides
 
 
 def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:

@@ -14,10 +14,8 @@ from ..model.tolerances import ROUNDING
 from .controllers import AffineController, Controller, TubeSegment
 from .neural import NeuralController
 
-LONGEST = 4000
-"""Periods of a loop that are looked at all at once, at most."""
-SQUARED = 4
-"""How often the power of a response is squared whose coefficients bound its peak."""
+LONGEST = 4000  # periods of a loop that are looked at all at once, at most
+SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
 from .worth import Worth
 
-LARGE = 0.15
-"""Errors of thrusters, as a share of what is commanded, from which on less feedback is tried too."""
+LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
 DEARER = (0.0, 0.3, 3.0)
 """What is added to the price of velocity change, in turn, while no schedule keeps the budget."""
 
