@@ -9,13 +9,12 @@ from typing import Any
 
 from .document import Document
 from .file_keys import SUMMARY as SUMMARY_KEYS
-from .files import LARGEST_SCENARIO, contents, found, sha256
 from .lemma import Stated
 from .onnx_file import check_file
 from .plants import plant_of
 from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
 from .scenario_keys import check_keys
-from .structure import conform, strict_json
+from .structure import LARGEST_SCENARIO, conform, contents, found, sha256, strict_json
 from .verdict import Record, Rejected
 
 NEEDED = (

@@ -9,14 +9,12 @@ from typing import Any
 
 from .assumptions import SATELLITES, Premises
 from .file_keys import CERTIFICATE, REPEATED
-from .files import contents
-from .layers import network_of
 from .parts import Law, Matrix, Powered, UnsafeSet, Vector, abort_of, check_law, powered_of, unsafe_set
-from .structure import Lengths, conform, strict_json
+from .structure import Lengths, conform, contents, strict_json
 from .verdict import Rejected, Undecided
 
 FORMAT = "polaris-certificate"
-VERSION = 1
+VERSION = 2
 
 ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
 MOST_NODES = 100_000  # most periods in a step
@@ -131,10 +129,7 @@ class Document:
         self.drift = None if drift is None else abort_of(drift, self.q)
         sets, powered = [len(item["normals"]) for item in read["unsafe_sets"]], read.get("powered")
         self.powered: Powered | None = None if powered is None else powered_of(powered, self.delta, sets)
-        self.laws = [
-            Law(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
-            for law in read["controllers"]
-        ]
+        self.laws = [Law.of(law) for law in read["controllers"]]
 
     @property
     def longest(self) -> int:

@@ -8,9 +8,8 @@ from flint import arb, arb_mat
 from .arcs import Arc
 from .balls import above, beside, column, diagonal, identity, largest, matrix, row_sums, smallest, sums
 from .bodies import Whereabouts
-from .layers import Layer
 from .motion import Plant
-from .parts import Law
+from .parts import Law, Layer
 from .zonotopes import Zonotope
 
 FLATTEST = 1e-30  # slopes of bands below it are taken for 0

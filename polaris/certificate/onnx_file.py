@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .files import contents
-from .layers import Layer
-from .parts import Law
+from .parts import Law, Layer
+from .structure import contents
 from .verdict import Rejected, Undecided
 
 LARGEST = 64 * 2**20  # most bytes of a file

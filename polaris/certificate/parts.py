@@ -1,11 +1,42 @@
-"""What a certificate is made of: unsafe sets, controllers, and what is said of drifts."""
+"""What a certificate is made of: unsafe sets, controllers and their networks, what is said of drifts."""
 
 import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from .layers import Layer
 from .verdict import Rejected
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of a network: weights and biases of an affine one, or limits of an activation."""
+
+    kind: str  # affine, relu, tanh, sigmoid or clip
+    W: list[list[float]] = field(default_factory=list)
+    b: list[float] = field(default_factory=list)
+    low: float = 0.0
+    high: float = 0.0
+
+
+def network_of(law: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a law that is a network, its layers of sizes that fit."""
+    if law["kind"] != "neural":
+        return {}
+    layers, width = [Layer(**layer) for layer in law["layers"]], len(law["input_scale"])
+    for layer in layers:
+        if layer.kind == "affine":
+            if not layer.W or len(layer.W) != len(layer.b) or any(len(row) != width for row in layer.W):
+                raise ValueError(f"layers of {law['name']} do not fit one another")
+            width = len(layer.W)
+        elif (layer.kind == "relu" and not 0 <= layer.low <= 1) or not (
+            layer.kind != "clip" or layer.low <= layer.high
+        ):
+            raise ValueError(f"{law['name']} has a {layer.kind} that decreases")
+    if width != len(law["output_scale"]) or len(set(law["inputs"])) < len(law["inputs"]):
+        raise ValueError(f"inputs or outputs of {law['name']} do not fit")
+    scales = {name: law[name] for name in ("input_scale", "output_scale")}
+    return {"reads": law["inputs"], "layers": layers, "bodies": law.get("bodies", []), **scales}
+
 
 UNIT = 4e-9  # how far the square of a unit normal may be off 1
 
@@ -50,6 +81,11 @@ class Law:
     output_scale: Vector = field(default_factory=list)
     layers: list[Layer] = field(default_factory=list)
     bodies: list[dict[str, Any]] = field(default_factory=list)  # that it reads, and how each moves
+
+    @classmethod
+    def of(cls, law: Any) -> "Law":
+        """From its item."""
+        return cls(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
 
     @property
     def work(self) -> int:

@@ -11,9 +11,8 @@ from typing import Any
 
 from .document import Document, canonical
 from .file_keys import GAINS, SCHEDULE
-from .files import contents
 from .powered import told_aborts
-from .structure import conform, shown, strict_json
+from .structure import conform, contents, shown, strict_json
 from .transients import check_withheld
 from .verdict import Rejected
 

@@ -14,8 +14,7 @@ from reach.numerics.linear import discretize
 from .acceleration import acceleration_input
 from .errors import ScenarioError
 from .thrusters import Thrusters
-from .timing import Observer, Timing
-from .transient import Transient
+from .timing import Observer, Timing, Transient
 
 Array = NDArray[np.float64]
 

@@ -22,9 +22,8 @@ from ..model.allocation import Allocation
 from ..model.obstacle import chaser_radius
 from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
-from ..model.timing import Observer, Timing
+from ..model.timing import Transient
 from ..model.tolerances import ROUNDING
-from ..model.transient import Transient
 from ..scenario.fields import python_name
 from ..simulation.metrics import finite
 from ..synthesis.black_box import BlackBox
@@ -35,7 +34,7 @@ from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
 from ..synthesis.schedule import Schedule
-from .tables import json_text, strict, write_text
+from .tables import errors_of, json_text, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
@@ -124,32 +123,9 @@ def _system(safety: Safety) -> dict[str, Any]:
         "input_max": system.u_max,
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
-        **_errors(safety),
+        **errors_of(safety),
         **_allocation(safety.problem.allocation),
         **_transients(system.transients),
-    }
-
-
-def _observer(observer: Observer) -> dict[str, Any]:
-    """What is said of an observer."""
-    told = asdict(observer)
-    unsaid = "fading", *(() if observer.after else ("after",))
-    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
-
-
-def _errors(safety: Safety) -> dict[str, Any]:
-    """Errors of estimates, thrusters and timing, if any."""
-    system = safety.problem.system
-    timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
-    timing = {
-        key: x for key, x in timing.items() if key not in ("period", "unseen") and (x or key not in added)
-    }
-    return {
-        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
-        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
-        **({} if system.timing == Timing() else {"timing": timing}),
-        **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({} if system.observer is None else {"observer": _observer(system.observer)}),
     }
 
 

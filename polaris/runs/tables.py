@@ -3,14 +3,17 @@
 import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..model.system import LinearSystem
+from ..model.timing import Observer, Timing
 from ..planning.reference import Reference
 from ..simulation.metrics import finite
+from ..synthesis.get_safety import Safety
 from ..synthesis.recoverable import directed
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import in_words
@@ -120,6 +123,29 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     if chi.shape != (len(rows), system.n) or nu.shape != (len(rows) - 1, system.m):
         raise ValueError("wrong number of columns")
     return Reference(system, delta, chi, nu)
+
+
+def _observer(observer: Observer) -> dict[str, Any]:
+    """What is said of an observer."""
+    told = asdict(observer)
+    unsaid = "fading", *(() if observer.after else ("after",))
+    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
+
+
+def errors_of(safety: Safety) -> dict[str, Any]:
+    """Errors of estimates, thrusters and timing, if any."""
+    system = safety.problem.system
+    timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
+    timing = {
+        key: x for key, x in timing.items() if key not in ("period", "unseen") and (x or key not in added)
+    }
+    return {
+        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
+        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({} if system.timing == Timing() else {"timing": timing}),
+        **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
+        **({} if system.observer is None else {"observer": _observer(system.observer)}),
+    }
 
 
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:

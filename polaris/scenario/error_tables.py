@@ -13,7 +13,7 @@ from ..model.prediction import predicting
 from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters as Errors
 from ..model.timing import Timing as Delays
-from ..model.transient import Transient
+from ..model.timing import Transient
 from ..synthesis.passive import Abort as AbortOptions
 from ..synthesis.problem import PoweredAbort
 from . import fields as f

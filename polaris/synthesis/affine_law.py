@@ -1,11 +1,17 @@
-"""The data of an affine feedback law: what its tube, its clip and its motion between nodes all read."""
+"""An affine feedback law: its data, a period of it clipped, as a set, and what it does between nodes.
+
+The latter are elementwise bounds for `TubeSegment.bow`. Under continuous feedback two things are bounded at
+once: the path itself, and the curve ``y(t)`` of where the error ends up at the next node if S takes over at t
+(docs/theory.md, Lemma 5). Under sampled feedback S can only take over at a node.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from reach.numerics.linear import powers
+from reach.numerics.linear import discretize, powers
+from reach.numerics.relaxation import clip_relaxation
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
@@ -123,3 +129,125 @@ class AffineLaw:
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""
         return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
+
+
+SLOPES = 8  # different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept
+
+
+def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
+    """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
+
+    d is relative to the law's own reference, mu, shape (m,), that reference's input. Returned with the set
+    are the slopes of the band, shape (m,): what the set rests on, and a certificate repeats.
+    """
+    phi, known, push, slope = clipped_map(law, d, mu)
+    noise = law.flow if law.feedback.sampled else law.relaxed_flow(slope)
+    out = phi @ d + known + noise.period_zonotope
+    return (out + push if np.any(push.G) else out).reduce(6), slope
+
+
+def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Zonotope, Array]:
+    """What `clipped_step` makes of d but for the disturbance, ``phi d + known + push``, and the slopes.
+
+    The clip is replaced by an affine band over the range of the command: at the node for sampled
+    feedback (the input is then held), over the whole period for continuous feedback.
+    """
+    system = law.system
+    image = law.gain @ d
+    lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
+    if law.feedback.sampled:
+        slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
+        Ah, Bh = discretize(system.A, system.B, law.flow.h)
+        known = Bh @ (slope * mu + offset - mu)
+        return Ah - Bh @ (slope[:, None] * law.gain), known, Zonotope(np.zeros(system.n), Bh * radius), slope
+    command = np.maximum(np.abs(mu - lo), np.abs(hi - mu)) + np.maximum(np.abs(mu) - system.u_max, 0)
+    moved, _ = clipped_motion(law, d.extent, command, mu)
+    drift = np.abs(law.gain) @ moved
+    slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
+    step = law.relaxed_flow(slope)
+    push = step.input_zonotope(system.B, np.diag(radius), np.abs(system.B) @ radius)
+    return step.phi, step.input_map(system.B) @ (slope * mu + offset - mu), push, slope
+
+
+def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
+    """How far a clipped law moves within one period, and how hard it can push, elementwise.
+
+    From bounds on ``|d|`` at the node (..., n) and on ``|Lambda_U d|`` there (..., m), plus what mu (m,), the
+    law's own input, exceeds the limits by: bounds on ``|d(s) - d(0)|``, disturbance included, and on
+    ``|clip(mu - Lambda_U d) - mu|``: at most ``|Lambda_U d|``, as the clip has slope at most 1, and at most
+    what the thrusters have.
+    """
+    system, loose = law.system, law.open_flow
+    most = system.u_max + np.abs(mu)
+    push = np.broadcast_to(most, command.shape)
+    still = extent @ (loose.growth - np.eye(system.n)).T + loose.period_box
+    for _ in range(3):
+        moved = still + loose.h * push @ np.abs(system.B).T @ loose.growth.T
+        push = np.minimum(most, command + moved @ np.abs(law.gain).T)
+    return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
+
+
+def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
+    """Bow of an unclipped tube after each node, shape (q, n).
+
+    `start` is a stack of q sets, the states about the law's own reference at the nodes; k the planning step.
+    """
+    flow, safe = law.flow, law.tracking
+    image = flow.A_c @ start
+    if law.feedback.sampled:
+        return _bow(law, k, image.extent @ law.open_flow.growth.T @ np.abs(law.system.A).T)
+    rate = image.extent @ flow.growth.T
+    path = (flow.A_c @ image).extent @ flow.growth.T
+    difference = safe.gain - law.gain
+    known = law.own.nu[k] - law.reference.nu[k] + law.offset[k][:-1] @ safe.gain.T
+    inputs = np.abs(known + start.c @ difference.T) + np.abs(difference @ start.G).sum(axis=-1)
+    return _bow(law, k, path, _switch(law, inputs, rate @ np.abs(difference).T, k))
+
+
+def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
+    """Bow of a tube whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
+    system, safe, mu = law.system, law.tracking, law.own.nu[k]
+    extent = start.extent
+    command = (law.gain @ start).extent + np.maximum(np.abs(mu) - system.u_max, 0)
+    if law.feedback.sampled:
+        push = np.minimum(command, system.u_max + np.abs(mu))
+        rate = ((system.A @ start).extent + push @ np.abs(system.B).T) @ law.open_flow.growth.T
+        return _bow(law, k, rate @ np.abs(system.A).T)
+    moved, push = clipped_motion(law, extent, command, mu)
+    rate = (extent + moved) @ np.abs(system.A).T + push @ np.abs(system.B).T
+    path = rate @ (np.abs(system.A) + np.abs(system.B) @ np.abs(law.gain)).T
+    known = mu - law.reference.nu[k] + law.offset[k][:-1] @ safe.gain.T
+    inputs = np.abs(known) + push + (safe.gain @ start).extent
+    return _bow(law, k, path, _switch(law, inputs, rate @ (np.abs(safe.gain) + np.abs(law.gain)).T, k))
+
+
+def _bow(law: AffineLaw, k: int, path: Array, switch: Array | float = 0.0) -> Array:
+    """``h^2/8`` times the curvature of path and zeta, or of a switch; and the disturbance of a period."""
+    own = _own_rate(law, k) @ np.abs(law.system.A).T  # |zeta''|
+    return np.asarray(law.flow.h**2 / 8 * np.maximum(path + own, switch) + law.period_box)
+
+
+def _own_rate(law: AffineLaw, k: int) -> Array:
+    """``|zeta'|`` over each period, for ``zeta = xi_U - xi``, shape (q, n)."""
+    system = law.system
+    push = (law.own.nu[k] - law.reference.nu[k]) @ system.B.T
+    return np.asarray(np.abs(law.offset[k][:-1] @ system.A.T + push) @ law.open_flow.growth.T)
+
+
+def _switch(law: AffineLaw, inputs: Array, slope: Array, k: int) -> Array:
+    """``|y''| = |e^{A_c (t1 - t)} (B Delta' - A_c B Delta)|``, Delta the difference of U's input and S's.
+
+    Bounds, shape (q, m): `inputs` on ``|Delta|`` at the nodes, `slope` on ``|Delta'|`` but for zeta's share.
+    """
+    system, safe = law.system, law.tracking
+    slope = slope + _own_rate(law, k) @ np.abs(safe.gain).T
+    inputs = inputs + law.flow.h * slope
+    inner = slope @ np.abs(system.B).T + inputs @ np.abs(safe.flow.A_c @ system.B).T
+    return np.asarray(inner @ safe.flow.growth.T)
+
+
+def at_nodes(parts: Array) -> Array:
+    """Bounds at q+1 nodes from those on the q parts between them, shape (..., q+1, n): the larger of both."""
+    end = np.zeros((*parts.shape[:-2], 1, parts.shape[-1]))
+    left, right = np.concatenate([parts, end], axis=-2), np.concatenate([end, parts], axis=-2)
+    return np.asarray(np.maximum(left, right))

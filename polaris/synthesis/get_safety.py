@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from reach.sets.zonotope import Zonotope
 
 from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
-from ..model.transient import Transient
+from ..model.timing import Transient
 from ..planning.problem import Plan
 from ..planning.reference import Reference
 from .attempts import Attempts, Clock

@@ -12,9 +12,8 @@ from reach.tubes.flow import LinearFlow
 
 from ..model.prediction import IN_PERIOD, forgetting, prediction_error, unseen_by
 from ..model.system import Array, LinearSystem
-from ..model.timing import WHOLE
+from ..model.timing import WHOLE, Transient
 from ..model.tolerances import ROUNDING
-from ..model.transient import Transient
 from .profile import summed
 
 

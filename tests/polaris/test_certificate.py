@@ -136,9 +136,10 @@ def test_no_guarantee_is_not_verified_even_if_nothing_else_fails():
     assert (verdict.outcome, verdict.claim, verdict.exit_code) == ("REJECTED", "guarantee", 5)
 
 
-def test_what_is_not_known_is_unknown():
+@pytest.mark.parametrize("version", [1, 3])
+def test_what_is_not_known_is_unknown(version):
     data = json.loads(json.dumps(variant()))
-    data["schema_version"] = 2
+    data["schema_version"] = version
     verdict = verify_document(data)
     assert (verdict.outcome, verdict.claim, verdict.exit_code) == ("UNKNOWN", "format", 6)
 

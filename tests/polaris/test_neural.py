@@ -19,11 +19,10 @@ from polaris.certificate.balls import matrix
 from polaris.certificate.bodies import Whereabouts
 from polaris.certificate.checker import verify
 from polaris.certificate.document import canonical, digest
-from polaris.certificate.layers import Layer
 from polaris.certificate.networks import Policy as CheckedPolicy
 from polaris.certificate.networks import band, value
 from polaris.certificate.onnx_file import read_layers
-from polaris.certificate.parts import Law
+from polaris.certificate.parts import Law, Layer
 from polaris.certificate.zonotopes import Zonotope as CheckedZonotope
 from polaris.model.errors import ScenarioError
 from polaris.model.thrusters import Thrusters

@@ -17,8 +17,7 @@ from ..failing import drawn
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
-from .environment import Environment
-from .frame import frame_rates, near_circular, relative_rate
+from .environment import Environment, frame_rates, near_circular, relative_rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class TrueFlights:
     residual : ndarray, shape (R, N)
         What the linear equations left out, the largest within each period [m/s^2].
     target : ndarray, shape (R, N+1, 6)
-        The target's orbit (see `polaris.simulation.orbit.frame`).
+        The target's orbit (see `polaris.simulation.orbit.environment`).
     ballistic : ndarray, shape (R,)
         The chaser's drag coefficient times area over mass [m^2/kg].
     within : ndarray of bool, shape (R,)
