@@ -8,7 +8,8 @@ from ..planning.reference import Reference
 from .profile import ROUNDS, SETTLED, SPARE, summed
 from .tracking import Tracking
 
-LONGER = 3  # for how many memories bounds at the end of the tail are constant: a checker remembers longer
+LONGER = 3
+"""For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
 
 
 class Scheduled:
