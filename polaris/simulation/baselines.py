@@ -79,6 +79,8 @@ def compare(
 ) -> dict[str, Flown]:
     """Fly ``safety`` (S alone), ``experimental`` (the preferred U alone) and ``polaris`` n times each.
 
+    No fault is flown that is isolated late: what these runs are shown beside is claimed of flights without.
+
     Parameters
     ----------
     schedule : Schedule
@@ -108,7 +110,7 @@ def compare(
         for first in range(0, n, BATCH):
             if progress:
                 progress(done * n + first, len(plans) * n)
-            runs = simulate(schedule, min(BATCH, n - first), seed + first, mode=mode)
+            runs = simulate(schedule, min(BATCH, n - first), seed + first, mode=mode, disturbance="mixed")
             metrics = evaluate(runs, seed + first, name)
             worst = metrics.worst
             if not parts:
