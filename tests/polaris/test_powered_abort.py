@@ -17,11 +17,12 @@ from polaris.certificate.plants import precision_for
 from polaris.certificate.verdict import Record, Rejected
 from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.report.html.run_report import aborts
+from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.tables import abort_told
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
-from polaris.simulation.falsification.aborting import Aborted
+from polaris.simulation.falsification.aborting import Aborted, exceeded
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
@@ -52,8 +53,8 @@ def attacked(schedule, runs, seed, steps):
     for k in steps:
         way, flown = schedule.powered.ways[k], schedule.aborted(k)
         tried = Aborted(schedule, k, runs, np.random.default_rng(seed))
-        limit, _, margin, _ = tried.exceeded()
-        assert margin >= -1e-6, (seed, k, limit)
+        failure, _ = exceeded(schedule, k, tried.runs)
+        assert failure.margin >= -1e-6, (seed, k, failure.limit)
         q, problem = flown.safety.clearance.q, flown.safety.problem
         spent = np.abs(tried.runs.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
         tight = max(tight, spent / problem.system.mass / way.delta_v)
@@ -76,12 +77,16 @@ def test_aborted_flights_reach_their_orbit(tiny):
     assert "0 to 1" in aborts({"powered_abort": tiny.powered.told()})
 
 
-def test_a_claim_that_is_too_bold_is_refuted(tiny):
+def test_a_claim_that_is_too_bold_is_refuted_and_can_be_flown_again(tiny, monkeypatch, tmp_path):
     ways = tuple(replace(way, delta_v=0.4 * way.delta_v) for way in tiny.powered.ways)
     bold = replace(tiny)
     vars(bold)["powered"] = replace(tiny.powered, ways=ways)
     found = falsify(bold, 2000, 0)
     assert found.failure.kind == "abort" and found.abort is not None
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN]), found)
+    assert replay(case)[0] is None
+    monkeypatch.setattr("polaris.runs.case.synthesize", lambda scenario: bold)
+    assert str(replay(case)[0]) == str(found.failure)
     sooner = tuple(replace(way, cell=max(way.cell - 4, k + 1)) for k, way in enumerate(tiny.powered.ways))
     vars(bold)["powered"] = replace(tiny.powered, ways=sooner)
     assert falsify(bold, 2000, 0).failure.limit == "orbit"
@@ -315,7 +320,7 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
         failing = Failing(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
         tried.attack = replace(tried.attacker.worst(count), failing=failing)
         tried.runs = tried.attack.fly(tried.attacker.flight)
-        return tried.exceeded()[2]
+        return exceeded(schedule, k, tried.runs)[0].margin
 
     schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, OWN]))
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"

@@ -9,26 +9,43 @@ from reach.numerics.linear import powers
 from ...model.system import Array, LinearSystem
 from ...synthesis.passive import PassiveSafety
 from ..run_metrics import Runs
+from .claims import EXACT_M
+from .violations import Failure
 
 STOPS = 64  # instants at which thrust stops that are looked at in each batch of runs
 
 
+def stopped(
+    passive: PassiveSafety, runs: Runs, rng: np.random.Generator, stops: int = STOPS
+) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Runs, and nodes of steps that are clear, at which thrust stops, each (stops,)."""
+    nodes, run = len(runs.inputs[0]) // len(runs.modes), rng.integers(0, len(runs.states), stops)
+    steps = rng.choice(np.flatnonzero(passive.clear), stops)
+    return run, np.asarray(steps * nodes + rng.integers(0, nodes + 1, stops))
+
+
+def drifted(
+    passive: PassiveSafety, runs: Runs, run: NDArray[np.int_], node: NDArray[np.int_]
+) -> tuple[Failure | None, int]:
+    """The worst violation of what is claimed of the drift after all thrust stops; and which run it is."""
+    assert passive.least is not None
+    margin = least_distances(passive, runs, run, node)
+    stop, o = np.unravel_index(int(margin.argmin()), margin.shape)
+    found = float(runs.times[node[stop]]), float(margin[stop, o]), passive.least
+    broken = found[1] < passive.least - EXACT_M
+    return Failure("drift", passive.flight.sets[o].name, *found) if broken else None, int(run[stop])
+
+
 def least_distances(
-    passive: PassiveSafety, runs: Runs, nodes: int, rng: np.random.Generator, stops: int = STOPS
-) -> tuple[Array, NDArray[np.int_], Array]:
-    """Least distance of drifts from each unsafe set, thrust stopping at random nodes of clear steps.
+    passive: PassiveSafety, runs: Runs, run: NDArray[np.int_], node: NDArray[np.int_]
+) -> Array:
+    """Least distance [m] of drifts from each unsafe set, thrust stopping at nodes of runs, (stops, sets).
 
     At every instant of the drift the disturbance has done all it can against the facet that keeps the drift
-    furthest away. `nodes` is the number of periods per step. Distances (stops, sets) [m], inf without a step
-    that is clear; of which run, and when thrust stops [s], each (stops,).
+    furthest away.
     """
-    flight = passive.flight
-    steps, h = np.flatnonzero(passive.clear), flight.delta / nodes
-    run = rng.integers(0, len(runs.states), stops)
-    out = np.full((stops, len(flight.sets)), np.inf)
-    if not len(steps):
-        return out, run, np.zeros(stops)
-    node = rng.choice(steps, stops) * nodes + rng.integers(0, nodes + 1, stops)
+    flight, h = passive.flight, runs.times[1]
+    out = np.empty((len(run), len(flight.sets)))
     ahead = np.arange(flight.abort.horizon / flight.delta * flight.parts + 1e-9) * flight.delta / flight.parts
     moved = powers(expm(flight.system.A * flight.delta / flight.parts), len(ahead) - 1)
     position = flight.system.position @ moved
@@ -39,7 +56,7 @@ def least_distances(
         best = (place @ item.normals.T - offsets).argmax(axis=-1)
         hit = place + pushed[best, np.arange(len(ahead))]
         out[:, o] = (hit @ item.normals.T - offsets).max(axis=-1).min(axis=1)
-    return out, run, np.asarray(node * h, dtype=float)
+    return out
 
 
 def _pushes(system: LinearSystem, normals: Array, position: Array, ahead: Array) -> Array:

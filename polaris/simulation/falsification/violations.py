@@ -7,6 +7,7 @@ import numpy as np
 
 from ...synthesis.recoverable import directed
 from ..delayed import flight_of
+from ..run_metrics import Runs
 from .attacks import Attack
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 
@@ -80,6 +81,16 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
             floor = float(claims.floor[claims.period_at(when), limit])
             return Failure(kind, claims.names[limit], when, margin, floor)
     return None
+
+
+def overspent(runs: Runs) -> tuple[Failure | None, int]:
+    """What the run that spends most violates of what is claimed until T; and which run that is."""
+    run, (_, most) = int(np.argmax(runs.delta_v)), runs.schedule.delta_v
+    sampled = runs.schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
+    found, end = float(runs.delta_v[run]), float(runs.schedule.times[-1])
+    if not sampled or runs.schedule.guarantee != "proved" or found <= most * (1 + EXACT_INPUT):
+        return None, run
+    return Failure("velocity change", "the bound until T", end, most - found, most), run
 
 
 def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
