@@ -15,7 +15,7 @@ from polaris.runs.campaign.plan import parse_grid
 from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import MODES, RUNS, TINY, rows, table
 from tests.campaign.scene import run as fly_campaign
-from tests.polaris.test_transients import LATE, LOST, OBSERVED, SOFT
+from tests.polaris.test_transients import LATE, LOST, OBSERVED
 from tests.rta.test_late_faults import TWOS
 
 
