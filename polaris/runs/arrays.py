@@ -55,8 +55,7 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """The reachable set of every step at its nodes, in error and in absolute coordinates.
 
     ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
-    Generators (q+1, g, K, n) are in single precision, and what that takes is a box in the last n of them; one
-    is often the same in many steps, which then lie side by side and can be compressed.
+    Generators (q+1, g, K, n) are in single precision; a box of what that takes is the last n of them.
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     single, most = nodes.G.astype(np.float32), np.float32(np.inf)

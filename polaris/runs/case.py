@@ -16,7 +16,7 @@ from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
 from ..simulation.falsification.aborting import exceeded
 from ..simulation.falsification.attacks import Attack
-from ..simulation.falsification.claims import EXACT_M, Claims, attained
+from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
@@ -121,17 +121,16 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         flight = flight_of(schedule, claims.modes, int(data["substeps"]))
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
-        runs, kind = attack.fly(flight), data["violation"]["kind"]
+        runs, known = attack.fly(flight), Failure(**data["violation"])
         found = violation(claims, attained(claims, runs, attack.failing))
-        if found is None and kind == "velocity change":
+        if found is None and known.kind == "velocity change":
             found, _ = overspent(runs)
-        elif found is None and kind == "drift" and whole.passive is not None:
-            node = np.array([round(float(data["violation"]["time_s"]) / runs.times[1])])
+        elif found is None and known.kind == "drift" and whole.passive is not None:
+            node = np.array([round(known.time_s / runs.times[1])])
             found, _ = drifted(whole.passive, runs, 0 * node, node)
-        elif found is None and kind == "abort":
+        elif found is None and known.kind == "abort":
             found, _ = exceeded(whole, int(data["abort"]), runs)
-            found = found if found.margin < -EXACT_M else None
-        return found, scenario
+        return found if found and found.broken else None, scenario
     except (ValueError, TypeError, IndexError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error
 

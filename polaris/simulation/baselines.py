@@ -79,14 +79,13 @@ def compare(
 ) -> dict[str, Flown]:
     """Fly ``safety`` (S alone), ``experimental`` (the preferred U alone) and ``polaris`` n times each.
 
-    No fault is flown that is isolated late: what these runs are shown beside is claimed of flights without.
-
     Parameters
     ----------
     schedule : Schedule
         Result of `synthesize`.
     n : int
-        Runs per controller: half from corners of the initial set, half under worst-case disturbances.
+        Runs per controller: half from corners of the initial set, half under worst-case disturbances, none
+        with a fault that is isolated late, as what they are shown beside is claimed of flights without.
     seed : int
         Same seed, same runs.
     progress : callable, optional

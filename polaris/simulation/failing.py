@@ -65,11 +65,11 @@ class Failing:
 
     def columns(self, times: Array) -> dict[str, Array]:
         """Which kind of fault each flight has, from when until when [s], as nodes are at times (N+1,)."""
-        kinds = np.select([self.lost, self.share < 0, self.share < 1], KINDS[:3], KINDS[3])
-        none, last = self.begins >= len(times) - 1, len(times) - 1
-        when = (times[np.minimum(nodes, last)] for nodes in (self.begins, self.ends))
-        begins, ends = (np.where(none, np.nan, at) for at in when)
-        return {"fault": np.where(none, "", kinds), "fault_begins_s": begins, "fault_ends_s": ends}
+        some, kinds = self.begins < (last := len(times) - 1), [self.lost, self.share < 0, self.share < 1]
+        at = (times[np.minimum(nodes, last)] for nodes in (self.begins, self.ends))
+        begins, ends = (np.where(some, when, np.nan) for when in at)
+        names = np.where(some, np.select(kinds, KINDS[:3], KINDS[3]), "")
+        return {"fault": names, "fault_begins_s": begins, "fault_ends_s": ends}
 
     def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
         """Whether S flies from the node `effect` on, whatever is decided on what is measured at node k.

@@ -77,10 +77,9 @@ class Runs:
     @property
     def flown(self) -> NDArray[np.int_]:
         """Mode over the period after every node, S because of a fault included, shape (R, N)."""
-        planned = np.broadcast_to(self.mode_per_period, self.demanded.shape)
-        if self.failing is None:
-            return planned
-        return np.where(self.failing.by_s(np.arange(planned.shape[1])[:, None]).T, 0, planned)
+        planned, late = np.broadcast_to(self.mode_per_period, self.demanded.shape), self.failing
+        by_s = False if late is None else late.by_s(np.arange(planned.shape[1])[:, None]).T
+        return np.where(by_s, 0, planned)
 
     def metrics(self) -> Metrics:
         """Distances, times to collision, usage and velocity change; see `Metrics`."""

@@ -45,8 +45,8 @@ def simulate(
         States drawn from Theta; ``mixed`` takes corners for half of the runs.
     disturbance : {"failing", "mixed", "none", "random", "worst"}
         ``worst``: in closed form for a random facet and instant; ``random``: half of it on the bound;
-        ``mixed``: half of the runs each; ``failing``: also, in every second run, one of the faults that are
-        isolated late, if there are any, at an instant drawn, and S from its isolation on.
+        ``mixed``: half of the runs each; ``failing``: so, and in every second one a fault, where any is
+        isolated late, at an instant drawn.
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional

@@ -84,9 +84,8 @@ def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Arra
         each = (np.abs(left) @ prediction_error(system, known, worst, fault.lasts + h))[None]
     found = sliding_window_view(each, lasting, axis=1).sum(axis=-1)
     ever = np.linalg.solve(np.eye(n) - last, found[:, count:].max(axis=1).T).T
-    found = (
-        np.concatenate([found[:, :count], ever[:, None]], axis=1) @ np.abs(expm(system.A * timing.delay)).T
-    )
+    over = np.abs(expm(system.A * timing.delay)).T
+    found = np.concatenate([found[:, :count], ever[:, None]], axis=1) @ over
     found = np.maximum.accumulate(found[:, ::-1], axis=1)[:, :0:-1]
     found[:, 0] += first
     return np.asarray(found * (1 + 10 * ROUNDING))

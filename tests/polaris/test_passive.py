@@ -13,7 +13,7 @@ from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.tables import drift_told
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.falsification.drifting import least_distances, stopped
+from polaris.simulation.falsification.drifting import drifted, stopped
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.passive import PassiveSafety
@@ -114,11 +114,11 @@ def test_a_claim_that_is_too_wide_is_refuted(tiny):
     assert not passive.clear.all() and passive.witness()["unsafe_set"] == "pillar"
     runs = simulate(tiny, 50, 0)
     bold = replace(passive, drifts=passive.drifts[2:3] * len(passive.drifts))
-    margin, honest = (
-        least_distances(each, runs, *stopped(each, runs, np.random.default_rng(0), 2000)).min()
+    wrong, honest = (
+        drifted(each, runs, *stopped(each, runs, np.random.default_rng(0), 2000))[0]
         for each in (bold, passive)
     )
-    assert margin < 0 < passive.least <= honest
+    assert wrong.broken and wrong.margin < 0 < passive.least <= honest.margin and not honest.broken
 
 
 def test_a_drift_that_comes_too_close_can_be_flown_again(tiny, monkeypatch, tmp_path):

@@ -23,7 +23,7 @@ from polaris.runs.certificate import certificate
 from polaris.runs.tables import abort_told
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
-from polaris.simulation.falsification.aborting import Aborted, exceeded
+from polaris.simulation.falsification.aborting import aborted, exceeded
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.demand import command_errors
@@ -54,11 +54,11 @@ def attacked(schedule, runs, seed, steps):
     tight = 0.0
     for k in steps:
         way, flown = schedule.powered.ways[k], schedule.aborted(k)
-        tried = Aborted(schedule, k, runs, np.random.default_rng(seed))
-        failure, _ = exceeded(schedule, k, tried.runs)
+        _, _, tried = aborted(schedule, k, runs, np.random.default_rng(seed))
+        failure, _ = exceeded(schedule, k, tried)
         assert failure.margin >= -1e-6, (seed, k, failure.limit)
         q, problem = flown.safety.clearance.q, flown.safety.problem
-        spent = np.abs(tried.runs.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
+        spent = np.abs(tried.inputs[:, k * q : way.cell * q]).sum(axis=(1, 2)).max() * problem.delta / q
         tight = max(tight, spent / problem.system.mass / way.delta_v)
         if min(flown.margins[flown.modes > 0], default=0) >= 0:  # else other branches serve the steps before
             found = attack(flown, runs, seed)
@@ -324,15 +324,14 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
 
     def least(schedule, k=5):
         (fault,) = schedule.safety.problem.system.transients
-        tried, count = Aborted(schedule, k, 8, np.random.default_rng(0)), len(fault.thrust)
+        (attacker, _, _), count = aborted(schedule, k, 8, np.random.default_rng(0)), len(fault.thrust)
         q, h = schedule.safety.clearance.q, schedule.safety.tracking.flow.h
         ends = np.full(count, schedule.powered.ways[k].cell * q)
         share = np.full(count, -1.0 if fault.name == "stuck_on" else fault.share)
         begins, on_board = ends - int(fault.lasts / h + 1e-9), np.zeros(count, dtype=bool)
         failing = Failing(begins, ends, fault.thrust, share, on_board, np.zeros((count, 4)))
-        tried.attack = replace(tried.attacker.worst(count), failing=failing)
-        tried.runs = tried.attack.fly(tried.attacker.flight)
-        return exceeded(schedule, k, tried.runs)[0].margin
+        runs = replace(attacker.worst(count), failing=failing).fly(attacker.flight)
+        return exceeded(schedule, k, runs)[0].margin
 
     schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, LATE, OWN]))
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"

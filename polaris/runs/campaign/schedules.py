@@ -165,9 +165,6 @@ class ScheduleRuns(Kind):
             runs = simulate(
                 schedule, task.runs, seed, mode=number, initial=self.initial, disturbance=self.disturbance
             )
-        never = np.full(task.runs, np.nan)
-        failed = {"fault": np.full(task.runs, ""), "fault_begins_s": never, "fault_ends_s": never}
-        failed |= {} if runs.failing is None else runs.failing.columns(runs.times)
         flown: dict[str, Any] = {
             "seed": np.full(task.runs, seed, dtype=np.int64),
             "seed_truth": np.full(task.runs, seed_truth, dtype=np.int64),
@@ -176,7 +173,7 @@ class ScheduleRuns(Kind):
             "controller": np.repeat(name, task.runs),
             "guarantee": np.repeat(claim, task.runs),
             **evaluate(runs, seed_truth, name).columns(),
-            **failed,
+            **({} if runs.failing is None else runs.failing.columns(runs.times)),
         }
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 

@@ -9,15 +9,14 @@ from .attacks import Attack, Attacker
 from .violations import Failure
 
 
-class Aborted:
-    """A flight that is aborted at the start of a step, under the worst that is known against its limits."""
-
-    def __init__(self, schedule: Schedule, step: int, count: int, rng: np.random.Generator) -> None:
-        self.schedule, self.step = schedule, step
-        failing = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
-        self.attacker = Attacker.of(schedule.aborted(step), True, rng, failing)
-        self.attack: Attack = self.attacker.failed(count) if failing else self.attacker.worst(count)
-        self.runs: Runs = self.attack.fly(self.attacker.flight)
+def aborted(
+    schedule: Schedule, step: int, count: int, rng: np.random.Generator
+) -> tuple[Attacker, Attack, Runs]:
+    """Flights that are aborted at the start of a step, under the worst that is known against their limits."""
+    failing = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
+    attacker = Attacker.of(schedule.aborted(step), True, rng, failing)
+    attack = attacker.failed(count) if failing else attacker.worst(count)
+    return attacker, attack, attack.fly(attacker.flight)
 
 
 def exceeded(schedule: Schedule, step: int, runs: Runs) -> tuple[Failure, int]:

@@ -11,9 +11,9 @@ from ...model.checks import of_kind, whole
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..run_metrics import Runs
-from .aborting import Aborted, exceeded
+from .aborting import aborted, exceeded
 from .attacks import Attack, Attacker
-from .claims import EXACT_M, Attained, Claims, attained
+from .claims import Attained, Claims, attained
 from .drifting import drifted, stopped
 from .violations import Failure, Found, broken, confirm, overspent
 
@@ -210,24 +210,25 @@ class _Search:
 
     def _aborted(self, count: int) -> Found | None:
         """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
-        tried = Aborted(self.schedule, int(self.main.rng.choice(self.aborts)), count, self.main.rng)
-        claims = tried.attacker.claims
-        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs, tried.attack.failing))
-        failure, run = exceeded(self.schedule, tried.step, tried.runs)
-        if found is None and failure.margin < -EXACT_M:
-            found = failure, (tried.attack.pick(np.array([run])), True, 1)
-        self.abort = tried.step if found else None
+        step = int(self.main.rng.choice(self.aborts))
+        attacker, attack, runs = aborted(self.schedule, step, count, self.main.rng)
+        found = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
+        failure, run = exceeded(self.schedule, step, runs)
+        if found is None and failure.broken:
+            found = failure, (attack.pick(np.array([run])), True, 1)
+        self.abort = step if found else None
         return found
 
     def _besides(self, attack: Attack, flown: Runs) -> Found | None:
         """The worst violation of what is claimed of the drift after all thrust stops, or of what is spent."""
-        passive, (failure, run) = self.schedule.passive, (None, 0)
+        passive, found = self.schedule.passive, []
         if passive is not None and passive.least is not None:
-            failure, run = drifted(passive, flown, *stopped(passive, flown, self.main.rng))
-        if failure is None and len(flown.modes) == self.main.claims.cells:
+            found.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))
+        if len(flown.modes) == self.main.claims.cells:
             self.spent = max(self.spent, float(flown.delta_v.max()))
-            failure, run = overspent(flown)
-        return None if failure is None else (failure, (attack.pick(np.array([run])), False, 1))
+            found.append(overspent(flown))
+        broken = ((each, (attack.pick(np.array([run])), False, 1)) for each, run in found if each.broken)
+        return next(broken, None)
 
     def _keep(self, attack: Attack, measured: Attained) -> None:
         """Keep the best attacks on every limit."""

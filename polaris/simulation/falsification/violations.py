@@ -41,6 +41,13 @@ class Failure:
     margin: float
     proven: float
 
+    @property
+    def broken(self) -> bool:
+        """Whether it is one: margins are below proven ones, but for rounding."""
+        if self.kind == "velocity change":
+            return self.margin < -EXACT_INPUT * self.proven
+        return self.kind in KINDS or self.margin < self.proven - EXACT_M
+
     def __str__(self) -> str:
         claimed = (
             f"{directed(self.proven, '.4g')} is proven" if np.isfinite(self.proven) else "nothing is proven"
@@ -83,14 +90,13 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
     return None
 
 
-def overspent(runs: Runs) -> tuple[Failure | None, int]:
-    """What the run that spends most violates of what is claimed until T; and which run that is."""
-    run, (_, most) = int(np.argmax(runs.delta_v)), runs.schedule.delta_v
-    sampled = runs.schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
-    found, end = float(runs.delta_v[run]), float(runs.schedule.times[-1])
-    if not sampled or runs.schedule.guarantee != "proved" or found <= most * (1 + EXACT_INPUT):
-        return None, run
-    return Failure("velocity change", "the bound until T", end, most - found, most), run
+def overspent(runs: Runs) -> tuple[Failure, int]:
+    """The run that spends most until T, against what is claimed, if anything is; and which run that is."""
+    schedule, run = runs.schedule, int(np.argmax(runs.delta_v))
+    sampled = schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
+    most = schedule.delta_v[1] if sampled and schedule.guarantee == "proved" else np.inf
+    left = most - float(runs.delta_v[run])
+    return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, most), run
 
 
 def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
