@@ -33,9 +33,8 @@ class Failing:
 
     def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "Failing":
         """Some of the flights."""
-        when = self.begins[chosen], self.ends[chosen]
-        known = *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
-        return Failing(*known, latched=self.latched)
+        known = {name: getattr(self, name)[chosen] for name in TOLD}
+        return Failing(**known, gap=0 * self.gap[chosen], latched=self.latched)
 
     def table(self) -> dict[str, Any]:
         """The first of the flights, as `of` reads it."""
@@ -44,8 +43,8 @@ class Failing:
     @classmethod
     def of(cls, table: dict[str, Any], n: int) -> "Failing":
         """One flight with n states from a `table`."""
-        begins, ends, thrust, share, lost = (np.array([table[name]]) for name in TOLD)
-        return cls(begins, ends, thrust, share, lost, np.zeros((1, n)))
+        known: dict[str, Any] = {name: np.array([table[name]]) for name in TOLD}
+        return cls(**known, gap=np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Whether the fault lasts."""
