@@ -12,7 +12,7 @@ from ..synthesis.schedule import Schedule
 TOLD = "begins", "ends", "thrust", "share", "lost"
 """What a saved case says of a fault."""
 
-KINDS = "navigation_lost", "stuck_on", "loss", "stuck_off"
+KINDS = "navigation_lost", "stuck_on", "loss", "stuck_off"  # in the order in which `columns` tells them apart
 
 
 @dataclass(frozen=True, eq=False)
