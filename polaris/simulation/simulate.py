@@ -45,8 +45,7 @@ def simulate(
         States drawn from Theta; ``mixed`` takes corners for half of the runs.
     disturbance : {"failing", "mixed", "none", "random", "worst"}
         ``worst``: in closed form for a random facet and instant; ``random``: half of it on the bound;
-        ``mixed``: half of the runs each; ``failing``: so, and in every second one a fault, where any is
-        isolated late, at an instant drawn.
+        ``mixed``: half each; ``failing``: besides, in every second run a fault, if any is isolated late.
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
