@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -145,9 +146,9 @@ class Document:
         """Whether an unsafe set moves; what is to be stayed inside from a step on does not, after T."""
         return not (item.rests_from(self.steps) if item.keep_in else item.resting)
 
-    @property
+    @cached_property
     def calmest(self) -> Vector:
-        """The least error of every state in any step."""
+        """The least error of every state in any step, those of the schedule that a branch leaves included."""
         return [min(each) for each in zip(*self.error_by_step, strict=True)] or self.estimate
 
     def _compare(self, lengths: Lengths, sets: int) -> None:

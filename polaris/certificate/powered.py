@@ -50,8 +50,6 @@ def check_aborts(
     """
     powered, (orbit, tank), before = document.powered, asked, arb(0)
     assert powered is not None
-    if document.error_by_step and any(b.step != document.steps or b.inputs for b in powered.branches):
-        raise Rejected(CLAIM, "errors of estimates by step are those of the schedule's own path")
     takeovers, since = dict[int, Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
@@ -244,12 +242,17 @@ class Along:
 
 def branched(document: Document, branch: Branch) -> Document:
     """The certificate with a branch in the place of the reference from its first step on."""
-    doc = copy.copy(document)
+    least, doc = document.calmest, copy.copy(document)
     doc.steps, doc.cells = branch.step + len(branch.inputs), len(branch.facets)
     coast = [[0.0] * len(doc.u_max)] * (doc.cells - doc.steps)
     doc.inputs = [*document.inputs[: branch.step], *branch.inputs, *coast]
     doc.facets, doc.horizon, doc.until = branch.facets, branch.horizon, branch.until
     doc.drift = doc.powered = None
+    if document.error_by_step:  # in the tail the largest of all that are met from then on
+        later = document.error_by_step[min(doc.steps, document.steps) :]
+        known = [document.known_to(k) for k in range(doc.steps)]
+        doc.calmest = least
+        doc.error_by_step = [*known, [max(each) for each in zip(*later, strict=True)]]
     return doc
 
 

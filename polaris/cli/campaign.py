@@ -37,7 +37,7 @@ class Options:
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-campaign.")
     batch: int | None = Option(None, min=1, help="Runs per task; default 250.")
     initial: str | None = Option(None, help="Initial states: mixed (default), random, corners, center.")
-    disturbance: str | None = Option(None, help="Disturbances: mixed (default), random, worst, none.")
+    disturbance: str | None = Option(None, help="failing (default), mixed, random, worst, none.")
     worst: int = Option(5, min=0, help="Worst runs told per case and mode.")
     resume: bool = Option(
         True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."

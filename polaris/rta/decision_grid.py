@@ -246,7 +246,7 @@ def _judged(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSys
     if not (faults := system.transients):
         return system
     if system.observer is not None:
-        rule = "isolated late are not covered by run-time methods where an observer makes the estimates"
+        rule = "isolated late need errors of estimates, not navigation.measurement, for run-time methods"
         raise ScenarioError("faults", faults[0].name, rule)
     wait, after = h * (nodes - 1), h * delay * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..model.checks import whole
 from ..model.system import Array
 from ..simulation.disturbances import disturbances
-from ..simulation.failing import Failing, drawn
+from ..simulation.failing import Failing, in_every_second
 from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
 from ..synthesis.black_box import BlackBox
@@ -63,7 +63,9 @@ class Conditions:
         parts.append(disturbances(flights[0], runs - first, rng, "random")[0])
         wrong = grid.half_widths - grid.system.displaced_at_nodes * bool(grid.system.timing.carried)
         errors = rng.uniform(-1, 1, (grid.decisions, runs, grid.system.n)) * wrong
-        return cls(x0, np.concatenate(parts, axis=1), errors, seed, _fail(grid, runs, rng))
+        rows = np.vstack([grid.clearance.obstacle_rows[0], grid.tracking.gain, -grid.tracking.gain])
+        failing = in_every_second(grid.schedule, 1, rows, grid.decisions * grid.nodes, runs, rng)
+        return cls(x0, np.concatenate(parts, axis=1), errors, seed, failing)
 
     @classmethod
     def undisturbed(cls, grid: DecisionGrid) -> "Conditions":
@@ -77,17 +79,6 @@ class Conditions:
         one = slice(run, run + 1)
         failing = None if self.failing is None else self.failing.pick(np.array([run]))
         return Conditions(self.x0[one], self.w[:, one], self.errors[:, one], self.seed, failing)
-
-
-def _fail(grid: DecisionGrid, runs: int, rng: np.random.Generator) -> Failing | None:
-    """What fails in the runs of odd numbers, at instants drawn; half of them at the worst along a limit."""
-    if not grid.system.transients:
-        return None
-    rows = np.vstack([grid.clearance.obstacle_rows[0], grid.tracking.gain, -grid.tracking.gain])
-    targets = rng.integers(1, grid.decisions * grid.nodes + 1, runs)
-    found = drawn(grid.schedule, 1, rows[rng.integers(0, len(rows), runs)], targets, rng)
-    never = np.where(np.arange(runs) % 2, 0, grid.last + 1)
-    return replace(found, begins=found.begins + never, ends=found.ends + never)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,15 +55,19 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """The reachable set of every step at its nodes, in error and in absolute coordinates.
 
     ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
+    Generators (q+1, g, K, n) are in single precision; a box of what that takes is the last n of them.
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
+    single, most = nodes.G.astype(np.float32), np.float32(np.inf)
+    off = np.abs(nodes.G - single).sum(axis=-1).astype(np.float32)
+    box = np.nextafter(off, most)[..., None] * np.eye(nodes.dim, dtype=np.float32)
     q = safety.tracking.feedback.nodes_per_cell
     return {
         "t_s": schedule.times[:-1, None] + np.arange(q + 1) * safety.tracking.flow.h,
         "mode": schedule.modes,
         "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
         "center_error": nodes.c,
-        "generators": nodes.G,
+        "generators": np.concatenate([single, box], axis=-1).transpose(1, 3, 0, 2),
         "bow": np.stack([step.tube.bow for step in schedule.steps]),
         "final_center_error": schedule.final.c,
         "final_generators": schedule.final.G,
@@ -72,7 +76,8 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
 
 def position_tube(arrays: Mapping[str, Any], C: Array) -> TubePicture:
     """Positions out of `tube_arrays`."""
-    return TubePicture(arrays["center"] @ C.T, C @ arrays["generators"], arrays["bow"] @ np.abs(C).T)
+    generators = (arrays["generators"] @ C.T).transpose(2, 0, 3, 1)
+    return TubePicture(arrays["center"] @ C.T, generators, arrays["bow"] @ np.abs(C).T)
 
 
 FLIGHTS = {

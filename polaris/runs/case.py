@@ -14,10 +14,12 @@ from ..model.system import Array
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
+from ..simulation.falsification.aborting import exceeded
 from ..simulation.falsification.attacks import Attack
 from ..simulation.falsification.claims import Claims, attained
+from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
-from ..simulation.falsification.violations import Failure, violation
+from ..simulation.falsification.violations import Failure, overspent, violation
 from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
 from .atomic import write_whole
@@ -102,7 +104,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
     """
     data = _read(Path(path))
     scenario = ScheduleScenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
-    schedule = synthesize(scenario)
+    whole = schedule = synthesize(scenario)
     if digest(schedule) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
         raise ScenarioError("case", str(path), rule)
@@ -119,8 +121,16 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         flight = flight_of(schedule, claims.modes, int(data["substeps"]))
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
-        found = attained(claims, attack.fly(flight), attack.failing)
-        return violation(claims, found), scenario
+        runs, known = attack.fly(flight), Failure(**data["violation"])
+        found = violation(claims, attained(claims, runs, attack.failing))
+        if found is None and known.kind == "velocity change":
+            found, _ = overspent(runs)
+        elif found is None and known.kind == "drift" and whole.passive is not None:
+            node = np.array([round(known.time_s / runs.times[1])])
+            found, _ = drifted(whole.passive, runs, 0 * node, node)
+        elif found is None and known.kind == "abort":
+            found, _ = exceeded(whole, int(data["abort"]), runs)
+        return found if found and found.broken else None, scenario
     except (ValueError, TypeError, IndexError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error
 
@@ -130,7 +140,7 @@ def _read(path: Path) -> dict[str, Any]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
-    wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing"}
+    wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing", "violation"}
     if not isinstance(data, dict) or data.get("format") != FORMAT or not wanted <= set(data):
         raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
     if data.get("version") != VERSION:

@@ -251,7 +251,7 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q) + scheduled[:K]
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
-    peak = np.maximum(above + nu, below - nu) + command_errors(tracking.system, gain, K)
+    peak = np.maximum(above + nu, below - nu) + command_errors(tracking.system, gain, K, K)
     return {
         "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1] + scheduled[-1]},
         "thrust": {"peak": peak * (1 + ROUNDING)} | ({} if profile is None else {"profile": profile}),

@@ -167,7 +167,7 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
     picture = picture_of(schedule, flights)
     assert picture.slices is not None
     np.savez(folder / "sets.npz", **arrays.set_arrays(schedule, picture.slices))
-    np.savez(folder / "tubes.npz", **arrays.tube_arrays(schedule))
+    np.savez_compressed(folder / "tubes.npz", **arrays.tube_arrays(schedule))
     np.savez(folder / "trajectories.npz", **arrays.flight_arrays(flights))
     names = [*DATA_FILES, *(file.name for file in scenario.files())]
     write_certificate(folder, schedule, scenario.name, names)

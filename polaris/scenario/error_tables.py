@@ -194,16 +194,14 @@ class Abort(ScenarioPart):
 
     def check(self, system: LinearSystem, step: float) -> None:
         """Refuse what takes too long, and what is not covered."""
-        drift, powered, within = self.build(system), self.powered(system), self.within_s
+        drift, within = self.build(system), self.within_s
+        self.powered(system)
         if drift is not None and drift.cells(step) > MAX_STEPS:
             given = self.drift_orbits, self.drift_s
             raise ScenarioError("abort", given, f"must be at most {MAX_STEPS} steps of {step:g} s")
         if within is not None and not 2 * step <= within <= MAX_STEPS * step:
             rule = f"must be at least two steps of {step:g} s, and at most {MAX_STEPS}"
             raise ScenarioError("abort.within_s", within, rule)
-        if powered is not None and powered.goal is not None and system.error_by_step is not None:
-            rule = "of its own is not covered with errors of navigation by phase, which are the schedule's"
-            raise ScenarioError("abort.orbit", powered.goal.describe(), rule)
 
     def powered(self, system: LinearSystem) -> PoweredAbort | None:
         """What is asked of an abort with thrust."""

@@ -61,7 +61,7 @@ class ScheduleScenario(Scenario):
             rule = "isolated late need sampled feedback, and last no less than its period"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
         if late and system.observer is not None and system.timing.missed:
-            rule = "isolated late are not covered where an observer may miss periods"
+            rule = "isolated late need timing.missed_periods = 0 where there is navigation.measurement"
             raise ScenarioError("faults", late[0].name, rule)
         abort, phases = model.abort, () if model.navigation is None else model.navigation.phases
         drifts = abort is not None and abort.build(system) is not None and abort.keep_in

@@ -14,7 +14,7 @@ from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
 
-Disturbance = Literal["none", "random", "worst", "mixed"]
+Disturbance = Literal["none", "random", "worst", "mixed", "failing"]
 
 
 def disturbances(
@@ -32,7 +32,7 @@ def disturbances(
     told = places[-1].stop - places[-1].start
     if kind == "none" or (system.w_max == 0 and system.ideal and not told):
         return w, adjoint
-    worst = n if kind == "worst" else (n // 2 if kind == "mixed" else 0)
+    worst = n if kind == "worst" else (n // 2 if kind in ("mixed", "failing") else 0)
     if worst:
         w[:, :worst], adjoint = _worst_case(flight, worst, rng)
     count = n - worst

@@ -1,6 +1,6 @@
 """Faults that are isolated late as they are flown: one in each flight, when it is worst or at random."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from ..synthesis.schedule import Schedule
 
 TOLD = "begins", "ends", "thrust", "share", "lost"
 """What a saved case says of a fault."""
+
+KINDS = "navigation_lost", "stuck_on", "loss", "stuck_off"  # in the order in which `columns` tells them apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +31,10 @@ class Failing:
     gap: Array = field(repr=False)
     latched: bool = field(default=True, kw_only=True)  # S flies to the end, else nobody because of it
 
-    def pick(self, chosen: NDArray[np.intp]) -> "Failing":
+    def pick(self, chosen: NDArray[np.intp] | slice | list[int]) -> "Failing":
         """Some of the flights."""
-        when = self.begins[chosen], self.ends[chosen]
-        known = *when, self.thrust[chosen], self.share[chosen], self.lost[chosen], 0 * self.gap[chosen]
-        return Failing(*known, latched=self.latched)
+        known = {name: getattr(self, name)[chosen] for name in TOLD}
+        return Failing(**known, gap=0 * self.gap[chosen], latched=self.latched)
 
     def table(self) -> dict[str, Any]:
         """The first of the flights, as `of` reads it."""
@@ -42,8 +43,8 @@ class Failing:
     @classmethod
     def of(cls, table: dict[str, Any], n: int) -> "Failing":
         """One flight with n states from a `table`."""
-        begins, ends, thrust, share, lost = (np.array([table[name]]) for name in TOLD)
-        return cls(begins, ends, thrust, share, lost, np.zeros((1, n)))
+        known: dict[str, Any] = {name: np.array([table[name]]) for name in TOLD}
+        return cls(**known, gap=np.zeros((1, n)))
 
     def on(self, step: int) -> NDArray[np.bool_]:
         """Whether the fault lasts."""
@@ -53,9 +54,21 @@ class Failing:
         """Whether what is measured in some steps (R,) is lost."""
         return np.asarray(self.lost & (self.begins <= when) & (when < self.ends))
 
-    def by_s(self, step: int) -> NDArray[np.bool_]:
+    def by_s(self, step: int | NDArray[np.int_]) -> NDArray[np.bool_]:
         """Whether S flies because of it."""
         return np.asarray(self.latched & (np.where(self.lost, self.begins, self.ends) <= step))
+
+    def at_nodes(self, per_node: int) -> "Failing":
+        """The same, with so many steps to a node, in nodes."""
+        return replace(self, begins=-(-self.begins // per_node), ends=self.ends // per_node)
+
+    def columns(self, times: Array) -> dict[str, Array]:
+        """Which kind of fault each flight has, from when until when [s], as nodes are at times (N+1,)."""
+        some, kinds = self.begins < (last := len(times) - 1), [self.lost, self.share < 0, self.share < 1]
+        at = (times[np.minimum(nodes, last)] for nodes in (self.begins, self.ends))
+        begins, ends = (np.where(some, when, np.nan) for when in at)
+        names = np.where(some, np.select(kinds, KINDS[:3], KINDS[3]), "")
+        return {"fault": names, "fault_begins_s": begins, "fault_ends_s": ends}
 
     def relieved(self, k: int, effect: int) -> NDArray[np.bool_]:
         """Whether S flies from the node `effect` on, whatever is decided on what is measured at node k.
@@ -105,3 +118,15 @@ def drawn(
             thrust[mine], share[mine] = fault.thrust[chosen], -1.0 if on else fault.share
     ends = -(-np.maximum(ends, length) // per_node) * per_node
     return Failing(ends - length, ends, thrust, share, lost, np.zeros((count, system.n)))
+
+
+def in_every_second(
+    schedule: Schedule, per_node: int, rows: Array, steps: int, runs: int, rng: np.random.Generator
+) -> Failing | None:
+    """What fails in the runs of odd numbers, at instants drawn; half of them at the worst along a row."""
+    if not schedule.safety.tracking.system.transients:
+        return None
+    targets = rng.integers(1, steps + 1, runs)
+    found = drawn(schedule, per_node, rows[rng.integers(0, len(rows), runs)], targets, rng)
+    never = np.where(np.arange(runs) % 2, 0, steps + per_node)
+    return replace(found, begins=found.begins + never, ends=found.ends + never)

@@ -219,7 +219,8 @@ class Integrator(Firing):
                     self.command(box, k, 2 * place * self.substeps, states[first + place])
         times = np.asarray(np.arange(nodes + 1) * self.tracking.flow.h, dtype=float)
         path, applied = states.swapaxes(0, 1), inputs.swapaxes(0, 1)
-        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies)
+        late = self.failing and self.failing.at_nodes(self.substeps)
+        return Runs(self.schedule, times, path, applied, demanded.T, delta_v, self.modes, self.bodies, late)
 
     def _boxes(self) -> dict[int, int]:
         """Numbers of the black boxes that fly, and the last cell of each."""

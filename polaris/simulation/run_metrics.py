@@ -12,6 +12,7 @@ from ..model.free_drift import drift_ttc
 from ..model.satellite import true_states
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule import Schedule
+from .failing import Failing
 from .metrics import Metrics
 
 PART = 250
@@ -41,6 +42,8 @@ class Runs:
         Mode of every step.
     bodies : dict of str to ndarray, shapes (R, N+1, n)
         True states of other satellites where a network was told of them.
+    failing : Failing, optional
+        What failed in each run, in nodes.
     """
 
     schedule: Schedule
@@ -51,12 +54,15 @@ class Runs:
     delta_v: Array
     modes: NDArray[np.int_]
     bodies: Mapping[str, Array] = field(default_factory=dict)
+    failing: Failing | None = None
 
     def some(self, chosen: slice | list[int]) -> "Runs":
         """Some of the runs."""
         parts = ("states", "inputs", "demanded", "delta_v")
         bodies = {name: states[chosen] for name, states in self.bodies.items()}
-        return replace(self, bodies=bodies, **{name: getattr(self, name)[chosen] for name in parts})
+        failing = None if self.failing is None else self.failing.pick(chosen)
+        kept = {name: getattr(self, name)[chosen] for name in parts}
+        return replace(self, bodies=bodies, failing=failing, **kept)
 
     @property
     def positions(self) -> Array:
@@ -67,6 +73,13 @@ class Runs:
     def mode_per_period(self) -> NDArray[np.int_]:
         """Mode over the period after every node, shape (N,)."""
         return np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
+
+    @property
+    def flown(self) -> NDArray[np.int_]:
+        """Mode over the period after every node, S because of a fault included, shape (R, N)."""
+        planned, late = np.broadcast_to(self.mode_per_period, self.demanded.shape), self.failing
+        by_s = False if late is None else late.by_s(np.arange(planned.shape[1])[:, None]).T
+        return np.where(by_s, 0, planned)
 
     def metrics(self) -> Metrics:
         """Distances, times to collision, usage and velocity change; see `Metrics`."""
@@ -129,7 +142,8 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         starts = {name: states[:, ::q] for name, states in truth.items()}
         drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
         drift = drift.min(axis=(0, 2))
-    modes = np.broadcast_to(runs.modes, (R, len(runs.modes)))
+    who = runs.flown
+    modes = who[:, ::q] if runs.failing is None else who
     return Metrics(
         controller=controller,
         names=tuple(obstacle.name for obstacle in obstacles),
@@ -141,13 +155,13 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         min_ttc=ttc,
         min_ttc_free_drift=drift,
         drift_horizon=horizon,
-        experimental_share=experimental_share(times[::q], modes),
+        experimental_share=experimental_share(times[:: N // modes.shape[1]], modes),
         switches=count_switches(modes),
         delta_v=runs.delta_v,
         collided=collided,
         max_thrust_ratio=runs.demanded.max(axis=1),
-        max_thrust_ratio_safety=peak(runs.demanded, runs.mode_per_period == 0),
-        max_thrust_ratio_experimental=peak(runs.demanded, runs.mode_per_period > 0),
+        max_thrust_ratio_safety=peak(runs.demanded, who == 0),
+        max_thrust_ratio_experimental=peak(runs.demanded, who > 0),
         nearest=np.stack([distance.min(axis=0), distance.mean(axis=0), distance.max(axis=0)]),
     )
 

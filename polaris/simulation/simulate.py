@@ -11,7 +11,8 @@ from ..model.satellite import true_states
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
 from .delayed import Predicting, flight_of
-from .disturbances import Disturbance, disturbances
+from .disturbances import Disturbance, disturbances, limit_rows
+from .failing import in_every_second
 from .integration import Integrator
 from .run_metrics import Runs
 
@@ -26,7 +27,7 @@ def simulate(
     *,
     mode: int | None = None,
     initial: Initial = "mixed",
-    disturbance: Disturbance = "mixed",
+    disturbance: Disturbance = "failing",
     tail: bool = False,
     substeps: int | None = None,
 ) -> Runs:
@@ -42,8 +43,9 @@ def simulate(
         Fly this controller alone (0 is S) instead of the schedule.
     initial : {"mixed", "center", "random", "corners"}
         States drawn from Theta; ``mixed`` takes corners for half of the runs.
-    disturbance : {"mixed", "none", "random", "worst"}
-        ``worst``: in closed form for a random facet and instant; ``random``: half of it on the bound.
+    disturbance : {"failing", "mixed", "none", "random", "worst"}
+        ``worst``: in closed form for a random facet and instant; ``random``: half of it on the bound;
+        ``mixed``: half each; ``failing``: besides, in every second run a fault, if any is isolated late.
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
@@ -75,6 +77,8 @@ def simulate(
         x0[: len(adjoint)] = schedule.safety.problem.initial_set.support_vector(adjoint)
     if disturbance != "none":
         _show_bodies(flight, n, rng)
+    if disturbance == "failing":
+        flight.failing = in_every_second(schedule, substeps, limit_rows(schedule), flight.steps, n, rng)
     return flight.run(x0, w)
 
 

@@ -152,8 +152,8 @@ class Clearance:
     @cached_property
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
-        system = self.tracking.system
-        limit = system.u_max * (1 - ROUNDING) - command_errors(system, self.tracking.gain, self.cells)
+        system, gain = self.tracking.system, self.tracking.gain
+        limit = system.u_max * (1 - ROUNDING) - command_errors(system, gain, self.cells, self.planned)
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 

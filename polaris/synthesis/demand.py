@@ -29,7 +29,8 @@ class Scheduled:
     def __init__(self, tracking: Tracking, reference: Reference, planned: int) -> None:
         self.tracking, self.planned = tracking, planned
         system, gain = tracking.system, tracking.gain
-        self.noise = command_errors(system, gain, reference.cells) - system.calmest.command_error(gain)
+        known = command_errors(system, gain, reference.cells, planned)
+        self.noise = known - system.calmest.command_error(gain)
         self.nu = np.abs(reference.nu) + self.noise
         self.commanded = self._commanded()
 
@@ -80,10 +81,16 @@ class Scheduled:
         return system.command_error(gain, before) - system.command_error(gain, 0 * before)
 
 
-def command_errors(system: LinearSystem, gain: Array, cells: int) -> Array:
-    """By how much commands may differ in each cell from those on the exact state, shape (cells, m)."""
+def command_errors(system: LinearSystem, gain: Array, cells: int, planned: int) -> Array:
+    """By how much commands may differ in each cell from those on the exact state, shape (cells, m).
+
+    In the tail, after the `planned` cells, by as much as ever from then on: it is flown again and again.
+    """
     rows = system.navigation[None] if system.error_by_step is None else system.error_by_step
-    return (rows @ np.abs(gain).T)[np.minimum(np.arange(cells), len(rows) - 1)]
+    at, last = np.minimum(np.arange(cells), len(rows) - 1), len(rows) - 1
+    if last:
+        rows, at[planned:] = np.vstack([rows, rows[min(planned, last) :].max(axis=0)]), last + 1
+    return (rows @ np.abs(gain).T)[at]
 
 
 def taken_over(tracking: Tracking, reference: Reference) -> Array:

@@ -152,9 +152,9 @@ class Branch:
         both = np.vstack([tracking.gain, -tracking.gain])
         need = taken.over(tracking, both, end)[0] + safety.clearance.round_off(both)
         need = need + safety.clearance.scheduled(both)[:end].max(axis=1)
-        need[safety.problem.K :] += safety.clearance.jump_need(both)
+        need[(K := safety.problem.K) :] += safety.clearance.jump_need(both)
         most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])
-        most = np.minimum(most + command_errors(system, tracking.gain, end), system.u_max)
+        most = np.minimum(most + command_errors(system, tracking.gain, end, K), system.u_max)
         spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         spent += float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated

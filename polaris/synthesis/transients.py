@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import expm
 
 from reach.numerics.linear import powers
@@ -80,12 +81,10 @@ def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Arra
         known = np.array(timing.measured or system.navigation) + system.displaced
         worst = system.thrusters.error(system.u_max)
         each = (np.abs(left) @ prediction_error(system, known, worst, fault.lasts + h))[None]
-    sums = np.cumsum(np.pad(each, ((0, 0), (1, 0), (0, 0))), axis=1)
-    found = sums[:, lasting:] - sums[:, :-lasting]
+    found = sliding_window_view(each, lasting, axis=1).sum(axis=-1)
     ever = np.linalg.solve(np.eye(n) - last, found[:, count:].max(axis=1).T).T
-    found = (
-        np.concatenate([found[:, :count], ever[:, None]], axis=1) @ np.abs(expm(system.A * timing.delay)).T
-    )
+    over = np.abs(expm(system.A * timing.delay)).T
+    found = np.concatenate([found[:, :count], ever[:, None]], axis=1) @ over
     found = np.maximum.accumulate(found[:, ::-1], axis=1)[:, :0:-1]
     found[:, 0] += first
     return np.asarray(found * (1 + 10 * ROUNDING))

@@ -19,9 +19,10 @@ def cases():
     return make_cases([TINY], GRID)
 
 
-def run(chosen, runs, out, *, executor=None, fresh=False, modes=("polaris",), **plan):
-    """A campaign of schedules."""
-    planned = CampaignPlan(chosen, runs, kind=ScheduleRuns(modes), **plan)
+def run(chosen, runs, out, *, executor=None, fresh=False, modes=("polaris",), calm=False, **plan):
+    """A campaign of schedules, of flights without faults if it is `calm`."""
+    kind = ScheduleRuns(modes, disturbance="mixed") if calm else ScheduleRuns(modes)
+    planned = CampaignPlan(chosen, runs, kind=kind, **plan)
     return run_campaign(planned, out, executor=executor, fresh=fresh)
 
 

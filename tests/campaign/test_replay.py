@@ -15,6 +15,8 @@ from polaris.runs.campaign.plan import parse_grid
 from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import MODES, RUNS, TINY, rows, table
 from tests.campaign.scene import run as fly_campaign
+from tests.polaris.test_transients import LATE, LOST, OBSERVED
+from tests.rta.test_late_faults import TWOS
 
 
 def invoke(*arguments):
@@ -38,6 +40,27 @@ def test_replay_gives_the_numbers_of_the_table(flown, mode):
         assert distances.min() >= row["min_distance_m"]
         held = np.abs(found.arrays["inputs"]).sum() * times[1] / mass
         assert held == pytest.approx(row["delta_v_m_s"], rel=0.05)
+
+
+@pytest.mark.parametrize("seen", [[], [OBSERVED]], ids=["state", "observer"])
+@pytest.mark.parametrize(("kind", "late"), [("loss", LATE), ("navigation_lost", LOST)])
+def test_a_fault_befalls_every_second_run_and_is_flown_again(kind, late, seen, tmp_path):
+    scene = load_scenario(TINY).with_assignments([*SOFT, *TWOS, late, *seen])
+    folder = fly_campaign(make_cases([scene]), 12, tmp_path / "c", batch=6)
+    found, calm = rows(folder.path), fly_campaign(make_cases([scene]), 12, tmp_path / "d", batch=6, calm=True)
+    assert [row["fault"] for row in found] == ["", kind] * 6
+    assert len({row["fault_begins_s"] for row in found[1::2]}) > 3
+    for i, (row, other) in enumerate(zip(found, rows(calm.path), strict=True)):
+        assert not row["collided"] and row["max_thrust_ratio_safety"] <= 1
+        same = row["min_distance_m"] == pytest.approx(other["min_distance_m"], rel=1e-9)
+        assert same and row["fault_ends_s"] != row["fault_ends_s"] if i % 2 == 0 else "fault" not in other
+        again = replay_run(folder, 0, row["batch"], row["run"])
+        np.testing.assert_equal(again.row, row)
+        modes, times = again.arrays["modes"], again.arrays["times_s"][:-1]
+        assert (1 in modes) or i % 2
+        assert not np.any(modes[times >= row["fault_ends_s"]])
+    moved = [a["delta_v_m_s"] - b["delta_v_m_s"] for a, b in zip(found, rows(calm.path), strict=True)]
+    assert np.all(np.abs(moved[1::2]) > 1e-6)
 
 
 def test_replay_of_other_satellites_is_what_was_measured(tmp_path):

@@ -9,12 +9,14 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
+from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.tables import drift_told
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.falsification.drifting import least_distances
+from polaris.simulation.falsification.drifting import drifted, stopped
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
+from polaris.synthesis.passive import PassiveSafety
 from polaris.synthesis.synthesize import synthesize
 
 from .closed_loops import held
@@ -110,11 +112,23 @@ def test_a_claim_that_is_too_wide_is_refuted(tiny):
     """Steps that are not clear, called clear: the attacks find what the proof does not hide."""
     passive = tiny.passive
     assert not passive.clear.all() and passive.witness()["unsafe_set"] == "pillar"
-    runs, q = simulate(tiny, 50, 0), tiny.safety.clearance.q
+    runs = simulate(tiny, 50, 0)
     bold = replace(passive, drifts=passive.drifts[2:3] * len(passive.drifts))
-    margin = least_distances(bold, runs, q, np.random.default_rng(0), 2000)[0]
-    honest = least_distances(passive, runs, q, np.random.default_rng(0), 2000)[0]
-    assert margin.min() < 0 < passive.least <= honest.min()
+    wrong, honest = (
+        drifted(each, runs, *stopped(each, runs, np.random.default_rng(0), 2000))[0]
+        for each in (bold, passive)
+    )
+    assert wrong.broken and wrong.margin < 0 < passive.least <= honest.margin and not honest.broken
+
+
+def test_a_drift_that_comes_too_close_can_be_flown_again(tiny, monkeypatch, tmp_path):
+    scenario = load_scenario(TINY).with_assignments([f"abort.drift_s={tiny.passive.flight.abort.horizon}"])
+    monkeypatch.setattr(PassiveSafety, "least", 3.0)
+    found = falsify(synthesize(scenario), 200, 0)
+    assert found.failure.kind == "drift" and found.failure.margin < 3
+    assert str(replay(write_case(tmp_path / "case.json", scenario, found))[0]) == str(found.failure)
+    monkeypatch.setattr(PassiveSafety, "least", 0.0)
+    assert replay(tmp_path / "case.json")[0] is None
 
 
 def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):

@@ -130,8 +130,10 @@ def test_arrays_load_without_pickle(folder, name):
 def test_tubes_contain_the_runs(folder):
     schedule = synthesised()[1]
     with np.load(folder.path / "tubes.npz", allow_pickle=False) as tubes:
-        half = np.abs(tubes["generators"]).sum(axis=-1)
+        half = np.abs(tubes["generators"]).sum(axis=1, dtype=float).swapaxes(0, 1)
         low, high = tubes["center"] - half, tubes["center"] + half
+    exact = np.array([step.tube.nodes.half_widths for step in schedule.steps])
+    assert np.all(half >= exact) and np.all(half <= exact * (1 + 1e-6) + 1e-30)  # single precision
     q = schedule.safety.tracking.feedback.nodes_per_cell
     with np.load(folder.path / "trajectories.npz", allow_pickle=False) as runs:
         states = runs["polaris_states"]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from polaris.runs.case import replay, write_case
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attacker
 from polaris.simulation.falsification.search import falsify
@@ -67,14 +68,18 @@ def test_periods_cannot_all_be_the_worst():
     assert together(run, 7) <= together(run, 8) and spent(run, 0) == 0
 
 
-def test_a_bound_that_is_too_small_is_found_out(monkeypatch):
+def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp_path):
     """Errors that are left out of the bound are flown all the same."""
     schedule = tiny(*NOISY)
     assert falsify(schedule, 700, seed=3).failure is None
     without = replace(schedule)  # nothing of what was worked out
     monkeypatch.setattr(spending, "together", lambda run, count: sum(s.middle.sum() for s in run))
-    failure = falsify(without, 700, seed=3).failure
-    assert failure.kind == "velocity change" and "velocity change" in str(failure)
+    found = falsify(without, 700, seed=3)
+    assert found.failure.kind == "velocity change" and "velocity change" in str(found.failure)
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments(NOISY), found)
+    assert str(replay(case)[0]) == str(found.failure)
+    monkeypatch.undo()
+    assert replay(case)[0] is None
 
 
 @pytest.mark.slow

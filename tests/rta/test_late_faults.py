@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.model.errors import NotCertified
+from polaris.model.errors import NotCertified, ScenarioError
+from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid, _judged
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
@@ -103,10 +104,25 @@ def test_random_scenes_survive_faults_under_every_method_that_promises_it(seed):
             for key in PROVEN:
                 try:
                     found = flown(grid, key, conditions)
-                except NotCertified:
+                except (NotCertified, ScenarioError) as error:
+                    assert isinstance(error, NotCertified) or (key == PROVEN[1] and latency + nodes > 1)
                     continue
                 assert found.min_distance.min() >= 0, key
                 assert np.all(~(found.max_thrust_ratio_safety > 1)), key
+
+
+def test_a_law_that_counts_for_nothing_is_not_taken_for_one_that_is_trusted():
+    """While a late fault acts on decisions that last, a declared law may answer anything: say so."""
+    schedule = tiny(WEAK)
+    h = schedule.safety.tracking.flow.h
+    assert Monitor(DecisionGrid.of(schedule), "declared").trust == "declared"
+    for period, latency in ((h, h), (2 * h, 0.0)):
+        grid = DecisionGrid.of(schedule, period, latency)
+        with pytest.raises(ScenarioError, match="trust.*thrust_limits.*isolated late"):
+            Monitor(grid, "declared")
+        assert Monitor(grid).trust == "thrust_limits"
+        refused = compare_methods(grid, 2, methods=["monitor", PROVEN[1]]).refused
+        assert list(refused) == [PROVEN[1]] and "trust" in refused[PROVEN[1]]
 
 
 def test_comparisons_fly_a_fault_in_every_second_run():

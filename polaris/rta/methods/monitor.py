@@ -41,8 +41,7 @@ class Monitor(Method):
     trust : {"declared", "thrust_limits"}
         What is assumed of U: by default nothing but the thrust limits, so that no fault of U can break the
         proof; ``declared``: its law (and its thrust limits where the law would clip). Controllers that may do
-        anything are always taken at the limits, and so is every one where faults are isolated late and a
-        decision lasts, with its latency, for more than a control period.
+        anything are always taken at the limits.
     dwell : int
         Decisions for which S keeps control once it has it.
     reentry : float
@@ -52,7 +51,7 @@ class Monitor(Method):
     Raises
     ------
     ScenarioError
-        If an option has no such value.
+        If an option has no such value, or a law counts for nothing because faults are isolated late.
     NotCertified
         If the initial set is not inside the first of its recoverable sets.
     """
@@ -74,6 +73,11 @@ class Monitor(Method):
         if trust not in TRUST:
             raise ScenarioError("trust", trust, f"must be one of {', '.join(TRUST)}")
         super().__init__(grid)
+        late = bool(grid.system.transients)  # then U may act on worse estimates until the answer takes effect
+        if trust == "declared" and late and grid.nodes + grid.delay > 1:
+            rule = "must be 'thrust_limits' where faults are isolated late, unless decisions are made every"
+            raise ScenarioError("trust", trust, f"{rule} control period, without latency")
+        self.trust = trust
         self.dwell = whole("dwell", dwell, 1)
         self.reentry = non_negative("reentry", reentry, "")
         if self.reentry >= 1:
@@ -82,8 +86,6 @@ class Monitor(Method):
         self.modes = tuple(range(1, len(grid.controllers)))  # who may fly beside S, in order of preference
         self.chosen = ""
         self.recovery = Recovery.certified(grid)
-        late = bool(grid.system.transients)  # then U may act on worse estimates until the answer takes effect
-        self.trust = "thrust_limits" if late and grid.nodes + grid.delay > 1 else trust
         # By controller (0: anything within the thrust limits) and by who flies until a decision takes effect.
         self.prospects: dict[tuple[int, int], Prospect] = {}
         any_thrust = Leg.any_thrust(self.recovery)

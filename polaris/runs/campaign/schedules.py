@@ -65,7 +65,8 @@ DEFINITIONS = {
 
 ASSUMPTIONS = {
     "mixed": "half of the runs of each batch start at corners under worst-case disturbances, the others are"
-    " random; probabilities and means are those of this mixture, not of flights in nature",
+    " random, and in every second one something fails if that may be isolated late; probabilities and means"
+    " are those of this mixture, not of flights in nature",
     "drawn": "probabilities and means are those of initial states and disturbances drawn as here, not of"
     " flights in nature",
     "independent": "runs count as independent; that halves of the mixture are fixed can only make the"
@@ -124,7 +125,7 @@ class ScheduleRuns(Kind):
 
     modes: tuple[str, ...] = ("polaris",)
     initial: Initial = "mixed"
-    disturbance: Disturbance = "mixed"
+    disturbance: Disturbance = "failing"
     boxes: Boxes | None = field(default=None, compare=False)
 
     name: ClassVar[str] = "schedules"
@@ -172,6 +173,7 @@ class ScheduleRuns(Kind):
             "controller": np.repeat(name, task.runs),
             "guarantee": np.repeat(claim, task.runs),
             **evaluate(runs, seed_truth, name).columns(),
+            **({} if runs.failing is None else runs.failing.columns(runs.times)),
         }
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 
@@ -192,7 +194,7 @@ class ScheduleRuns(Kind):
             else:
                 told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
             cases.append(told)
-        kind = "mixed" if "mixed" in (self.initial, self.disturbance) else "drawn"
+        kind = "mixed" if {"mixed", "failing"} & {self.initial, self.disturbance} else "drawn"
         return {
             "schema_version": 1,
             "kind": "campaign",
@@ -232,7 +234,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
         "times_s": runs.times,
         "states": runs.states[run],
         "inputs": runs.inputs[run],
-        "modes": runs.mode_per_period,
+        "modes": runs.flown[run],
         "distances_m": distances,
         "names": np.array(names, dtype=str),
     }
@@ -241,7 +243,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
         "t_s": runs.times,
         **dict(zip(of_states, runs.states[run].T, strict=True)),
         **dict(zip(of_inputs, runs.inputs[run].T, strict=True)),
-        "mode": runs.mode_per_period,
+        "mode": runs.flown[run],
         **{f"distance_{name}_m": values for name, values in zip(names, distances, strict=True)},
     }
     return Replayed(arrays, table)

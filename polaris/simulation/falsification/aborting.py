@@ -6,33 +6,33 @@ from ...synthesis.arrival import distance
 from ...synthesis.schedule import Schedule
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker
+from .violations import Failure
 
 
-class Aborted:
-    """A flight that is aborted at the start of a step, under the worst that is known against its limits."""
+def aborted(
+    schedule: Schedule, step: int, count: int, rng: np.random.Generator
+) -> tuple[Attacker, Attack, Runs]:
+    """Flights that are aborted at the start of a step, under the worst that is known against their limits."""
+    failing = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
+    attacker = Attacker.of(schedule.aborted(step), True, rng, failing)
+    attack = attacker.failed(count) if failing else attacker.worst(count)
+    return attacker, attack, attack.fly(attacker.flight)
 
-    def __init__(self, schedule: Schedule, step: int, count: int, rng: np.random.Generator) -> None:
-        self.schedule, self.step = schedule, step
-        failing = bool(schedule.safety.problem.system.transients) and rng.random() < 0.5
-        self.attacker = Attacker.of(schedule.aborted(step), True, rng, failing)
-        self.attack: Attack = self.attacker.failed(count) if failing else self.attacker.worst(count)
-        self.runs: Runs = self.attack.fly(self.attacker.flight)
 
-    def exceeded(self) -> tuple[str, float, float, Attack]:
-        """What it exceeds most of what is claimed of its arrival, when [s], by how much; and that run.
+def exceeded(schedule: Schedule, step: int, runs: Runs) -> tuple[Failure, int]:
+    """What flights aborted in a step exceed most of what is claimed of their arrival; and which run does.
 
-        Velocity change counts with what is commanded.
-        """
-        powered, runs = self.schedule.powered, self.runs
-        assert powered is not None
-        way = powered.ways[self.step]
-        assert way.branch is not None
-        safety, (rows, sides, tolerance) = runs.schedule.safety, powered.branches[way.branch].goal
-        q, h, mass = safety.clearance.q, safety.tracking.flow.h, safety.problem.system.mass
-        off = distance(safety.problem.goal.conditions, runs.states[:, way.cell * q] @ rows.T - sides)
-        pushed = np.abs(runs.inputs[:, self.step * q : way.cell * q]).sum(axis=(1, 2)) * h / mass
-        parts = {"orbit": tolerance - off, "velocity change": way.delta_v - pushed}
-        limit = min(parts, key=lambda name: float(parts[name].min()))
-        run = int(np.argmin(parts[limit]))
-        found = self.attack.pick(np.array([run]))
-        return limit, way.cell * safety.problem.delta, float(parts[limit][run]), found
+    Velocity change counts with what is commanded. A margin that is not negative is no violation.
+    """
+    powered = schedule.powered
+    assert powered is not None
+    way = powered.ways[step]
+    assert way.branch is not None
+    safety, (rows, sides, tolerance) = runs.schedule.safety, powered.branches[way.branch].goal
+    q, h, mass = safety.clearance.q, safety.tracking.flow.h, safety.problem.system.mass
+    off = distance(safety.problem.goal.conditions, runs.states[:, way.cell * q] @ rows.T - sides)
+    pushed = np.abs(runs.inputs[:, step * q : way.cell * q]).sum(axis=(1, 2)) * h / mass
+    parts = {"orbit": tolerance - off, "velocity change": way.delta_v - pushed}
+    limit = min(parts, key=lambda name: float(parts[name].min()))
+    run = int(np.argmin(parts[limit]))
+    return Failure("abort", limit, way.cell * safety.problem.delta, float(parts[limit][run]), 0.0), run

@@ -40,14 +40,9 @@ class Attack:
     @classmethod
     def join(cls, parts: list[Attack]) -> Attack:
         """All runs of several."""
-        free = None
-        if parts[0].free is not None:
-            free = np.concatenate([part.free for part in parts if part.free is not None], axis=1)
-        return cls(
-            np.concatenate([part.x0 for part in parts]),
-            np.concatenate([part.w for part in parts], axis=1),
-            free,
-        )
+        x0, w, free = ([getattr(part, name) for part in parts] for name in ("x0", "w", "free"))
+        more = None if free[0] is None else np.concatenate(free, axis=1)
+        return cls(np.concatenate(x0), np.concatenate(w, axis=1), more)
 
     def fly(self, flight: Integrator) -> Runs:
         """Simulate."""

@@ -111,8 +111,8 @@ class Claims:
         gain = safety.tracking.gain
         need, bow = self._needs(np.vstack([gain, -gain]))
         nu = safety.reference.nu[: self.cells]
-        room = np.tile(self.system.u_max - command_errors(self.system, gain, self.cells), 2)
-        room = room + np.hstack([nu, -nu])
+        wrong = command_errors(self.system, gain, self.cells, safety.problem.K)
+        room = np.tile(self.system.u_max - wrong, 2) + np.hstack([nu, -nu])
         left = np.min((room[:, None, :] - need).reshape(self.cells, self.q + 1, 2, m), axis=2)
         thrust = np.minimum(left[:, :-1], left[:, 1:]) - bow.reshape(self.cells, self.q, 2, m).max(axis=2)
         out = np.column_stack([*(part.max(axis=1) for part in self.facets), self._flat(thrust)])
@@ -236,8 +236,8 @@ def _measure_thrust(
     """Thrust left at the nodes of the periods that S flies, the estimate being as wrong as it may be."""
     safety, system = claims.schedule.safety, claims.system
     gain = safety.tracking.gain
-    wrong = command_errors(system, gain, claims.cells) - np.abs(gain) @ claims.moved
-    most = system.u_max - np.repeat(wrong, claims.q, axis=0)[flown]
+    wrong = command_errors(system, gain, claims.cells, safety.problem.K)
+    most = system.u_max + np.abs(gain) @ claims.moved - np.repeat(wrong, claims.q, axis=0)[flown]
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
     left = most - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)

@@ -9,26 +9,30 @@ from reach.numerics.linear import powers
 from ...model.system import Array, LinearSystem
 from ...synthesis.passive import PassiveSafety
 from ..run_metrics import Runs
+from .violations import Failure
 
 STOPS = 64  # instants at which thrust stops that are looked at in each batch of runs
 
 
-def least_distances(
-    passive: PassiveSafety, runs: Runs, nodes: int, rng: np.random.Generator, stops: int = STOPS
-) -> tuple[Array, NDArray[np.int_], Array]:
-    """Least distance of drifts from each unsafe set, thrust stopping at random nodes of clear steps.
+def stopped(
+    passive: PassiveSafety, runs: Runs, rng: np.random.Generator, stops: int = STOPS
+) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Runs, and nodes of steps that are clear, at which thrust stops, each (stops,)."""
+    nodes, run = len(runs.inputs[0]) // len(runs.modes), rng.integers(0, len(runs.states), stops)
+    steps = rng.choice(np.flatnonzero(passive.clear), stops)
+    return run, np.asarray(steps * nodes + rng.integers(0, nodes + 1, stops))
+
+
+def drifted(
+    passive: PassiveSafety, runs: Runs, run: NDArray[np.int_], node: NDArray[np.int_]
+) -> tuple[Failure, int]:
+    """The drift that comes closest to an unsafe set, thrust stopping at nodes of runs; and its run.
 
     At every instant of the drift the disturbance has done all it can against the facet that keeps the drift
-    furthest away. `nodes` is the number of periods per step. Distances (stops, sets) [m], inf without a step
-    that is clear; of which run, and when thrust stops [s], each (stops,).
+    furthest away. A margin that is not below the proven one is no violation.
     """
-    flight = passive.flight
-    steps, h = np.flatnonzero(passive.clear), flight.delta / nodes
-    run = rng.integers(0, len(runs.states), stops)
-    out = np.full((stops, len(flight.sets)), np.inf)
-    if not len(steps):
-        return out, run, np.zeros(stops)
-    node = rng.choice(steps, stops) * nodes + rng.integers(0, nodes + 1, stops)
+    flight, h = passive.flight, runs.times[1]
+    out = np.empty((len(run), len(flight.sets)))
     ahead = np.arange(flight.abort.horizon / flight.delta * flight.parts + 1e-9) * flight.delta / flight.parts
     moved = powers(expm(flight.system.A * flight.delta / flight.parts), len(ahead) - 1)
     position = flight.system.position @ moved
@@ -39,7 +43,9 @@ def least_distances(
         best = (place @ item.normals.T - offsets).argmax(axis=-1)
         hit = place + pushed[best, np.arange(len(ahead))]
         out[:, o] = (hit @ item.normals.T - offsets).max(axis=-1).min(axis=1)
-    return out, run, np.asarray(node * h, dtype=float)
+    stop, least = np.unravel_index(int(out.argmin()), out.shape)
+    found = float(runs.times[node[stop]]), float(out.min()), passive.least or 0.0
+    return Failure("drift", flight.sets[least].name, *found), int(run[stop])
 
 
 def _pushes(system: LinearSystem, normals: Array, position: Array, ahead: Array) -> Array:

@@ -11,11 +11,11 @@ from ...model.checks import of_kind, whole
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ..run_metrics import Runs
-from .aborting import Aborted
+from .aborting import aborted, exceeded
 from .attacks import Attack, Attacker
-from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
-from .drifting import least_distances
-from .violations import Failure, Found, broken, confirm
+from .claims import Attained, Claims, attained
+from .drifting import drifted, stopped
+from .violations import Failure, Found, broken, confirm, overspent
 
 BATCH = 100_000
 """States of all runs flown at a time: few enough that they stay near the processor."""
@@ -169,9 +169,8 @@ class _Search:
             measured = attained(attacker.claims, flown, attack.failing)
             self.flown, batch = self.flown + count, batch + 1
             found = self._record(attacker.claims, attack, measured)
-            found = found if found or attacker is self.failing else self._stopped(attack, flown)
+            found = found if found or attacker is self.failing else self._besides(attack, flown)
             if attacker is self.main:
-                found = found or self._overspent(attack, flown)
                 self.last = flown, measured
                 self._keep(attack, measured)
             if progress:
@@ -211,39 +210,25 @@ class _Search:
 
     def _aborted(self, count: int) -> Found | None:
         """The worst violation of what is claimed of a flight that is aborted in a step drawn at random."""
-        tried = Aborted(self.schedule, int(self.main.rng.choice(self.aborts)), count, self.main.rng)
-        claims = tried.attacker.claims
-        found = self._confirmed(claims, tried.attack, attained(claims, tried.runs, tried.attack.failing))
-        limit, when, margin, attack = tried.exceeded()
-        if found is None and margin < -EXACT_M:
-            found = Failure("abort", limit, when, margin, 0.0), (attack, True, 1)
-        self.abort = tried.step if found else None
+        step = int(self.main.rng.choice(self.aborts))
+        attacker, attack, runs = aborted(self.schedule, step, count, self.main.rng)
+        found = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
+        failure, run = exceeded(self.schedule, step, runs)
+        if found is None and failure.broken:
+            found = failure, (attack.pick(np.array([run])), True, 1)
+        self.abort = step if found else None
         return found
 
-    def _stopped(self, attack: Attack, flown: Runs) -> Found | None:
-        """The worst violation of what is claimed of the drift after all thrust stops."""
-        passive = self.schedule.passive
-        if passive is None or passive.least is None:
-            return None
-        nodes = self.schedule.safety.clearance.q
-        margin, run, when = least_distances(passive, flown, nodes, self.main.rng)
-        stop, o = np.unravel_index(int(margin.argmin()), margin.shape)
-        least = float(margin[stop, o])
-        if not least < passive.least - EXACT_M:
-            return None
-        failure = Failure("drift", passive.flight.sets[o].name, float(when[stop]), least, passive.least)
-        return failure, (attack.pick(run[[stop]]), False, 1)
-
-    def _overspent(self, attack: Attack, flown: Runs) -> Found | None:
-        """The worst violation of what is claimed of the velocity change until T."""
-        run, (_, most) = int(np.argmax(flown.delta_v)), self.schedule.delta_v
-        self.spent = max(self.spent, found := float(flown.delta_v[run]))
-        sampled = self.schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
-        if not sampled or self.schedule.guarantee != "proved" or found <= most * (1 + EXACT_INPUT):
-            return None
-        end = float(self.schedule.times[-1])
-        failure = Failure("velocity change", "the bound until T", end, most - found, most)
-        return failure, (attack.pick(np.array([run])), False, 1)
+    def _besides(self, attack: Attack, flown: Runs) -> Found | None:
+        """The worst violation of what is claimed of the drift after all thrust stops, or of what is spent."""
+        passive, found = self.schedule.passive, []
+        if passive is not None and passive.least is not None:
+            found.append(drifted(passive, flown, *stopped(passive, flown, self.main.rng)))
+        if len(flown.modes) == self.main.claims.cells:
+            self.spent = max(self.spent, float(flown.delta_v.max()))
+            found.append(overspent(flown))
+        broken = ((each, (attack.pick(np.array([run])), False, 1)) for each, run in found if each.broken)
+        return next(broken, None)
 
     def _keep(self, attack: Attack, measured: Attained) -> None:
         """Keep the best attacks on every limit."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...synthesis.recoverable import directed
 from ..delayed import flight_of
+from ..run_metrics import Runs
 from .attacks import Attack
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
 
@@ -39,6 +40,13 @@ class Failure:
     time_s: float
     margin: float
     proven: float
+
+    @property
+    def broken(self) -> bool:
+        """Whether it is one: margins are below proven ones, but for rounding."""
+        if self.kind == "velocity change":
+            return self.margin < -EXACT_INPUT * self.proven
+        return self.kind in KINDS or self.margin < self.proven - EXACT_M
 
     def __str__(self) -> str:
         claimed = (
@@ -80,6 +88,15 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
             floor = float(claims.floor[claims.period_at(when), limit])
             return Failure(kind, claims.names[limit], when, margin, floor)
     return None
+
+
+def overspent(runs: Runs) -> tuple[Failure, int]:
+    """The run that spends most until T, against what is claimed, if anything is; and which run that is."""
+    schedule, run = runs.schedule, int(np.argmax(runs.delta_v))
+    sampled = schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
+    most = schedule.delta_v[1] if sampled and schedule.guarantee == "proved" else np.inf
+    left = most - float(runs.delta_v[run])
+    return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, most), run
 
 
 def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
