@@ -13,8 +13,9 @@ from .motion import Motion, Push
 from .timing import late
 from .verdict import Undecided
 
-ROUNDS, SPARE = 60, 1e-3
-"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
+ROUNDS, SPARE = 300, 1e-3
+"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it: many,
+as it grows for long where errors nearly feed on themselves."""
 
 Along = list[list[list[arb]]]
 """Bounds by step, node of the step and row."""
@@ -48,6 +49,8 @@ class Scheduled:
             more[end:] = [more[end]] * (len(more) - end) if end < len(more) else []
             if self._holds([sums(*pair) for pair in zip(nu, more, strict=True)]):
                 return
+            if any(x > top for each in more for x, top in zip(each, loop.plant.u_max, strict=True)):
+                break  # which leaves S no thrust
             grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
             self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
         raise Undecided("recoverable", "errors of thrusters feed on themselves along the reference")
