@@ -13,7 +13,7 @@ from .motion import Motion, Push
 from .timing import late
 from .verdict import Undecided
 
-ROUNDS, SPARE = 60, 1e-3
+ROUNDS, SPARE = 300, 1e-3
 """Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
 
 Along = list[list[list[arb]]]
@@ -46,15 +46,14 @@ class Scheduled:
             for k in range(len(more) - 2, self.planned - 1, -1):
                 more[k] = [largest(pair) for pair in zip(more[k], more[k + 1], strict=True)]
             more[end:] = [more[end]] * (len(more) - end) if end < len(more) else []
-            if self._holds([sums(*pair) for pair in zip(nu, more, strict=True)]):
+            cells = zip(nu, more, self.commanded, strict=True)
+            if all(u + x <= most for each in cells for u, x, most in zip(*each, strict=True)):
                 return
+            if any(x > top for each in more for x, top in zip(each, loop.plant.u_max, strict=True)):
+                break  # which leaves S no thrust
             grown = [[(x * (1 + SPARE)).upper() for x in each] for each in more]
             self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
         raise Undecided("recoverable", "errors of thrusters feed on themselves along the reference")
-
-    def _holds(self, caused: list[list[arb]]) -> bool:
-        pairs = zip(caused, self.commanded, strict=True)
-        return all(a <= b for one, two in pairs for a, b in zip(one, two, strict=True))
 
     def along(self, rows: arb_mat) -> Along:
         """What they add along rows in the periods next to every node."""

@@ -5,9 +5,10 @@ import numpy as np
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .profile import ROUNDS, SETTLED, SPARE, summed
+from .profile import SETTLED, SPARE, summed
 from .tracking import Tracking
 
+ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long
 LONGER = 3
 """For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
 
@@ -35,11 +36,11 @@ class Scheduled:
         self.commanded = self._commanded()
 
     def _commanded(self) -> Array:
-        """Bound on the scheduled part of every command, shape (cells, m) [N].
+        """Bound on the scheduled part of each command, shape (cells, m) [N]; beyond limits if none is found.
 
         It does not grow over the tail, and is constant over the end of it that later turns remember.
         """
-        found, tracking = self.nu, self.tracking
+        found, tracking, u_max = self.nu, self.tracking, self.tracking.system.u_max
         remembered = LONGER * (tracking.memory + 2)
         end = max(len(found) + -remembered // tracking.feedback.nodes_per_cell, self.planned)
         for _ in range(ROUNDS):
@@ -47,9 +48,9 @@ class Scheduled:
             more[end:] = more[end:].max(axis=0, initial=0.0)
             more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
             before, found = found, self.nu + more * (1 + SPARE)
-            if np.all(found - before <= SETTLED * more) or np.any(more > self.tracking.system.u_max):
-                break
-        return found
+            if np.all(found - before <= SETTLED * more) or np.any(more > u_max):
+                return np.asarray(found)
+        return np.asarray(found + u_max / SPARE)
 
     def along(self, rows: Array) -> Array:
         """What they add along rows (r, n) in the periods next to a node, shape (cells, q + 1, r)."""

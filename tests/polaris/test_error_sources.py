@@ -34,6 +34,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.scenario.tables import ScenarioModel
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.clearance import error_tube
+from polaris.synthesis.demand import Scheduled
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 from reach.numerics.linear import discretize
@@ -301,6 +302,29 @@ def test_what_the_reference_commands_is_booked_where_it_acts():
     assert np.all(told >= nu + caused.max(axis=1) - 1e-12) and np.all(told.max(axis=0) < 1.5 * nu.max(axis=0))
     assert np.all(told[clearance.planned :] == told[-1])
     assert np.all(clearance.scheduled(safety.tracking.system.position) > 0)
+
+
+NEARLY = (
+    *("thrusters.misalignment_deg=20", "tracking.thrust_share=0.5", "recoverable.recourse=none"),
+    *("horizon.step_s=90", "feedback.period_s=6"),
+)
+"""Errors of thrusters that nearly feed on themselves: what bounds them takes long to be found."""
+
+
+def test_errors_that_nearly_feed_on_themselves_are_bounded():
+    schedule = kept("nearly", lambda: synthesize(load_scenario("static").with_assignments(NEARLY)))
+    assert schedule.guarantee == "proved" and schedule.share() > 0
+    assert verify_document(certificate(schedule, "static")).outcome == "VERIFIED"
+    safety, bounded = schedule.safety, []
+    for more in (0.1, 1.0, 1.1, 1.2, 1.3, 1.5, 3.0):
+        system = safety.tracking.system
+        system = replace(system, thrusters=replace(system.thrusters, across=more * system.thrusters.across))
+        tracking = replace(safety.tracking, system=system)
+        scheduled = Scheduled(tracking, safety.reference, safety.clearance.planned)
+        caused = scheduled.along(tracking.gain).max(axis=1)
+        bounded.append(np.all(scheduled.commanded >= np.abs(safety.reference.nu) + caused))
+        assert bounded[-1] or np.any(caused > system.u_max), "neither a bound, nor are thrusters exhausted"
+    assert bounded[1] and not bounded[-1]
 
 
 @cache
