@@ -141,9 +141,7 @@ class Attacker:
         node = np.minimum(step // self.flight.substeps, runs.states.shape[1] - 1)
         at = zip(which.tolist(), runs.states[np.arange(R), node], node.tolist(), strict=True)
         rows = np.array([self._row(*given) for given in at])
-        clipped = np.abs(runs.inputs) >= self.flight.system.u_max * (1 - 1e-12)
-        per_step = np.repeat(clipped.swapaxes(0, 1), self.flight.substeps, axis=0)
-        return self._towards(rows[:count], step[:count], per_step[:, :count], runs.states[:count])
+        return self._towards(rows[:count], step[:count], runs.some(slice(count)))
 
     def spending(self, count: int, rounds: int = 6) -> Attack:
         """The worst case, to first order, for the velocity change: its signs are those of the flight before.
@@ -160,9 +158,8 @@ class Attacker:
             signs = (
                 np.where(at[:, None], 2.0 * waves - 1, np.sign(inputs)) if number == 0 else np.sign(inputs)
             )
-            clipped = np.abs(inputs) >= flight.system.u_max * (1 - 1e-12)
             rows, targets = np.zeros_like(runs.states[:, 0]), np.full(count, steps)
-            found = self._towards(rows, targets, clipped, runs.states, signs)
+            found = self._towards(rows, targets, runs, signs)
             runs = found.fly(flight)
         return found
 
@@ -185,14 +182,9 @@ class Attacker:
         return Attack(x0, w, free)
 
     def _towards(
-        self,
-        rows: Array,
-        targets: NDArray[np.int_],
-        clipped: NDArray[np.bool_] | None = None,
-        about: Array | None = None,
-        spends: Array | None = None,
+        self, rows: Array, targets: NDArray[np.int_], about: Runs | None = None, spends: Array | None = None
     ) -> Attack:
-        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped, about, spends)
+        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, about, spends)
         return Attack(self.flight.schedule.safety.problem.initial_set.support_vector(adjoint), w, free)
 
     def _row(self, limit: int, x: Array, node: int) -> Array:
