@@ -9,7 +9,7 @@ from reach.numerics.linear import discretize
 
 from ..model.system import Array
 from ..synthesis.black_box import BlackBox
-from ..synthesis.controllers import AffineController, Controller
+from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
@@ -107,36 +107,34 @@ def adjoint_worst_case(
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
     w = np.zeros((steps, len(rows), told.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
-    gains = {
-        i: getattr(flight.schedule.controllers[i], "gain", np.zeros((system.m, system.n))) for i in choices
-    }
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
-    clipped = None
+    clipped, grows = None, flight.thrusters.proportional
     if about is not None:
-        inputs = np.repeat(about.inputs.swapaxes(0, 1), flight.substeps, axis=0)
-        clipped = np.abs(inputs) >= system.u_max * (1 - 1e-12)
-    elif flight.thrusters.proportional or any(map(_bends, (flight.schedule.controllers[i] for i in choices))):
-        about = _undisturbed(flight)
+        full = np.abs(about.inputs.swapaxes(0, 1)) >= system.u_max * (1 - 1e-12)
+        clipped = np.repeat(full, flight.substeps, axis=0)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
         adjoint[starting] = rows[starting]
-        back, push, thrust = choices[int(numbers[step])]
+        number = int(numbers[step])
+        back, push, thrust, gain = choices[number]
         if clipped is None or not clipped[step].any():
             direction, kick, carried = adjoint @ push[0], adjoint @ thrust[0], adjoint @ back[0]
         else:
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
-        number, more = int(numbers[step]), np.zeros_like(kick) if spends is None else spends[step]
-        kick = kick + more  # of what is applied
-        if about is not None and flight.thrusters.proportional:
-            more = more + flight.thrusters.slope(about.inputs[:, step // flight.substeps], np.abs(kick))
-        if np.any(more):
-            answer = -(more if clipped is None else more * ~clipped[step]) @ gains[number]
+        bends = isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox))
+        about = _undisturbed(flight) if about is None and (bends or grows) else about
+        made = kick if spends is None else kick + spends[step]  # how much what is applied counts
+        asked = made  # and what is commanded
+        if about is not None and grows:
+            asked = made + flight.thrusters.slope(about.inputs[:, step // flight.substeps], np.abs(made))
+        if asked is not kick:
+            answer = (kick - asked if clipped is None else (kick - asked) * ~clipped[step]) @ gain
             carried, direction[:, own.stop :] = carried + answer, direction[:, own.stop :] + answer
-        if about is not None and _bends(flight.schedule.controllers[number]):
+        if about is not None and bends:
             x = about.states[:, step // flight.substeps]
-            answer, heard = _answered(flight, number, step, x, kick)
+            answer, heard = _answered(flight, number, step, x, asked)
             w[step, :, told.start : told.start + heard.shape[1]] = np.sign(heard)
             carried = carried + answer
             direction[:, own.stop :] += answer
@@ -146,9 +144,9 @@ def adjoint_worst_case(
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
         if errors.start < errors.stop:
-            w[step, :, errors] = np.sign(kick)
+            w[step, :, errors] = np.sign(made)
         if free is not None:
-            free[step] = np.sign(kick) * system.u_max
+            free[step] = np.sign(made) * system.u_max
         adjoint = carried
     return w, free, adjoint
 
@@ -190,11 +188,6 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
     return back @ law.loop.C, back @ law.sight * law.told[1][k, law.node(passed)]
 
 
-def _bends(law: Controller) -> bool:
-    """Whether a law answers to the state by no gain of its own."""
-    return isinstance(law, (NeuralController, BlackBox))
-
-
 def _undisturbed(flight: Integrator) -> Runs:
     """The flight from the middle of the initial set, one run."""
     centre = flight.schedule.safety.problem.initial_set.c[None]
@@ -203,10 +196,11 @@ def _undisturbed(flight: Integrator) -> Runs:
     return plain.run(centre, np.zeros((plain.steps, 1, plain.columns[-1].stop)))
 
 
-def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
+def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:
     """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
 
     For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
+    And its gain.
     """
     system, dt = flight.system, flight.dt
     law = flight.schedule.controllers[number]
@@ -221,4 +215,4 @@ def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
         back.append(carried - kicked @ (free[:, None] * gain) if held else carried)
         push.append(np.hstack([pushed, -kicked @ (free[:, None] * gain)]))
         thrust.append(kicked)
-    return np.array(back), np.array(push), np.array(thrust)
+    return np.array(back), np.array(push), np.array(thrust), gain

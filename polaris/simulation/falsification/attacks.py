@@ -154,10 +154,8 @@ class Attacker:
         waves = (np.arange(steps)[:, None, None] + self.rng.integers(0, 2 * half, (1, count, m))) // half % 2
         at = np.arange(count) % 2 == 0
         for number in range(rounds):
-            inputs = np.repeat(runs.inputs.swapaxes(0, 1), flight.substeps, axis=0)
-            signs = (
-                np.where(at[:, None], 2.0 * waves - 1, np.sign(inputs)) if number == 0 else np.sign(inputs)
-            )
+            signs = np.repeat(np.sign(runs.inputs).swapaxes(0, 1), flight.substeps, axis=0)
+            signs = np.where(at[:, None], 2.0 * waves - 1, signs) if number == 0 else signs
             rows, targets = np.zeros_like(runs.states[:, 0]), np.full(count, steps)
             found = self._towards(rows, targets, runs, signs)
             runs = found.fly(flight)
