@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from ..model.errors import ScenarioError
 from ..model.prediction import between_nodes, prediction_error
-from ..model.system import Array
+from ..model.system import Array, LinearSystem
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
 
@@ -57,6 +57,10 @@ class Predicting(Integrator):
         self.late = np.broadcast_to(late, (nodes, runs))
         self.noise = self._noise() / np.maximum(self.known, 1e-300)
         self.measured = -1
+
+    def known_to(self, system: LinearSystem) -> Array:
+        """Bounds on the errors of predictions in a step, whatever was commanded before, shape (n,)."""
+        return system.navigation
 
     def _noise(self) -> Array:
         """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""

@@ -15,8 +15,7 @@ class Firing:
 
     Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Pulses have
     the thrust `fired` (m,); without any, what is commanded is held. From `begin` on, the rest of an impulse
-    is `left` (R, m) [N s] if it is carried, and `recent` is how large the commands were whose errors are not
-    measured yet. What fails is `failing`.
+    is `left` (R, m) [N s] if it is carried. What fails is `failing`.
     """
 
     system: LinearSystem
@@ -28,18 +27,14 @@ class Firing:
     thrust: Array | None = None
     failing: Failing | None = None
     left: Array | None = None
-    recent: tuple[Array, ...] = ()
 
     def begin(self, runs: int) -> None:
-        """Nothing is left of impulses, nor was anything commanded."""
-        self.recent = ()
+        """Nothing is left of impulses."""
         self.left = np.zeros((runs, self.system.m)) if self.system.timing.carried else None
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
         told = u = np.clip(raw, -self.system.u_max, self.system.u_max)
-        if self.system.timing.hidden:
-            self.recent = (np.abs(told), *self.recent)[: self.system.timing.hidden]
         if self.left is not None:
             h, bit = self.dt * self.substeps, self.system.timing.carried
             due = told * h + self.left

@@ -79,8 +79,12 @@ class Integrator(Firing):
     @cached_property
     def known(self) -> Array:
         """Bounds on errors of estimates in every step, (steps, 1, n), whatever was commanded before."""
-        cells = [self.system.at_step(k).navigation for k in range(len(self.modes))]
+        cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
+
+    def known_to(self, system: LinearSystem) -> Array:
+        """The same in a step, shape (n,)."""
+        return system.estimate_off(0 * system.u_max)
 
     @property
     def may_do_anything(self) -> bool:
@@ -125,12 +129,10 @@ class Integrator(Firing):
 
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
-        known, size = x, self.known[step]
-        if self.eta is not None:
-            flown = self.system.displaced_at_nodes if self.left is not None else 0.0  # not as errors
-            most = np.max(self.recent, axis=0) if len(self.recent) == self.system.timing.hidden > 0 else None
-            size = size - flown + (self.system.estimate_off(most) - self.system.navigation)
-            known = x + self.eta[step] * (size / np.maximum(self.known[step], 1e-300))
+        known = x if self.eta is None else x + self.eta[step]
+        if self.eta is not None and self.left is not None:
+            flown = self.system.displaced_at_nodes / np.maximum(self.known[step], 1e-300)  # not as errors
+            known = x + self.eta[step] * (1 - flown)
         if self.failing is None:
             return np.asarray(known)
         lost = self.failing.on(step) & self.failing.lost
