@@ -110,8 +110,8 @@ def adjoint_worst_case(
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     clipped, grows = None, flight.thrusters.proportional
     if about is not None:
-        full = np.abs(about.inputs.swapaxes(0, 1)) >= system.u_max * (1 - 1e-12)
-        clipped = np.repeat(full, flight.substeps, axis=0)
+        full = np.abs(about.inputs) >= system.u_max * (1 - 1e-12)
+        clipped = np.repeat(full.swapaxes(0, 1), flight.substeps, axis=0)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
         adjoint[starting] = rows[starting]
@@ -199,8 +199,7 @@ def _undisturbed(flight: Integrator) -> Runs:
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:
     """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
 
-    For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
-    And its gain.
+    For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m); gain.
     """
     system, dt = flight.system, flight.dt
     law = flight.schedule.controllers[number]

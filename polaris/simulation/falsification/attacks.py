@@ -157,8 +157,7 @@ class Attacker:
             signs = np.repeat(np.sign(runs.inputs).swapaxes(0, 1), flight.substeps, axis=0)
             signs = np.where(at[:, None], 2.0 * waves - 1, signs) if number == 0 else signs
             rows, targets = np.zeros_like(runs.states[:, 0]), np.full(count, steps)
-            found = self._towards(rows, targets, runs, signs)
-            runs = found.fly(flight)
+            runs = (found := self._towards(rows, targets, runs, signs)).fly(flight)
         return found
 
     def mutate(self, elites: Attack, count: int) -> Attack:
