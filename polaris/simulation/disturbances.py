@@ -197,9 +197,9 @@ def _undisturbed(flight: Integrator) -> Runs:
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:
-    """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
+    """Of one controller, for every set of clipped inputs: transition over a step, what is held adds; gain.
 
-    For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m); gain.
+    For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
     """
     system, dt = flight.system, flight.dt
     law = flight.schedule.controllers[number]
