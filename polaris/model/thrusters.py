@@ -56,3 +56,9 @@ class Thrusters:
         """The part of `error` that is proportional to u: that of a sum is at most the sum of the parts."""
         others = np.sqrt(np.square(u) @ (1.0 - np.eye(u.shape[-1])))
         return np.asarray(self.along * np.abs(u) + self.across * others)
+
+    def slope(self, u: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivative in u of the sum of `part` with weights >= 0, shape (..., m)."""
+        apart = 1.0 - np.eye(u.shape[-1])
+        others = np.maximum(np.sqrt(np.square(u) @ apart), 1e-300)
+        return np.asarray(self.along * weights * np.sign(u) + self.across * u * ((weights / others) @ apart))

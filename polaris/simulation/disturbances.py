@@ -13,6 +13,7 @@ from ..synthesis.controllers import AffineController
 from ..synthesis.neural import NeuralController
 from ..synthesis.schedule import Schedule
 from .integration import Integrator
+from .run_metrics import Runs
 
 Disturbance = Literal["none", "random", "worst", "mixed", "failing"]
 
@@ -81,8 +82,7 @@ def adjoint_worst_case(
     flight: Integrator,
     rows: Array,
     targets: NDArray[np.int_],
-    clipped: NDArray[np.bool_] | None = None,
-    about: Array | None = None,
+    about: Runs | None = None,
     spends: Array | None = None,
 ) -> tuple[Array, Array | None, Array]:
     """Disturbance, held over each step, that takes the state furthest along a row at one instant per run.
@@ -91,15 +91,15 @@ def adjoint_worst_case(
     held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
     thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
     disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``, or those of an
-    observer's noise (`worst_errors`); so does what networks are told of bodies. A network
-    answers with its gradient at the states that it was flown through, `about` (R or 1, nodes + 1, n), by
-    default those of the undisturbed flight from the middle of the initial set.
+    observer's noise (`worst_errors`); so does what networks are told of bodies. Where a loop is not linear it
+    is the worst case about flights `about`, by default the undisturbed one from the middle of the initial
+    set, which clips nothing: a network answers with its gradient at their states, errors of thrusters grow
+    and shrink with their inputs, and those that the thrusters clip do not answer to the state.
 
-    Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. Inputs that
-    the thrusters clip (steps, R, m) do not answer to the state. What is applied counts in every step with
-    weights `spends` (steps, R, m), if there are any. Returned are the disturbances (steps, R, p),
-    full thrust in the worst direction (steps, R, m) for controllers that may do anything (None if none
-    flies), and the direction (R, n), at time 0, in which the initial state counts.
+    Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. What is
+    applied counts in every step with weights `spends` (steps, R, m), if there are any. Returned are the
+    disturbances (steps, R, p), full thrust in the worst direction (steps, R, m) for controllers that may do
+    anything (None if none flies), and the direction (R, n), at time 0, in which the initial state counts.
     """
     system, steps = flight.system, flight.steps
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
@@ -107,30 +107,34 @@ def adjoint_worst_case(
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
     w = np.zeros((steps, len(rows), told.stop))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
-    gains = {
-        i: getattr(flight.schedule.controllers[i], "gain", np.zeros((system.m, system.n))) for i in choices
-    }
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
+    clipped, grows = None, flight.thrusters.proportional
+    if about is not None:
+        full = np.abs(about.inputs) >= system.u_max * (1 - 1e-12)
+        clipped = np.repeat(full.swapaxes(0, 1), flight.substeps, axis=0)
     for step in range(steps - 1, -1, -1):
         starting = targets == step + 1
         adjoint[starting] = rows[starting]
-        back, push, thrust = choices[int(numbers[step])]
+        number = int(numbers[step])
+        back, push, thrust, gain = choices[number]
         if clipped is None or not clipped[step].any():
             direction, kick, carried = adjoint @ push[0], adjoint @ thrust[0], adjoint @ back[0]
         else:
             case = clipped[step] @ bits
             column = adjoint[:, None, :]
             direction, kick, carried = ((column @ part[case])[:, 0] for part in (push, thrust, back))
-        if spends is not None:
-            answer = (
-                -(spends[step] if clipped is None else spends[step] * ~clipped[step]) @ gains[numbers[step]]
-            )
-            kick, carried = kick + spends[step], carried + answer
-            direction[:, own.stop :] += answer
-        number = int(numbers[step])
-        if isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox)):
-            about = _undisturbed(flight) if about is None else about
-            answer, heard = _answered(flight, number, step, about[:, step // flight.substeps], kick)
+        bends = isinstance(flight.schedule.controllers[number], (NeuralController, BlackBox))
+        about = _undisturbed(flight) if about is None and (bends or grows) else about
+        made = kick if spends is None else kick + spends[step]  # how much what is applied counts
+        asked = made  # and what is commanded
+        if about is not None and grows:
+            asked = made + flight.thrusters.slope(about.inputs[:, step // flight.substeps], np.abs(made))
+        if asked is not kick:
+            answer = (kick - asked if clipped is None else (kick - asked) * ~clipped[step]) @ gain
+            carried, direction[:, own.stop :] = carried + answer, direction[:, own.stop :] + answer
+        if about is not None and bends:
+            x = about.states[:, step // flight.substeps]
+            answer, heard = _answered(flight, number, step, x, asked)
             w[step, :, told.start : told.start + heard.shape[1]] = np.sign(heard)
             carried = carried + answer
             direction[:, own.stop :] += answer
@@ -140,9 +144,9 @@ def adjoint_worst_case(
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
         if errors.start < errors.stop:
-            w[step, :, errors] = np.sign(kick)
+            w[step, :, errors] = np.sign(made)
         if free is not None:
-            free[step] = np.sign(kick) * system.u_max
+            free[step] = np.sign(made) * system.u_max
         adjoint = carried
     return w, free, adjoint
 
@@ -184,16 +188,16 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
     return back @ law.loop.C, back @ law.sight * law.told[1][k, law.node(passed)]
 
 
-def _undisturbed(flight: Integrator) -> Array:
-    """States of the flight from the middle of the initial set, shape (1, nodes + 1, n)."""
+def _undisturbed(flight: Integrator) -> Runs:
+    """The flight from the middle of the initial set, one run."""
     centre = flight.schedule.safety.problem.initial_set.c[None]
     # What is predicted, or filtered, is exact then.
     plain = Integrator(flight.schedule, flight.modes, flight.substeps)
-    return plain.run(centre, np.zeros((plain.steps, 1, plain.columns[-1].stop))).states
+    return plain.run(centre, np.zeros((plain.steps, 1, plain.columns[-1].stop)))
 
 
-def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
-    """Of one controller, for every set of clipped inputs: transition over a step, and what is held adds.
+def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:
+    """Of one controller, for every set of clipped inputs: transition over a step, what is held adds; gain.
 
     For disturbance with errors of estimates and thrust, shapes (2^m, n, n), (2^m, n, p + n), (2^m, n, m).
     """
@@ -210,4 +214,4 @@ def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array]:
         back.append(carried - kicked @ (free[:, None] * gain) if held else carried)
         push.append(np.hstack([pushed, -kicked @ (free[:, None] * gain)]))
         thrust.append(kicked)
-    return np.array(back), np.array(push), np.array(thrust)
+    return np.array(back), np.array(push), np.array(thrust), gain

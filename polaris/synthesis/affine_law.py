@@ -21,7 +21,7 @@ from ..planning.reference import Reference
 from .demand import taken_over
 from .tracking import Feedback, Tracking
 
-TOGETHER = 5  # periods whose errors are merged in a tube
+TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class AffineLaw:
         q, system, hidden = self.feedback.nodes_per_cell, self.system, self.system.timing.hidden
         least = 0 * self.error if self.most is None else system.command_error(self.gain, self.most)
         more = system.command_error(self.gain) - least
-        together = 1 if system.ideal else TOGETHER
+        together = 1 if system.ideal else min(TOGETHER, max(q // 2, 1))
         if self.most is None or hidden >= q or not np.any(more > 0):
             return self.flow.disturbance_nodes(q, together=together)
         flow = self.feedback.flow(system, self.gain, self.reference.delta, self.error - more)

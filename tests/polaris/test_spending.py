@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from polaris.model.thrusters import Thrusters
 from polaris.runs.case import replay, write_case
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attacker
@@ -82,6 +83,29 @@ def test_a_bound_that_is_too_small_is_found_out_and_flown_again(monkeypatch, tmp
     assert replay(case)[0] is None
 
 
+def test_attacks_count_with_errors_of_thrusters_that_grow_with_commands(monkeypatch):
+    """About a flight they go as far as without that, or further; what they count is the derivative."""
+    schedule, rng = tiny(*SAMPLED, "thrusters.magnitude_error=0.1"), np.random.default_rng(0)
+    attacker = Attacker.of(schedule, False, rng)
+    rows, end = attacker.rows, attacker.flight.steps
+
+    def reached():
+        about, targets = None, np.full(len(rows), end)
+        for _ in range(3):
+            about = attacker._towards(rows, targets, about).fly(attacker.flight)
+        return np.einsum("rn,rn->r", about.states[:, end], rows)
+
+    with_growth = reached()
+    monkeypatch.setattr(Thrusters, "slope", lambda self, u, weights: np.zeros_like(weights))
+    gained = (with_growth - reached()) / np.ptp(with_growth)
+    assert gained.min() > -1e-9 and gained.max() > 1e-5
+    monkeypatch.undo()
+    thrusters, u, weights = Thrusters(0.1, 0.05, 0.2), rng.normal(size=(4, 3)), rng.uniform(0, 2, (4, 3))
+    small = 1e-6 * np.eye(3)[:, None]
+    change = ((thrusters.part(u + small) - thrusters.part(u - small)) * weights).sum(axis=-1).T / 2e-6
+    assert thrusters.slope(u, weights) == pytest.approx(change, abs=1e-8)
+
+
 @pytest.mark.slow
 def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_all():
     """One scene of the table in docs/guarantees.md; the others give the rest of its figures."""
@@ -90,4 +114,7 @@ def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_al
     told = [row.split("|")[1:-1] for row in tightness.rows((5000,))]
     page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN)[1].split(tightness.END)[0]
     assert [row.split("|")[1] for row in page.splitlines()[2:]] == [cells[0] for cells in told]
-    assert all(float(cell.strip(" %")) <= 100 for cells in told for cell in cells[3:])
+    shares = np.array([[float(cell.strip(" %")) for cell in cells[3:]] for cells in told])
+    assert np.all(shares <= 100)
+    for cells, (used, *_, alike, free, unmerged, _) in zip(told, shares, strict=True):
+        assert alike <= used <= free <= unmerged + 1, cells[0]  # each lets a flight do more

@@ -136,9 +136,7 @@ class Attacker:
         node = np.minimum(step // self.flight.substeps, runs.states.shape[1] - 1)
         at = zip(which.tolist(), runs.states[np.arange(R), node], node.tolist(), strict=True)
         rows = np.array([self._row(*given) for given in at])
-        clipped = np.abs(runs.inputs) >= self.flight.system.u_max * (1 - 1e-12)
-        per_step = np.repeat(clipped.swapaxes(0, 1), self.flight.substeps, axis=0)
-        return self._towards(rows[:count], step[:count], per_step[:, :count], runs.states[:count])
+        return self._towards(rows[:count], step[:count], runs.some(slice(count)))
 
     def spending(self, count: int, rounds: int = 6) -> Attack:
         """The worst case, to first order, for the velocity change: its signs are those of the flight before.
@@ -151,14 +149,10 @@ class Attacker:
         waves = (np.arange(steps)[:, None, None] + self.rng.integers(0, 2 * half, (1, count, m))) // half % 2
         at = np.arange(count) % 2 == 0
         for number in range(rounds):
-            inputs = np.repeat(runs.inputs.swapaxes(0, 1), flight.substeps, axis=0)
-            signs = (
-                np.where(at[:, None], 2.0 * waves - 1, np.sign(inputs)) if number == 0 else np.sign(inputs)
-            )
-            clipped = np.abs(inputs) >= flight.system.u_max * (1 - 1e-12)
+            signs = np.repeat(np.sign(runs.inputs).swapaxes(0, 1), flight.substeps, axis=0)
+            signs = np.where(at[:, None], 2.0 * waves - 1, signs) if number == 0 else signs
             rows, targets = np.zeros_like(runs.states[:, 0]), np.full(count, steps)
-            found = self._towards(rows, targets, clipped, runs.states, signs)
-            runs = found.fly(flight)
+            runs = (found := self._towards(rows, targets, runs, signs)).fly(flight)
         return found
 
     def mutate(self, elites: Attack, count: int) -> Attack:
@@ -180,14 +174,9 @@ class Attacker:
         return Attack(x0, w, free)
 
     def _towards(
-        self,
-        rows: Array,
-        targets: NDArray[np.int_],
-        clipped: NDArray[np.bool_] | None = None,
-        about: Array | None = None,
-        spends: Array | None = None,
+        self, rows: Array, targets: NDArray[np.int_], about: Runs | None = None, spends: Array | None = None
     ) -> Attack:
-        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, clipped, about, spends)
+        w, free, adjoint = adjoint_worst_case(self.flight, rows, targets, about, spends)
         return Attack(self.flight.schedule.safety.problem.initial_set.support_vector(adjoint), w, free)
 
     def _row(self, limit: int, x: Array, node: int) -> Array:
