@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
 def test_a_followed_path_is_that_of_the_law():
     _, schedule = printed()
     _, law = next(followable(schedule))
-    window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules()))
+    window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules(), schedule.safety))
     followed = Followed.of(law.system, law.powers[-1], law.own)
     own = law.own
     # On the law's own reference the constant input is the reference's own.
@@ -84,7 +84,7 @@ def test_windows_and_their_neighbours():
 def test_dwell_and_cap_are_kept_by_the_windows():
     _, schedule = printed()
     rules = SwitchingRules(min_dwell=3, max_switches=3)
-    worth = Worth.beside(schedule, rules)
+    worth = Worth.beside(schedule, rules, schedule.safety)
     assert worth.allows(in_windows([(4, 7)], 12))
     assert not worth.allows(in_windows([(4, 6)], 12)), "S keeps control for less than the dwell time"
     assert not worth.allows(in_windows([(2, 6)], 12)), "so does U"
@@ -150,7 +150,8 @@ def test_the_same_scenario_gives_the_same_schedule(folder):
 def test_a_budget_comes_first():
     scenario, schedule = printed()
     free, tight = (
-        Worth.beside(schedule, SwitchingRules(delta_v_max=most)) for most in (None, schedule.delta_v[1] / 2)
+        Worth.beside(schedule, SwitchingRules(delta_v_max=most), schedule.safety)
+        for most in (None, schedule.delta_v[1] / 2)
     )
     assert free(schedule)[0] and not tight(schedule)[0]
     assert scenario.switching_rules().delta_v_max is None
