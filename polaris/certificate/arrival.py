@@ -91,8 +91,9 @@ class Arrival:
         return arb(SOON) * self.document.steps * self.document.delta
 
     def holding(self, needs: Needs) -> arb:
-        """What S needs along rows for ever, the jump into the tail apart."""
-        most = sums(needs.settled, (magnitude(needs.rows) * column(self.document.at_nodes)).entries())
+        """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
+        off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
+        most = sums(needs.settled, off, *needs.upset[-1:])
         return largest(sums(most, self._from_thrust(needs.rows, self._last)) if self.scheduled else most)
 
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:

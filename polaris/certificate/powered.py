@@ -188,11 +188,16 @@ class Along:
         more = sums(
             needs.ever(magnitude(self.path.jump)), (absolute(rows.rows) * column(doc.at_nodes)).entries()
         )
-        if self.scheduled is None:
-            return rows, needs, more
-        tail = self.scheduled.along(rows.rows)[min(doc.steps, doc.cells - 1) :]
-        caused = [largest(x) for x in zip(*(node for nodes in tail for node in nodes), strict=True)]
-        return rows, needs, sums(more, caused)
+        return rows, needs, more
+
+    @cached_property
+    def _tail(self) -> list[list[arb]]:
+        """What errors by the time of the flight need of the orbit from each cell of the tail on."""
+        doc, found = self.document, list[list[arb]]()
+        tail = self.scheduled.along(self._orbit[0].rows) if self.scheduled else []
+        for cell in reversed(tail[min(doc.steps, doc.cells - 1) :]):
+            found.append([largest(x) for x in zip(*cell, *found[-1:], strict=True)])
+        return found[::-1]
 
     def arrives(self, taken: Takeover) -> None:
         """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
@@ -209,7 +214,9 @@ class Along:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
         (rows, needs, more), arcs = self._orbit, self.path.arcs
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
-        return rows.distance(sums(rows.over(state), self._most(needs, taken, cell, cell), more))
+        at = max(cell - self.document.steps - 1, 0)
+        parts = rows.over(state), self._most(needs, taken, cell, cell), more, *self._tail[at : at + 1]
+        return rows.distance(sums(*parts))
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
