@@ -24,6 +24,12 @@ def test_rows_are_told_of_what_has_been_found():
         "| `static` | misalignment | 50.0 | none (3) | 1.25 | - | - |",
         "| `static` | mass | 50.0 | 10.0, REJECTED | 1.25 to 1.25 | 600: none violates | 35 to 35 % |",
     ]
+    asked = row | {"drift": "0 of 60", "aborts": "12 of 60", "lasts_h": 1.25, "outcome": "VERIFIED"}
+    found |= {"static, none": row, "static, all, faults, aborts": asked}
+    assert tenfold.together(found, ["static"]).splitlines()[2:] == [
+        "| `static` | none | 50.0 | 1.25 | - | - | - | - |",
+        "| `static` | all, faults, aborts | 50.0 | 1.25 | 0 of 60 | 12 of 60 | 1.2 | VERIFIED |",
+    ]
     assert "thrusters.magnitude_error=0.49" in tenfold.settings("magnitude", 10.0)
 
 
