@@ -192,12 +192,20 @@ class Along:
 
     @cached_property
     def _tail(self) -> list[list[arb]]:
-        """What errors by the time of the flight need of the orbit from each cell of the tail on."""
-        doc, found = self.document, list[list[arb]]()
-        tail = self.scheduled.along(self._orbit[0].rows) if self.scheduled else []
-        for cell in reversed(tail[min(doc.steps, doc.cells - 1) :]):
-            found.append([largest(x) for x in zip(*cell, *found[-1:], strict=True)])
+        """What errors by the time of the flight need of the orbit from the starts of cells of the tail on."""
+        if self.scheduled is None:
+            return []
+        tail = self.scheduled.along(self._orbit[0].rows)[self._first :]
+        found = [tail[-1][-1]]
+        for i in reversed(range(len(tail))):
+            parts = *tail[i], *(tail[i - 1][-1:] if i else []), found[-1]
+            found.append([largest(each) for each in zip(*parts, strict=True)])
         return found[::-1]
+
+    @property
+    def _first(self) -> int:
+        """The first cell of the tail, or the last there is."""
+        return min(self.document.steps, self.document.cells - 1)
 
     def arrives(self, taken: Takeover) -> None:
         """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
@@ -214,7 +222,7 @@ class Along:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
         (rows, needs, more), arcs = self._orbit, self.path.arcs
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
-        at = max(cell - self.document.steps - 1, 0)
+        at = cell - self._first
         parts = rows.over(state), self._most(needs, taken, cell, cell), more, *self._tail[at : at + 1]
         return rows.distance(sums(*parts))
 
