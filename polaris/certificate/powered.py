@@ -176,7 +176,7 @@ class Along:
         return [[largest(each) for each in zip(*nodes, strict=True)] for nodes in every]
 
     @cached_property
-    def _orbit(self) -> tuple[Weighted, Needs, list[arb]]:
+    def _orbit(self) -> tuple[Weighted, Needs, list[arb], Arrival]:
         """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
         doc, common, spec = self.document, self.common, self.common.orbit
         assert spec is not None
@@ -188,24 +188,7 @@ class Along:
         more = sums(
             needs.ever(magnitude(self.path.jump)), (absolute(rows.rows) * column(doc.at_nodes)).entries()
         )
-        return rows, needs, more
-
-    @cached_property
-    def _tail(self) -> list[list[arb]]:
-        """What errors by the time of the flight need of the orbit from the starts of cells of the tail on."""
-        if self.scheduled is None:
-            return []
-        tail = self.scheduled.along(self._orbit[0].rows)[self._first :]
-        found = [tail[-1][-1]]
-        for i in reversed(range(len(tail))):
-            parts = *tail[i], *(tail[i - 1][-1:] if i else []), found[-1]
-            found.append([largest(each) for each in zip(*parts, strict=True)])
-        return found[::-1]
-
-    @property
-    def _first(self) -> int:
-        """The first cell of the tail, or the last there is."""
-        return min(self.document.steps, self.document.cells - 1)
+        return rows, needs, more, arrival
 
     def arrives(self, taken: Takeover) -> None:
         """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
@@ -220,10 +203,10 @@ class Along:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
         if not self.document.steps <= cell <= self.document.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        (rows, needs, more), arcs = self._orbit, self.path.arcs
+        (rows, needs, more, arrival), arcs, doc = self._orbit, self.path.arcs, self.document
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
-        at = cell - self._first
-        parts = rows.over(state), self._most(needs, taken, cell, cell), more, *self._tail[at : at + 1]
+        parts = [rows.over(state), self._most(needs, taken, cell, cell), more]
+        parts += [arrival.from_thrust(rows.rows, (cell - doc.steps) * doc.q)] if self.scheduled else []
         return rows.distance(sums(*parts))
 
     def spent(self, taken: Takeover, cell: int) -> arb:

@@ -139,10 +139,13 @@ def goal_rows(problem: Problem) -> tuple[Array, Array]:
 
 def tolerated(safety: Safety, rows: Array, failing: bool = False) -> float:
     """What counts as reached [m], by the rows: as given, or see `Arrival`; if `failing`, with a fault."""
-    problem = safety.problem
+    problem, tracking = safety.problem, safety.tracking
     if problem.goal_tolerance is not None:
         return problem.goal_tolerance
-    hold = _to_hold(safety, rows, failing) * (1 + GOAL_SHARE)
+    settled = _settled(tracking, rows)
+    need = settled + np.minimum(safety.clearance.scheduled(rows)[-1, -1], CAUSED * settled)
+    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes + tracking.upset(rows)[-1] * failing
+    hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
     return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
 
@@ -220,15 +223,6 @@ def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
     """What S needs besides, from each of so many nodes after T on, shape (nodes, r)."""
     need = safety.clearance.tail_need(rows)
     return need[np.minimum(np.arange(nodes), len(need) - 1)]
-
-
-def _to_hold(safety: Safety, rows: Array, failing: bool) -> float:
-    """What S needs along the rows for ever, the jump into the tail apart [m]."""
-    tracking, clearance = safety.tracking, safety.clearance
-    settled = _settled(tracking, rows)
-    need = settled + np.minimum(clearance.scheduled(rows)[-1, -1], CAUSED * settled)
-    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes + tracking.upset(rows)[-1] * failing
-    return float(np.max(need, initial=0.0)) * (1 + spare(tracking))
 
 
 def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
