@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from time import perf_counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.arrival import _weights, distance
 from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours
-from polaris.synthesis.search import SwitchingRules
+from polaris.synthesis.search import Search, SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.worth import Worth
 
@@ -145,6 +147,25 @@ def test_the_same_scenario_gives_the_same_schedule(folder):
     _, again = random_schedule(CHANGED[0], folder)
     assert np.array_equal(schedule.modes, again.modes)
     assert np.array_equal(schedule.safety.reference.chi, again.safety.reference.chi)
+
+
+def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
+    """Not at that of the reference that is found first, beside which velocity change seems cheap."""
+    scenario, schedule = printed()
+    safety = schedule.safety
+
+    def found(share, spent):
+        own = replace(safety, plan=replace(safety.plan, delta_v=spent))
+        made = {"share": lambda mode=1: share, "delta_v_middle": spent, "switches": 2, "safety": own}
+        known = {"controllers": schedule.controllers[:2], "passive": None, "spent": spent}
+        return SimpleNamespace(**made, **known, arrival=SimpleNamespace(reached=True))
+
+    search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v
+    for share, best in ((0.93, 0.9), (0.97, 0.97)):  # for as much more as S spends alone: 6 % of the time
+        module = import_module("polaris.synthesis.synthesize")
+        monkeypatch.setattr(module, "find_safety", lambda problem: safety)
+        monkeypatch.setattr(module, "most_worthy", lambda *_, share=share: found(share, 4 * unit))
+        assert module.best_share(search, found(0.9, 3 * unit), True).share() == best
 
 
 def test_a_budget_comes_first():
