@@ -1,12 +1,13 @@
-"""Each error of the flight hardware alone, up to ten times the size that missions ask for.
+"""Each error of the flight hardware alone, up to ten times the size that missions ask for; and all at once.
 
     python -m benchmarks.tenfold                          print the table of docs/tradeoff.md (hours)
     python -m benchmarks.tenfold --write                  and put it into the page
     python -m benchmarks.tenfold static --only mass --times 10
+    python -m benchmarks.tenfold --together               the other table: all errors, then faults and aborts
 
-For each scene, error and size a run folder is written under `--out`. At the largest size its certificate is
-checked, and a search for runs that break a claim flies `--attacks` trajectories. What has been found is kept
-in `tenfold.json` there: a command that was stopped goes on where it was.
+For each scene, error and size a run folder is written under `--out`. At the largest size, and of all errors
+at once, its certificate is checked, and a search for runs that break a claim flies `--attacks` trajectories.
+What has been found is kept in `tenfold.json` there: a command that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -41,6 +42,17 @@ ERRORS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
 """Once the size of each error, and what is set besides."""
 MOST = {"thrusters.magnitude_error": 0.49}
 """What is more is refused: errors of the magnitude stay below a half."""
+TOGETHER: dict[str, tuple[str, ...]] = {"none": ()}
+"""What is declared at once, one after another: errors, then faults and what is asked after them."""
+TOGETHER["all"] = (
+    *(f"{key}={size:g}" for sizes, _ in ERRORS.values() for key, size in sizes.items()),
+    *("thrusters.pulse=centred", "thrusters.remainder=carried"),
+)
+TOGETHER["all, faults, aborts"] = (
+    *TOGETHER["all"],
+    'faults=[{kind="loss",share=0.1,isolation_s=4},{kind="navigation_lost",lasts_s=10}]',
+    *("abort.drift_orbits=2", "abort.orbit.kind=goal", "tank.delta_v_m_s=20"),
+)
 CHEAP = ("schedule.bound_programs=0", "simulation.runs=20")
 """Without a bound on other schedules, and with few of the runs that only illustrate."""
 
@@ -54,19 +66,34 @@ def settings(error: str, times: float) -> list[str]:
     return [*scaled, *besides, *CHEAP]
 
 
-def judged(scene: str, error: str, times: float, attacks: int, out: Path) -> Found:
-    """Share of U and velocity change, with attacks what they and the checker say; or why there is none."""
-    scenario = load_scenario(scene, settings(error, times))
+def judged(scene: str, given: Sequence[str], attacks: int | None, folder: Path) -> Found:
+    """What a run says, the checker unless `attacks` is None, and so many attacks; or why there is none."""
+    scenario = load_scenario(scene, given)
     try:
         flown = fly_schedule(scenario, Stages())
     except (SynthesisInfeasible, NotCertified) as none:
         return {"reason": str(none), "exit_code": none.exit_code}
-    folder = out / f"{scene}-{error.replace(', ', '-')}-{times:g}"
-    told = write_run(folder, scenario, flown.schedule, flown.flown).summary
-    found = {"share": told["synthesis"]["experimental_share"], "delta_v_m_s": told["polaris"]["delta_v_m_s"]}
-    found |= {"goal": told["guarantee"]["goal"]["reached"]}
-    if attacks:
-        found |= {"outcome": verify(folder).outcome, "attacks": falsify(flown.schedule, attacks).summary()}
+    found = said(write_run(folder, scenario, flown.schedule, flown.flown).summary, scenario.step)
+    found |= {} if attacks is None else {"outcome": verify(folder).outcome}
+    return found | ({"attacks": falsify(flown.schedule, attacks).summary()} if attacks else {})
+
+
+def said(summary: Mapping[str, Any], delta: float) -> Found:
+    """Of a run's summary what the tables have; steps are of `delta` [s]."""
+    claim = summary["guarantee"]
+    found: Found = {"share": summary["synthesis"]["experimental_share"]}
+    found |= {"delta_v_m_s": summary["polaris"]["delta_v_m_s"], "goal": claim["goal"]["reached"]}
+    found["collided"] = summary["polaris"]["collided"]
+    drift, aborts = (claim.get(name) for name in ("abort", "powered_abort"))
+    if drift and aborts:
+        steps, witness = aborts["steps"], drift["witness"]
+        clear = sum(round((end - start) / delta) for start, end in drift["clear_s"])
+        found |= {"drift": f"{clear} of {len(steps)}", "proven_m_s": claim["goal"]["delta_v_max_m_s"]}
+        if witness:
+            met = f"{witness['unsafe_set']} {witness['after_s']:.0f} s later"
+            found["drift"] += f" (from {witness['t_s']:g} s: {met})"
+        found["aborts"] = f"{sum(step['why'] is None for step in steps)} of {len(steps)}"
+        found["lasts_h"] = claim["upkeep"] and claim["upkeep"]["lasts_s"] / 3600
     return found
 
 
@@ -103,6 +130,20 @@ def table(
     return "\n".join(lines)
 
 
+def together(found: Mapping[str, Found], scenes: Sequence[str]) -> str:
+    """A row for each scene and what is declared at once, as far as it is known."""
+    head = "Scene", "Declared", "U, %", "m/s", "drift of two orbits clear, steps", "powered abort, steps"
+    lines = [f"| {' | '.join((*head, 'tank lasts, h', 'checker'))} |", "|---" * (len(head) + 2) + "|"]
+    for scene in scenes:
+        for kind in TOGETHER:
+            if one := found.get(f"{scene}, {kind}"):
+                lasts, spent = (one.get(key) for key in ("lasts_h", "delta_v_m_s"))
+                told = [f"{spent:.2f}" if spent else "-", one.get("drift", "-"), one.get("aborts", "-")]
+                told += [f"{lasts:.1f}" if lasts else "-", one.get("outcome", "-")]
+                lines.append(f"| {' | '.join([f'`{scene}`', kind, cell(one), *told])} |")
+    return "\n".join(lines)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
@@ -111,24 +152,37 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--attacks", type=int, default=2000, help="trajectories at the largest size")
     parser.add_argument("--out", type=Path, default=Path("runs/tenfold"))
     parser.add_argument("--kept", action="store_true", help="tell what has been found, and compute nothing")
+    parser.add_argument("--together", action="store_true", help="all errors at once, not each alone")
     parser.add_argument("--write", action="store_true", help="put the table into the page")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     kept, errors = given.out / "tenfold.json", given.only or list(ERRORS)
     found: dict[str, Found] = json.loads(kept.read_text()) if kept.is_file() else {}
-    for size in () if given.kept else reversed(given.times):
-        attacks = given.attacks if size == given.times[-1] else 0
-        for scene in given.scenes:
-            for error in errors:
-                name = f"{scene}, {error}, {size:g}"
-                if name not in found or attacks > found[name].get("attacks", {"runs": attacks})["runs"]:
-                    found[name] = judged(scene, error, size, attacks, given.out)
-                    kept.write_text(json.dumps(found, indent=1))
-                print(f"{name}: {cell(found[name])}", flush=True)
-    told = table(found, given.scenes, errors, given.times)
+    jobs = [
+        (f"{scene}, {error}, {size:g}", scene, settings(error, size), size == given.times[-1])
+        for size in reversed(given.times)
+        for scene in given.scenes
+        for error in errors
+    ]
+    if given.together:
+        jobs = [
+            (f"{scene}, {kind}", scene, [*TOGETHER[kind], CHEAP[0]], True)
+            for scene in given.scenes
+            for kind in TOGETHER
+        ]
+    for name, scene, sets, attacked in () if given.kept else jobs:
+        attacks = given.attacks if attacked else None
+        if name not in found or (attacks or 0) > found[name].get("attacks", {"runs": attacks or 0})["runs"]:
+            found[name] = judged(scene, sets, attacks, given.out / name.replace(", ", "-").replace(" ", "-"))
+            kept.write_text(json.dumps(found, indent=1))
+        print(f"{name}: {cell(found[name])}", flush=True)
+    place = "together" if given.together else NAME
+    told = (
+        together(found, given.scenes) if given.together else table(found, given.scenes, errors, given.times)
+    )
     print(f"\n{told}")
     if given.write:
-        TRADEOFFS.write_text(put(TRADEOFFS.read_text(encoding="utf-8"), NAME, told), encoding="utf-8")
+        TRADEOFFS.write_text(put(TRADEOFFS.read_text(encoding="utf-8"), place, told), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -89,9 +89,10 @@ class Arrival:
         return arb(SOON) * self.document.steps * self.document.delta
 
     def holding(self, needs: Needs) -> arb:
-        """What S needs along rows for ever, the jump into the tail apart."""
-        most = sums(needs.settled, (magnitude(needs.rows) * column(self.document.at_nodes)).entries())
-        return largest(sums(most, self._from_thrust(needs.rows, self._last)) if self.scheduled else most)
+        """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
+        off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
+        most = sums(needs.settled, off, *needs.upset[-1:])
+        return largest(sums(most, self.from_thrust(needs.rows, self._last)) if self.scheduled else most)
 
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
@@ -170,7 +171,7 @@ class Arrival:
                 parts += [needs.booked(z, lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
-        least = sums(least, self._from_thrust(needs.rows, node)) if self.scheduled else least
+        least = sums(least, self.from_thrust(needs.rows, node)) if self.scheduled else least
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
@@ -189,7 +190,7 @@ class Arrival:
         z = step.nodes[place - 1] if place else step.start
         return sums(z.support(rows), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
-    def _from_thrust(self, rows: arb_mat, node: int) -> list[arb]:
+    def from_thrust(self, rows: arb_mat, node: int) -> list[arb]:
         """What errors of scheduled commands add along rows from a node of the tail on."""
         if id(rows) not in self._caused:
             assert self.scheduled is not None

@@ -174,7 +174,7 @@ class Along:
         return [[largest(each) for each in zip(*nodes, strict=True)] for nodes in every]
 
     @cached_property
-    def _orbit(self) -> tuple[Weighted, Needs, list[arb]]:
+    def _orbit(self) -> tuple[Weighted, Needs, list[arb], Arrival]:
         """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
         doc, common, spec = self.document, self.common, self.common.orbit
         assert spec is not None
@@ -186,11 +186,7 @@ class Along:
         more = sums(
             needs.ever(magnitude(self.path.jump)), (absolute(rows.rows) * column(doc.at_nodes)).entries()
         )
-        if self.scheduled is None:
-            return rows, needs, more
-        tail = self.scheduled.along(rows.rows)[min(doc.steps, doc.cells - 1) :]
-        caused = [largest(x) for x in zip(*(node for nodes in tail for node in nodes), strict=True)]
-        return rows, needs, sums(more, caused)
+        return rows, needs, more, arrival
 
     def arrives(self, taken: Takeover) -> None:
         """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
@@ -205,9 +201,11 @@ class Along:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
         if not self.document.steps <= cell <= self.document.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        (rows, needs, more), arcs = self._orbit, self.path.arcs
+        (rows, needs, more, arrival), arcs, doc = self._orbit, self.path.arcs, self.document
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
-        return rows.distance(sums(rows.over(state), self._most(needs, taken, cell, cell), more))
+        parts = [rows.over(state), self._most(needs, taken, cell, cell), more]
+        parts += [arrival.from_thrust(rows.rows, (cell - doc.steps) * doc.q)] if self.scheduled else []
+        return rows.distance(sums(*parts))
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""

@@ -121,7 +121,7 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
         distance=float(most[best]),
         tolerance=tolerance,
         drift=_drift(safety, held, states[best], best, after),
-        delta_v=(taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, best, after))
+        delta_v=(taken * (1 + spare(tracking, FLOWN)) + _correcting(safety, held, best, after))
         * (1 + ROUNDING),
     )
 
@@ -135,12 +135,15 @@ def goal_rows(problem: Problem) -> tuple[Array, Array]:
     return rows * weight[:, None], sides * weight
 
 
-def tolerated(safety: Safety, rows: Array) -> float:
-    """What counts as reached [m], for the rows of the goal: as given, or see `Arrival`."""
-    problem = safety.problem
+def tolerated(safety: Safety, rows: Array, failing: bool = False) -> float:
+    """What counts as reached [m], by the rows: as given, or see `Arrival`; if `failing`, with a fault."""
+    problem, tracking = safety.problem, safety.tracking
     if problem.goal_tolerance is not None:
         return problem.goal_tolerance
-    hold = _to_hold(safety, rows) * (1 + GOAL_SHARE)
+    settled = _settled(tracking, rows)
+    need = settled + np.minimum(safety.clearance.scheduled(rows)[-1, -1], CAUSED * settled)
+    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes + tracking.upset(rows)[-1] * failing
+    hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
     return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
 
 
@@ -166,30 +169,45 @@ def _needs(
     carried = rows @ tracking.transitions
     last = len(carried) - 1
     pushed = tracking.responses(rows, last)
-    late = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
-    always = pushed[-1] + late * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
-    settled, twice, hidden = always, 1.0, tracking.system.timing.hidden
-    if tracking.profile is not None:
-        older, twice = tracking.late(rows, tracking.caused(tracking.profile)[0])[0], tracking.decay[-1]
-        always, settled = always + older, settled - pushed[-1] + older + _settled(tracking, rows)
+    older, left = _older(tracking, rows)
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
         lag = since + np.arange(nodes)
-        near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > 2 * last + hidden)[:, None]
+        near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > long(tracking))[:, None]
         centre = np.where(gone, 0.0, (carried @ z.c)[near])
         spread = np.abs(carried @ z.G).sum(axis=-1)[near]
-        once = late * float(z.norm_bound(tracking.W))
-        forgotten = np.where(far, once * twice + settled, once + always)
+        once = left * float(z.norm_bound(tracking.W)) + (pushed[-1] + older)
+        forgotten = np.where(far, long_after(tracking, rows, z), once)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     away = np.abs(rows) @ tracking.system.displaced_at_nodes
     need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
-    need = need + _spare(tracking) * np.abs(need)
+    need = need + spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
         need = np.minimum(need, after.along(rows, nodes) + away)
     return need, centre
 
 
-def _spare(tracking: Tracking, share: float = SPARE) -> float:
+def _older(tracking: Tracking, rows: Array) -> tuple[Array, Array]:
+    """What is older than the memory adds along rows, and what is left of a unit of error, both (r,)."""
+    left = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
+    older = left * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
+    profile = tracking.profile
+    return older if profile is None else older + tracking.late(rows, tracking.caused(profile)[0])[0], left
+
+
+def long(tracking: Tracking) -> int:
+    """After how many periods S commands no more than the last of its profile, as far as it remembers."""
+    return 2 * (tracking.memory + 1) + tracking.system.timing.hidden
+
+
+def long_after(tracking: Tracking, rows: Array, taken: Zonotope) -> Array:
+    """What errors need along rows so `long` after S took over a set of them, faults apart, (r,)."""
+    older, left = _older(tracking, rows)
+    once = float(taken.norm_bound(tracking.W)) * (1.0 if tracking.profile is None else tracking.decay[-1])
+    return np.asarray(left * once + (older + _settled(tracking, rows)))
+
+
+def spare(tracking: Tracking, share: float = SPARE) -> float:
     """Share by which bounds are larger than found: a checker sums errors that fall with time its own way."""
     return ROUNDING if tracking.profile is None else share
 
@@ -205,15 +223,6 @@ def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
     return need[np.minimum(np.arange(nodes), len(need) - 1)]
 
 
-def _to_hold(safety: Safety, rows: Array) -> float:
-    """What S needs along the rows for ever, the jump into the tail apart [m]."""
-    tracking, clearance = safety.tracking, safety.clearance
-    settled = _settled(tracking, rows)
-    need = settled + np.minimum(clearance.scheduled(rows)[-1, -1], CAUSED * settled)
-    need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
-    return float(np.max(need, initial=0.0)) * (1 + _spare(tracking))
-
-
 def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
     tracking, system, K = safety.tracking, safety.problem.system, safety.problem.K
@@ -224,8 +233,8 @@ def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.at_step(K).command_error(tracking.gain)
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
-    apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + _spare(tracking))
-    flown = spent(after.until(nodes), nodes) * (1 + _spare(tracking, FLOWN))
+    apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + spare(tracking))
+    flown = spent(after.until(nodes), nodes) * (1 + spare(tracking, FLOWN))
     return min(apart, flown) * tracking.flow.h / system.mass
 
 
@@ -245,11 +254,11 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta
-    rate = float(system.spent(most).sum()) / system.mass * (1 + _spare(tracking))
+    rate = float(system.spent(most).sum()) / system.mass * (1 + spare(tracking))
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
     until = (
-        taken * (1 + _spare(tracking, FLOWN)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
+        taken * (1 + spare(tracking, FLOWN)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
     ) * (1 + ROUNDING) + ahead
     before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before

@@ -88,7 +88,7 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
             turns = [law.along(safety.reference, safety.tracking) for law in laws]
             along = replace(search, safety=safety, controllers=(safety.controller, *turns))
             found.append(most_worthy(along, recourse))
-    worth = Worth.beside(first, search.rules)
+    worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
     return max(found, key=lambda schedule: worth.alone(schedule, recourse))
 
 
@@ -134,7 +134,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         along = replace(search, safety=safety, controllers=(safety.controller, *turns), intended=intended)
         return switching_logic(along)
 
-    worth, found, late = Worth.beside(printed, search.rules), [printed], False
+    worth, found, late = Worth.beside(printed, search.rules, printed.safety), [printed], False
     for dearer in DEARER:
         dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
         searches = views(printed, replace(worth, rules=dear))
@@ -190,7 +190,7 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
             f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least that one"
             f" is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
         )
-    return max(kept, key=Worth.beside(over[0], search.rules))
+    return max(kept, key=Worth.beside(over[0], search.rules, search.safety))
 
 
 def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:

@@ -10,7 +10,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .arrival import distance, goal_rows, tolerated
+from .arrival import distance, goal_rows, long, long_after, spare, tolerated
 from .clearance import error_tube
 from .controllers import TubeSegment
 from .demand import command_errors
@@ -54,9 +54,10 @@ class Takeover:
         return self.first + len(self.sets) - 1
 
     @property
-    def size(self) -> Array:
-        """Bound on all errors there, elementwise, shape (n,)."""
-        return np.asarray(self.sets.extent.max(axis=0) * (1 + ROUNDING))
+    def box(self) -> Zonotope:
+        """All errors there."""
+        size = self.sets.extent.max(axis=0) * (1 + ROUNDING)
+        return Zonotope(np.zeros(len(size)), np.diag(size))
 
     def margin(self, q: int, sets: RecoverableSet) -> Margin | None:
         """How far they are outside the recoverable sets along some reference; None if they are inside."""
@@ -71,8 +72,7 @@ class Takeover:
 
         Each of shape (cells, r), zero in the cells before step k, where nothing is aborted.
         """
-        box = Zonotope(np.zeros(len(self.size)), np.diag(self.size))
-        need = error_tube(tracking, box, rows).need
+        need = error_tube(tracking, self.box, rows).need
         q, end = tracking.feedback.nodes_per_cell, len(need) - 1
         within, at = np.zeros((2, cells, len(rows)))
         for c in range(self.k, cells):
@@ -105,7 +105,7 @@ class Branch:
     def goal(self) -> tuple[Array, Array, float]:
         """Rows of the orbit, their sides, and what counts as reached [m]."""
         rows, sides = goal_rows(self.safety.problem)
-        return rows, sides, tolerated(self.safety, rows)
+        return rows, sides, tolerated(self.safety, rows, True)
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> Way:
         """What is proven of aborts in a step along this branch, the one at a place in their list."""
@@ -139,7 +139,11 @@ class Branch:
         if last < K or safety.guarantee != "proved":
             return None, np.inf
         states = reference.chi[K : last + 1]
-        need = taken.over(tracking, rows, last + 1)[1][K:] + safety.clearance.tail_need(rows)[0]
+        need, q = taken.over(tracking, rows, last + 1)[1][K:], safety.clearance.q
+        far = np.arange(K, last + 1) * q - taken.last > long(tracking)
+        settled = long_after(tracking, rows, taken.box) * (1 + spare(tracking)) + tracking.upset(rows)[-1]
+        need = np.where(far[:, None], np.minimum(need, settled), need)
+        need = need + safety.clearance.tail_need(rows)[::q][: len(need)]
         need = (need + np.abs(rows) @ tracking.system.displaced_at_nodes) * (1 + SPARE)
         size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
         most = distance(safety.problem.goal.conditions, states @ rows.T - sides + need + size)

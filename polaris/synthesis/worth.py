@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .get_safety import Safety
 from .schedule import Schedule
 from .search import SwitchingRules
 
@@ -28,11 +29,11 @@ class Worth:
     until: float  # instant [s] until which it is proven safe
 
     @classmethod
-    def beside(cls, printed: Schedule, rules: SwitchingRules) -> "Worth":
-        """Worth of the schedules of one scene, in units of what S alone would spend there."""
-        problem = printed.safety.problem
+    def beside(cls, printed: Schedule, rules: SwitchingRules, alone: Safety) -> "Worth":
+        """Worth of the schedules of one scene, in units of what S `alone` would spend there."""
+        problem = alone.problem
         most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
-        scale = max(printed.safety.plan.delta_v, 1e-3 * most)
+        scale = max(alone.plan.delta_v, 1e-3 * most)
         return cls(rules, scale, printed.share(), printed.delta_v_middle, printed.safety.end.until)
 
     def plain(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from time import perf_counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.arrival import _weights, distance
 from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours
-from polaris.synthesis.search import SwitchingRules
+from polaris.synthesis.search import Search, SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.worth import Worth
 
@@ -49,7 +51,7 @@ def folder(tmp_path_factory):
 def test_a_followed_path_is_that_of_the_law():
     _, schedule = printed()
     _, law = next(followable(schedule))
-    window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules()))
+    window = Windows(schedule, law, 1, Worth.beside(schedule, SwitchingRules(), schedule.safety))
     followed = Followed.of(law.system, law.powers[-1], law.own)
     own = law.own
     # On the law's own reference the constant input is the reference's own.
@@ -84,7 +86,7 @@ def test_windows_and_their_neighbours():
 def test_dwell_and_cap_are_kept_by_the_windows():
     _, schedule = printed()
     rules = SwitchingRules(min_dwell=3, max_switches=3)
-    worth = Worth.beside(schedule, rules)
+    worth = Worth.beside(schedule, rules, schedule.safety)
     assert worth.allows(in_windows([(4, 7)], 12))
     assert not worth.allows(in_windows([(4, 6)], 12)), "S keeps control for less than the dwell time"
     assert not worth.allows(in_windows([(2, 6)], 12)), "so does U"
@@ -147,10 +149,30 @@ def test_the_same_scenario_gives_the_same_schedule(folder):
     assert np.array_equal(schedule.safety.reference.chi, again.safety.reference.chi)
 
 
+def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
+    """Not at that of the reference that is found first, beside which velocity change seems cheap."""
+    scenario, schedule = printed()
+    safety = schedule.safety
+
+    def found(share, spent):
+        own = replace(safety, plan=replace(safety.plan, delta_v=spent))
+        made = {"share": lambda mode=1: share, "delta_v_middle": spent, "switches": 2, "safety": own}
+        known = {"controllers": schedule.controllers[:2], "passive": None, "spent": spent}
+        return SimpleNamespace(**made, **known, arrival=SimpleNamespace(reached=True))
+
+    search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v
+    for share, best in ((0.93, 0.9), (0.97, 0.97)):  # for as much more as S spends alone: 6 % of the time
+        module = import_module("polaris.synthesis.synthesize")
+        monkeypatch.setattr(module, "find_safety", lambda problem: safety)
+        monkeypatch.setattr(module, "most_worthy", lambda *_, share=share: found(share, 4 * unit))
+        assert module.best_share(search, found(0.9, 3 * unit), True).share() == best
+
+
 def test_a_budget_comes_first():
     scenario, schedule = printed()
     free, tight = (
-        Worth.beside(schedule, SwitchingRules(delta_v_max=most)) for most in (None, schedule.delta_v[1] / 2)
+        Worth.beside(schedule, SwitchingRules(delta_v_max=most), schedule.safety)
+        for most in (None, schedule.delta_v[1] / 2)
     )
     assert free(schedule)[0] and not tight(schedule)[0]
     assert scenario.switching_rules().delta_v_max is None

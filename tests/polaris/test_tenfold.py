@@ -1,10 +1,12 @@
-"""The benchmark of ten times each error: a row as the page has it."""
+"""The benchmark of ten times each error, and of all at once: rows as the page has them."""
 
 import json
 
 import pytest
 
 from benchmarks import tenfold
+
+from ..test_docs import assert_shown
 
 
 def test_rows_are_told_of_what_has_been_found():
@@ -22,6 +24,12 @@ def test_rows_are_told_of_what_has_been_found():
         "| `static` | misalignment | 50.0 | none (3) | 1.25 | - | - |",
         "| `static` | mass | 50.0 | 10.0, REJECTED | 1.25 to 1.25 | 600: none violates | 35 to 35 % |",
     ]
+    asked = row | {"drift": "0 of 60", "aborts": "12 of 60", "lasts_h": 1.25, "outcome": "VERIFIED"}
+    found |= {"static, none": row, "static, all, faults, aborts": asked}
+    assert tenfold.together(found, ["static"]).splitlines()[2:] == [
+        "| `static` | none | 50.0 | 1.25 | - | - | - | - |",
+        "| `static` | all, faults, aborts | 50.0 | 1.25 | 0 of 60 | 12 of 60 | 1.2 | VERIFIED |",
+    ]
     assert "thrusters.magnitude_error=0.49" in tenfold.settings("magnitude", 10.0)
 
 
@@ -38,3 +46,20 @@ def test_ten_times_the_error_of_magnitude_leaves_more_than_half(tmp_path):
     tenfold.main([*asked, "--out", str(tmp_path)])
     found = json.loads((tmp_path / "tenfold.json").read_text())["static, magnitude, 10"]
     assert found["outcome"] == "VERIFIED" and not found["attacks"]["violated"] and found["share"] > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", tenfold.SCENES)
+def test_bundled_scenes_are_worth_flying_with_every_error_at_once(scene, tmp_path):
+    """At most ten points of U less than without errors, at most half as much velocity change more."""
+    tenfold.main([scene, "--together", "--attacks", "0", "--out", str(tmp_path)])
+    found = json.loads((tmp_path / "tenfold.json").read_text())
+    ideal, real, asked = (found[f"{scene}, {kind}"] for kind in tenfold.TOGETHER)
+    assert real["share"] >= ideal["share"] - 0.1 - 1e-9
+    assert real["delta_v_m_s"] <= 1.5 * ideal["delta_v_m_s"]
+    assert ideal["goal"] is real["goal"] is asked["goal"] is True
+    assert not any(one["collided"] for one in (ideal, real, asked))
+    assert {one["outcome"] for one in (ideal, real, asked)} == {"VERIFIED"}
+    page = tenfold.TRADEOFFS.read_text(encoding="utf-8").split("<!-- table together -->")[1]
+    shown = [line for line in page.split("<!-- end -->")[0].splitlines() if f"`{scene}`" in line]
+    assert_shown("\n".join(shown), tenfold.together(found, [scene]), scene, numbers=True)

@@ -24,7 +24,7 @@ from .timelines import WHO, input_panels, kept, limit, modes_present, panel, pil
 
 LIMITS = (
     "That the next program of the filter has a solution, unless it says so above.",
-    "Anything about motion that differs from the model, states that are not known exactly, or late commands.",
+    "Anything if an assumption fails: another motion, worse estimates, thrust further off, later commands.",
     "Anything beyond this flight: simulated flights illustrate, they prove nothing.",
 )
 
