@@ -37,6 +37,7 @@ from .tiny import TINY
 
 ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
 STUCK = 'faults=[{kind="stuck_off"}]'
+NOISE = "navigation.state_error=[0.01,0.01,0.001,0.002]"
 OWN = f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"
 
 
@@ -261,6 +262,21 @@ def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all
         assert known[-1] == document.known_to(12) and doc.cells > doc.steps
         sooner += document.known_to(doc.steps) != known[-1]
     assert sooner
+
+
+def test_an_abort_arrives_at_a_node_for_the_checker_too():
+    """With few periods a step, what happens between two of them is much; it does not count in an arrival."""
+
+    def asked(tolerance):
+        orbit = f'orbit={{kind="stationary",state=[0.3,6.7,0.0,0.0],tolerance_m={tolerance!r}}}'
+        given = [COARSE, f"abort={{{orbit},within_s=13.0}}", "tracking.R=[42.0,14.0]"]
+        errors = ["thrusters.magnitude_error=0.02", "tracking.thrust_share=0.5", NOISE]
+        scenario = load_scenario(TINY).with_assignments([*given, *errors])
+        return scenario, synthesize(scenario)
+
+    ways = asked(0.01)[1].powered.ways
+    scenario, schedule = asked(0.01 + ways[5].short * 1.001)  # no more than is needed
+    assert proven(schedule) and verified(scenario, schedule)
 
 
 def test_no_branch_is_safe_for_ever_past_a_set_that_moves(forger):
