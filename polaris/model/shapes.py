@@ -12,6 +12,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from reach.numerics.programs import minimise
 from reach.sets.zonotope import Zonotope
 
 from .errors import ScenarioError
@@ -183,27 +184,21 @@ class Polytope:
 
     @cached_property
     def _largest_ball(self) -> tuple[Array, float]:
-        from scipy.optimize import linprog
-
         scale = float(max(np.abs(self.b).max(), 1e-300))
         cost = np.r_[np.zeros(self.d), -1.0]
         rows = np.c_[self.H, np.ones(len(self.b))]
-        bounds = [(None, None)] * self.d + [(None, 1.0)]
-        answer = linprog(cost, A_ub=rows, b_ub=self.b / scale, bounds=bounds, method="highs")
-        if answer.status != 0:
+        highest = np.r_[np.full(self.d, np.inf), 1.0]
+        found = minimise(cost, rows, -np.inf, self.b / scale, high=highest)
+        if not np.isfinite(found.value):
             return np.zeros(self.d), -np.inf
-        return np.asarray(answer.x[:-1] * scale), float(answer.x[-1] * scale)
+        return found.point[:-1] * scale, float(found.point[-1] * scale)
 
     @cached_property
     def bounded(self) -> bool:
         """Whether it is bounded: the normals positively span the space."""
-        from scipy.optimize import linprog
-
         if np.linalg.matrix_rank(self.H, tol=1e-10) < self.d:
             return False
-        count = len(self.b)
-        answer = linprog(np.ones(count), A_eq=self.H.T, b_eq=np.zeros(self.d), bounds=[(1, None)] * count)
-        return bool(answer.status == 0)
+        return bool(np.isfinite(minimise(np.ones(len(self.b)), self.H.T, 0.0, 0.0, 1.0).value))
 
     def vertices(self) -> Array:
         """Vertices of a bounded set, shape (V, d), counter-clockwise in the plane."""
@@ -255,8 +250,6 @@ class Polytope:
 
     def overlap(self, place: Zonotope) -> float:
         """Depth [m] of the deepest point of a zonotope; if all are outside, the widest gap at a facet."""
-        from scipy.optimize import linprog
-
         apart = float(np.max(-place.support(-self.H) - self.b))  # one facet has all of it beyond
         if apart > 0:
             return -apart
@@ -264,8 +257,9 @@ class Polytope:
         if g == 0:
             return float(np.min(room))
         rows = np.hstack([self.H @ place.G, np.ones((len(self.H), 1))])
-        solved = linprog(np.r_[np.zeros(g), -1.0], rows, room, bounds=[(-1, 1)] * g + [(None, None)])
-        return float(-solved.fun) if solved.status == 0 else -np.inf
+        most = np.r_[np.ones(g), np.inf]
+        found = minimise(np.r_[np.zeros(g), -1.0], rows, -np.inf, room, -most, most)
+        return -found.value if np.isfinite(found.value) else -np.inf
 
 
 @dataclass(frozen=True, eq=False)

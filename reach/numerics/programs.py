@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .checks import Array
 from .errors import ReachError
@@ -38,28 +40,69 @@ def equilibrated(A: Array) -> tuple[Array, Array]:
     return rows, 1 / columns
 
 
+@dataclass(frozen=True)
+class Minimum:
+    """Answer to a linear program; point and prices are nan unless the value is finite."""
+
+    value: float  # least value; inf if nothing is feasible, -inf if unbounded, nan if the solver gave up
+    point: Array  # where it is attained, (n,)
+    prices: Array  # what the value gains by a unit more of each row's side, (m,)
+
+
+def minimise(
+    cost: Array,
+    A: Any,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    low: ArrayLike = -np.inf,
+    high: ArrayLike = np.inf,
+    tolerance: float = 1e-7,
+) -> Minimum:
+    """Solve ``min cost . x``, ``lower <= A x <= upper``, ``low <= x <= high``; A may be sparse."""
+    import highspy
+    from scipy.sparse import csr_array
+
+    make: Any = highspy.Highs  # its constructor carries no types
+    rows, program, solver = csr_array(A), highspy.HighsLp(), make()
+    m, n = program.num_row_, program.num_col_ = rows.shape
+    program.col_cost_ = np.asarray(cost, dtype=float)
+    program.row_lower_, program.row_upper_ = (
+        np.broadcast_to(side, m).astype(float) for side in (lower, upper)
+    )
+    program.col_lower_, program.col_upper_ = (np.broadcast_to(side, n).astype(float) for side in (low, high))
+    matrix = program.a_matrix_
+    matrix.format_, matrix.start_ = highspy.MatrixFormat.kRowwise, rows.indptr.astype(np.int32)
+    matrix.index_, matrix.value_ = rows.indices.astype(np.int32), rows.data.astype(float)
+    solver.setOptionValue("output_flag", False)
+    solver.setOptionValue("threads", 1)
+    for side in ("primal", "dual"):
+        solver.setOptionValue(f"{side}_feasibility_tolerance", tolerance)
+    solver.passModel(program)
+    solver.run()
+    kind = highspy.HighsModelStatus
+    if solver.getModelStatus() == kind.kUnboundedOrInfeasible:  # what comes before the simplex cannot tell
+        solver.setOptionValue("presolve", "off")
+        solver.run()
+    status = solver.getModelStatus()
+    if status in (kind.kOptimal, kind.kModelEmpty):
+        found = solver.getSolution()
+        value = float(solver.getInfo().objective_function_value)
+        return Minimum(value, np.array(found.col_value), np.array(found.row_dual))
+    value = {kind.kInfeasible: np.inf, kind.kUnbounded: -np.inf}.get(status, np.nan)
+    return Minimum(value, np.full(n, np.nan), np.full(m, np.nan))
+
+
 def maximise(objective: Array, A: Array, b: Array) -> Maximum:
     """Solve ``max objective . x`` subject to ``A x <= b``."""
-    from scipy.optimize import linprog
-
-    m, n = A.shape
     rows, columns = equilibrated(A)
     level = float(np.max(np.abs(b) / rows, initial=0.0)) or 1.0
     size = float(np.abs(objective * columns).max(initial=0.0)) or 1.0
-    solved = linprog(
-        -objective * columns / size,
-        A * columns / rows[:, None],
-        b / rows / level,
-        bounds=(None, None),
-        method="highs",
-        options={"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE},
-    )
-    if solved.status == 2:
-        return Maximum(-np.inf, np.full(n, np.nan), np.full(m, np.nan))
-    if solved.status == 3:
-        return Maximum(np.inf, np.full(n, np.nan), np.full(m, np.nan))
-    if solved.status != 0:
-        raise ReachError(f"the linear program was not solved: {solved.message}")
-    point = solved.x * columns * level
-    multipliers = np.maximum(-solved.ineqlin.marginals, 0.0) * size / rows
+    scaled = -objective * columns / size, A * columns / rows[:, None]
+    found = minimise(*scaled, -np.inf, b / rows / level, tolerance=TOLERANCE)
+    if np.isnan(found.value):
+        raise ReachError("the linear program was not solved")
+    if np.isinf(found.value):
+        return Maximum(-found.value, found.point, found.prices)
+    point = found.point * columns * level
+    multipliers = np.maximum(-found.prices, 0.0) * size / rows
     return Maximum(float(objective @ point), point, multipliers)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
+from ..numerics.programs import minimise
 from ..numerics.rounding import Whole, floats, gamma, integers
 from .convex import weighed
 from .distance import Answer
@@ -210,7 +211,6 @@ def scale_to_hold(outer: Zonotope, inner: Zonotope) -> float:
     outer set there is no right inverse, hence no proof.
     """
     from scipy import sparse
-    from scipy.optimize import linprog
 
     size = outer.half_widths
     if np.any(size == 0):
@@ -228,18 +228,12 @@ def scale_to_hold(outer: Zonotope, inner: Zonotope) -> float:
         return 0.0
     once = sparse.kron(sparse.eye(q), G)
     equal = sparse.hstack([once, -once, np.zeros((n * q, 1))])
-    sums = sparse.kron(np.ones((1, 2 * q)), sparse.eye(p))
-    solved = linprog(
-        np.r_[np.zeros(2 * p * q), 1.0],
-        sparse.hstack([sums, -np.ones((p, 1))]).tocsr(),
-        np.zeros(p),
-        equal.tocsr(),
-        target.T.ravel(),
-        bounds=(0, None),
-    )
-    if solved.status != 0:
+    sums = sparse.hstack([sparse.kron(np.ones((1, 2 * q)), sparse.eye(p)), -np.ones((p, 1))])
+    sides = np.r_[np.full(p, -np.inf), target.T.ravel()], np.r_[np.zeros(p), target.T.ravel()]
+    found = minimise(np.r_[np.zeros(2 * p * q), 1.0], sparse.vstack([sums, equal]), *sides, 0.0)
+    if not np.isfinite(found.value):
         return np.inf
-    Gamma = (solved.x[: p * q] - solved.x[p * q : -1]).reshape(q, p).T
+    Gamma = (found.point[: p * q] - found.point[p * q : -1]).reshape(q, p).T
     left = np.abs(target - G @ Gamma) + gamma(p) * (np.abs(target) + np.abs(G) @ np.abs(Gamma))
     repair = np.abs(R).sum(axis=1) * left.max(axis=0).sum() / (1 - loss)
     return float((np.abs(Gamma).sum(axis=1) + repair).max() * (1 + gamma(q)))

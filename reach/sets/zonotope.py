@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..numerics import checks
 from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
+from ..numerics.programs import minimise
 from ..numerics.rounding import Whole, cross, floats, gamma, integers
 from .convex import SetOperators
 from .interval import Interval
@@ -261,8 +262,6 @@ def _spanning(G: Array) -> Array:
 
 def least_level(c: Array, G: Array, point: Array) -> float:
     """Least t with ``point = c + G b``, ``|b_i| <= t``; inf if none. On a flat axis rounding is forgiven."""
-    from scipy.optimize import linprog
-
     G, scale, gap = G[:, np.any(G != 0, axis=0)], np.abs(G).sum(axis=1), point - c
     if np.any(np.abs(gap[scale == 0]) > gamma(1) * np.abs(c[scale == 0])):
         return np.inf
@@ -272,12 +271,7 @@ def least_level(c: Array, G: Array, point: Array) -> float:
     if g == 0 or least > 2:  # far outside the interval hull: the bound is answer enough
         return least if g else 0.0
     bound = np.block([[np.eye(g), -np.ones((g, 1))], [-np.eye(g), -np.ones((g, 1))]])
-    solved = linprog(
-        np.r_[np.zeros(g), 1.0],
-        bound,
-        np.zeros(2 * g),
-        np.c_[G, np.zeros(len(G))],
-        gap,
-        bounds=[(None, None)] * g + [(0, None)],
-    )
-    return float(solved.fun) if solved.status == 0 else np.inf
+    rows = np.vstack([bound, np.c_[G, np.zeros(len(G))]])
+    sides = np.r_[np.full(2 * g, -np.inf), gap], np.r_[np.zeros(2 * g), gap]
+    found = minimise(np.eye(g + 1)[-1], rows, *sides, np.r_[np.full(g, -np.inf), 0.0])
+    return found.value if np.isfinite(found.value) else np.inf

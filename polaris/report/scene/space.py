@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.optimize import linprog
+
+from reach.numerics.programs import minimise
 
 from ...model.keep_in import KeepIn
 from ...model.obstacle import Obstacle
@@ -115,8 +116,9 @@ class Space:
         C, asked, eye = self.picture.system.position, goal.conditions, np.eye(len(self.low))
 
         def outermost(ray: Array, G: Array = asked.G, g: Array = asked.g) -> Array | None:
-            state = linprog(-ray @ C, G, g, asked.E, asked.e, bounds=(None, None)).x
-            return None if state is None else C @ state
+            sides = np.r_[np.full(len(g), -np.inf), asked.e], np.r_[g, asked.e]
+            found = minimise(-ray @ C, np.vstack([G, asked.E]), *sides)
+            return C @ found.point if np.isfinite(found.value) else None
 
         free = np.array([outermost(ray) is None or outermost(-ray) is None for ray in eye])
         if np.all(free):
