@@ -213,7 +213,7 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
 ERRORS = (
     *(
         "feedback.kind=sampled",
-        "feedback.period_s=2.0",
+        "feedback.period_s=5.0",
         "tracking.thrust_share=0.5",
         "recoverable.recourse=none",
     ),
