@@ -82,7 +82,7 @@ def test_bundled_scenarios_verify(name, tmp_path):
     verify_bundled(name, tmp_path, bundled(name))
 
 
-@pytest.mark.parametrize("feedback", ['{kind="continuous"}', '{kind="sampled",period_s=0.05}'])
+@pytest.mark.parametrize("feedback", ['{kind="continuous"}', '{kind="sampled",period_s=0.125}'])
 def test_anything_within_the_thrust_limits_verifies(feedback):
     data = variant(
         'experimental.0={kind="any_thrust",name="any"}',

@@ -291,7 +291,7 @@ def test_a_target_outside_what_is_declared_is_noticed():
 
 
 def test_command_says_what_is_left_out_and_whether_it_is_covered(tmp_path):
-    scenario = load_scenario("static", ["recoverable.recourse=none"])  # the quicker synthesis
+    scenario = load_scenario("static", ["recoverable.recourse=none", CONTINUOUS])  # the quicker synthesis
     file = tmp_path / "static.toml"
     file.write_text(scenario.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["model-error", str(file), "--json"])

@@ -33,7 +33,7 @@ from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 from .tiny import synthesised as tiny
 
-FEW = (2, 26, 43, 2001, 3015)
+FEW = (2, 2001, 3015, 5006, 5034)
 """Among them: a tail shorter than the memory, clipped laws, balls; nothing is claimed after T in 36, below.
 
 2001 has a clipped step whose enclosures with other slopes do not contain one another,
@@ -221,8 +221,8 @@ def clipped_verdicts(seeds, folder):
 
 
 def test_clipped_proofs_verify(tmp_path):
-    found = dict(clipped_verdicts((0, 5, 35), tmp_path))  # 5: sampled, wide bands within a period
-    assert len(found) == 3
+    found = dict(clipped_verdicts((0, 5), tmp_path))  # 5: sampled, wide bands within a period
+    assert len(found) == 2
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 

@@ -148,8 +148,7 @@ def pulses(modes):
     ("strategy", "dwell", "cap"),
     [
         ("greedy", 1, 2),
-        ("greedy", 3, 2),
-        ("greedy", 2, None),
+        *(pytest.param("greedy", *rules, marks=pytest.mark.slow) for rules in ((3, 2), (2, None))),
         ("greedy", 5, None),
         pytest.param("look_ahead", 1, 2, marks=pytest.mark.slow),
         ("look_ahead", 3, 2),
