@@ -47,7 +47,7 @@ from .tiny import TINY
 ROOT = Path(__file__).resolve().parents[2]
 PERIOD = 0.25
 TABLE = {"kind": "black_box", "name": "box", "probability": 0.02}
-LIKELY = {"probability": 0.2}  # so much needs few flights
+LIKELY = {"probability": 0.2, "confidence": 0.9}  # so little needs few flights
 
 
 def document(**table):

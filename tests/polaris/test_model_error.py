@@ -177,7 +177,7 @@ def test_two_digits_round_up():
 
 
 @pytest.mark.parametrize(
-    "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
+    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
 )
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     found = model_error(*printed(name), samples=40_000)
@@ -189,7 +189,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
 
 
 @pytest.mark.parametrize(
-    "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
+    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
     scenario, schedule = printed(name, *[CONTINUOUS] * (name in SPACECRAFT[:2]))
@@ -200,8 +200,8 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
     assert 0.2 * w_max < flown.residual.max() < w_max
     assert not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1
-    few, fine = (fly_true(schedule, env, 6, substeps=parts).runs.states for parts in (1, 2))
-    assert np.abs(few - fine)[..., :3].max() < 1e-3, "the integration has converged"
+    fine = fly_true(schedule, env, 40, substeps=2).runs.states
+    assert np.abs(flown.runs.states - fine)[..., :3].max() < 1e-3, "the integration has converged"
     # The tubes of the linear model contain the nonlinear motion.
     q = schedule.safety.clearance.q
     for k, step in enumerate(schedule.steps):

@@ -179,7 +179,7 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
 # -- the bound ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["static", "dynamic"])
+@pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
 def test_where_u_alone_collides_less_than_everything_is_reached(name):
     scenario, schedule = bundled(name)
     bound = share_bound(schedule, scenario.switching_rules(), scenario.model.schedule.bound_programs)
