@@ -25,11 +25,13 @@ settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile(PROFILE)
 
 FIRST = (
-    *("test_docs", "polaris/test_error_sources", "polaris/test_synthesis", "polaris/test_random_scenarios"),
-    *("polaris/test_certificate", "polaris/test_closed_loops", "campaign/test_campaign"),
-    *("polaris/test_planning", "polaris/test_black_box", "polaris/test_figures", "polaris/test_model_error"),
-    *("polaris/test_tradeoff", "polaris/test_falsify", "asif/test_always", "polaris/test_cli"),
-    *("polaris/test_forged_runs", "polaris/test_arrival", "polaris/test_navigation", "polaris/test_passive"),
+    *("polaris/test_error_sources", "test_docs", "polaris/test_random_scenarios", "polaris/test_black_box"),
+    *("polaris/test_planning", "polaris/test_closed_loops", "polaris/test_navigation", "asif/test_always"),
+    *("polaris/test_synthesis", "polaris/test_figures", "polaris/test_forged_runs", "polaris/test_tradeoff"),
+    *("campaign/test_campaign", "polaris/test_certificate", "polaris/test_model_error"),
+    *("polaris/test_corruptions", "polaris/test_powered_abort", "polaris/test_transients"),
+    *("polaris/test_arrival", "polaris/test_falsify", "polaris/test_share_bound", "polaris/test_cli"),
+    *("polaris/test_in_view", "reach/test_hybrid", "rta/test_methods", "rta/test_streams"),
 )
 """Files that take longest: workers begin with them, so that none is left with one when others are done."""
 
