@@ -18,12 +18,12 @@ SWEEPS = 6  # passes over rows and columns while a program is equilibrated
 
 
 @dataclass(frozen=True)
-class Maximum:
+class Optimum:
     """Answer to a linear program; point and multipliers are nan unless the value is finite."""
 
-    value: float  # largest value; inf if unbounded, -inf if nothing is feasible
+    value: float  # inf or -inf if unbounded or nothing is feasible, nan if the solver gave up
     point: Array  # where it is attained, (n,)
-    multipliers: Array  # >= 0, with A.T @ multipliers close to the objective, (m,)
+    multipliers: Array  # what the value gains by a unit more of each row's side, (m,)
 
 
 def equilibrated(A: Array) -> tuple[Array, Array]:
@@ -40,15 +40,6 @@ def equilibrated(A: Array) -> tuple[Array, Array]:
     return rows, 1 / columns
 
 
-@dataclass(frozen=True)
-class Minimum:
-    """Answer to a linear program; point and prices are nan unless the value is finite."""
-
-    value: float  # least value; inf if nothing is feasible, -inf if unbounded, nan if the solver gave up
-    point: Array  # where it is attained, (n,)
-    prices: Array  # what the value gains by a unit more of each row's side, (m,)
-
-
 def minimise(
     cost: Array,
     A: Any,
@@ -57,7 +48,7 @@ def minimise(
     low: ArrayLike = -np.inf,
     high: ArrayLike = np.inf,
     tolerance: float = 1e-7,
-) -> Minimum:
+) -> Optimum:
     """Solve ``min cost . x``, ``lower <= A x <= upper``, ``low <= x <= high``; A may be sparse."""
     import highspy
     from scipy.sparse import csr_array
@@ -73,27 +64,25 @@ def minimise(
     matrix = program.a_matrix_
     matrix.format_, matrix.start_ = highspy.MatrixFormat.kRowwise, rows.indptr.astype(np.int32)
     matrix.index_, matrix.value_ = rows.indices.astype(np.int32), rows.data.astype(float)
-    solver.setOptionValue("output_flag", False)
-    solver.setOptionValue("threads", 1)
-    for side in ("primal", "dual"):
-        solver.setOptionValue(f"{side}_feasibility_tolerance", tolerance)
+    options = {"output_flag": False, "threads": 1, "primal_feasibility_tolerance": tolerance}
+    for name, value in (options | {"dual_feasibility_tolerance": tolerance}).items():
+        solver.setOptionValue(name, value)
     solver.passModel(program)
     solver.run()
     kind = highspy.HighsModelStatus
     if solver.getModelStatus() == kind.kUnboundedOrInfeasible:  # what comes before the simplex cannot tell
         solver.setOptionValue("presolve", "off")
         solver.run()
-    status = solver.getModelStatus()
+    status, found = solver.getModelStatus(), solver.getSolution()
     if status in (kind.kOptimal, kind.kModelEmpty):
-        found = solver.getSolution()
         value = float(solver.getInfo().objective_function_value)
-        return Minimum(value, np.array(found.col_value), np.array(found.row_dual))
+        return Optimum(value, np.array(found.col_value), np.array(found.row_dual))
     value = {kind.kInfeasible: np.inf, kind.kUnbounded: -np.inf}.get(status, np.nan)
-    return Minimum(value, np.full(n, np.nan), np.full(m, np.nan))
+    return Optimum(value, np.full(n, np.nan), np.full(m, np.nan))
 
 
-def maximise(objective: Array, A: Array, b: Array) -> Maximum:
-    """Solve ``max objective . x`` subject to ``A x <= b``."""
+def maximise(objective: Array, A: Array, b: Array) -> Optimum:
+    """Solve ``max objective . x`` subject to ``A x <= b``; the multipliers are not negative."""
     rows, columns = equilibrated(A)
     level = float(np.max(np.abs(b) / rows, initial=0.0)) or 1.0
     size = float(np.abs(objective * columns).max(initial=0.0)) or 1.0
@@ -102,7 +91,7 @@ def maximise(objective: Array, A: Array, b: Array) -> Maximum:
     if np.isnan(found.value):
         raise ReachError("the linear program was not solved")
     if np.isinf(found.value):
-        return Maximum(-found.value, found.point, found.prices)
+        return Optimum(-found.value, found.point, found.multipliers)
     point = found.point * columns * level
-    multipliers = np.maximum(-found.prices, 0.0) * size / rows
-    return Maximum(float(objective @ point), point, multipliers)
+    multipliers = np.maximum(-found.multipliers, 0.0) * size / rows
+    return Optimum(float(objective @ point), point, multipliers)

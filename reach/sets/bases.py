@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.checks import Array
-from ..numerics.programs import Maximum, maximise
+from ..numerics.programs import Optimum, maximise
 from ..numerics.rounding import mixture
 
 EXACT_MOST = 24  # largest dimension in which inequalities are mixed without rounding
@@ -100,7 +100,7 @@ class Bases:
                     self._add(self.basis(found))
         return values, points, multipliers
 
-    def basis(self, found: Maximum) -> NDArray[np.intp]:
+    def basis(self, found: Optimum) -> NDArray[np.intp]:
         """N independent rows that meet in the solution of a linear program, those with multipliers first."""
         n = self.A.shape[1]
         gap = self.b / self.norms - self.rows @ (found.point * self.columns)
