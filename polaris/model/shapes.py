@@ -230,7 +230,7 @@ class Polytope:
         return speed, rate, b - reach, slack
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """First time [s] on the ray, by clipping it against every facet; offsets may differ from ray to ray."""
+        """First time [s] on the ray, by clipping it against every facet; offsets may differ by ray."""
         return _in_parts(self._entry, len(self.H), p, v, self.b)
 
     def _entry(self, p: Array, v: Array, b: Array) -> Array:
