@@ -162,8 +162,7 @@ class Arrival:
         found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
         for z, since in self.held:
             lag = since + node
-            pushed = needs.disturbed if around else [*needs.responses[: periods + 1], needs.settled]
-            parts = [pushed[min(lag, periods + 1)]]
+            parts = [(needs.disturbed if around else needs.at_nodes)[min(lag, periods + 1)]]
             if lag > periods:
                 parts.append(needs.still(z.size()))
             else:

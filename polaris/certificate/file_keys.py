@@ -61,7 +61,7 @@ CERTIFICATE = {
         "input_max": grid("m", ABOVE_0), "input_names": grid("m", NAME),
         "disturbance_max": AT_LEAST_0, "mass": ABOVE_0, "mean_motion": Either((ABOVE_0, None)),
         "estimate_error?": grid("n", AT_LEAST_0), "thrusters?": every(AT_LEAST_0, "along across bit"),
-        "timing?": {**every(HEX, "delay jitter clock bit longer"), "missed": Whole(),
+        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),

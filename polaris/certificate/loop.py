@@ -214,7 +214,14 @@ class Needs:
             [largest((a + f, b)) + k for a, b, f, k in zip(now, following, begun, curved, strict=True)]
             for (now, following), begun in zip(pairwise(self.responses), first, strict=False)
         ]
-        found = [*until, sums(self.settled, first[-1], curved)]
+        return self._upset([*until, sums(self.settled, first[-1], curved)])
+
+    @cached_property
+    def at_nodes(self) -> list[list[arb]]:
+        """The disturbance's share at node l alone, l = 0 ... N, then at every later one."""
+        return self._upset([*self.responses[:-1], self.settled])
+
+    def _upset(self, found: list[list[arb]]) -> list[list[arb]]:
         return [sums(*each) for each in zip(found, self.upset, strict=True)] if self.upset else found
 
     @cached_property

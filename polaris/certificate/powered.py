@@ -225,16 +225,14 @@ class Along:
         return (total + largest(unasked)) / doc.mass
 
     def _most(self, needs: Needs, taken: Takeover, cell: int, until: int) -> list[arb]:
-        """What errors of an abort in a step need along rows between the starts of two cells."""
-        lags, periods = (
-            taken.window(cell * self.document.q, until * self.document.q),
-            self.common.memory.periods,
-        )
-        found = []
+        """What errors of an abort in a step need along rows between the starts of two cells, or at one."""
+        q, periods, found = self.document.q, self.common.memory.periods, []
+        lags = taken.window(cell * q, until * q)
+        pushed = needs.disturbed if until > cell else needs.at_nodes
         for lag in lags[: max(periods + 1 - lags[0], 0)]:
-            found.append(sums(needs.boxed(taken.size, lag), needs.disturbed[lag]))
+            found.append(sums(needs.boxed(taken.size, lag), pushed[lag]))
         if lags[-1] > periods:
-            found.append(sums(needs.still(taken.size), needs.disturbed[-1]))
+            found.append(sums(needs.still(taken.size), pushed[-1]))
         return [largest(each).upper() for each in zip(*found, strict=True)]
 
 

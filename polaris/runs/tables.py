@@ -136,9 +136,8 @@ def errors_of(safety: Safety) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     system = safety.problem.system
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
-    timing = {
-        key: x for key, x in timing.items() if key not in ("period", "unseen") and (x or key not in added)
-    }
+    unsaid = "period", "unseen", "longer"  # nothing is derived from them
+    timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),

@@ -220,6 +220,7 @@ def test_forged_timing_is_refused(tmp_path):
         (judged(timing={"displaced": [(0.0).hex()] * 4}), "system"),
         (judged(timing={"displaced": [(-0.5).hex()] * 4}), "system"),
         (judged(timing={"missed": 0}), "assumptions"),
+        (judged(timing={"longer": (-1.0).hex()}), "format"),  # what nothing is derived from is not said
     ):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
     certificate = read(forger.run / CERTIFICATE)
