@@ -85,7 +85,7 @@ def test_a_claim_that_is_too_bold_is_refuted_and_can_be_flown_again(tiny, monkey
     vars(bold)["powered"] = replace(tiny.powered, ways=ways)
     found = falsify(bold, 2000, 0)
     assert found.failure.kind == "abort" and found.abort is not None
-    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN]), found)
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN, QUARTER]), found)
     assert replay(case)[0] is None
     monkeypatch.setattr("polaris.runs.case.synthesize", lambda scenario: bold)
     assert str(replay(case)[0]) == str(found.failure)
