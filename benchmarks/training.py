@@ -107,7 +107,7 @@ def speed(env: Any, steps: int = 150) -> float:
         count += np.size(over)
         if np.size(over) == 1 and (over or ended):
             env.reset()
-    return count / (time.process_time() - begun)
+    return count / max(time.process_time() - begun, 1e-3)  # clocks of processes may be coarse
 
 
 def report(schedule: Any, made: Any, found: dict[str, Array]) -> None:

@@ -80,13 +80,14 @@ class Argument:
         """
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
-        for order in (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS:
+        orders = (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS
+        for order in orders:
             merging = Merging(*order)
             try:
                 self.flights(path, merging)
                 break
             except Rejected as error:
-                if order == ORDERS[-1] or not merging.lossy or error.claim not in NARROWER:
+                if order == orders[-1] or not merging.lossy or error.claim not in NARROWER:
                     raise
                 del self.record.checked[confirmed:]
         self.record.holds("end", check_end(self.document, path))

@@ -49,13 +49,14 @@ def _in_time(path: Array, speed: Array) -> Array:
 
 
 def _in_parts(measure: Callable[..., Array], width: int, *given: Array) -> Array:
-    """What is measured of vectors (..., d), broadcast, of so many at a time that `CHUNK` numbers are held."""
-    alike = np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in given))
-    flat = [one.reshape(-1, one.shape[-1]) for one in alike]
+    """What is measured of stacks of vectors (..., d), of so many at a time that `CHUNK` numbers are held."""
+    stacks = [np.asarray(one, dtype=float) for one in given]
+    shape = np.broadcast_shapes(*(one.shape[:-1] for one in stacks))
+    flat = [np.broadcast_to(one, shape + one.shape[-1:]).reshape(-1, one.shape[-1]) for one in stacks]
     step, out = max(1, CHUNK // width), np.empty(len(flat[0]))
     for i in range(0, len(out), step):
         out[i : i + step] = measure(*(one[i : i + step] for one in flat))
-    return out.reshape(alike[0].shape[:-1])
+    return out.reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,20 +221,20 @@ class Polytope:
             corners = corners[np.argsort(np.arctan2(centred[:, 1], centred[:, 0]))]
         return corners
 
-    def _rates(self, p: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+    def _rates(self, p: Array, v: Array, b: Array) -> tuple[Array, Array, Array, Array]:
         speed, way = _directed(v)
         rate = way @ self.H.T
         rate[np.abs(rate) <= ROUNDING] = 0.0
         reach = p @ self.H.T
-        slack = ROUNDING * (np.abs(self.b) + np.linalg.norm(p, axis=-1)[..., None])
-        return speed, rate, self.b - reach, slack
+        slack = ROUNDING * (np.abs(b) + np.linalg.norm(p, axis=-1)[..., None])
+        return speed, rate, b - reach, slack
 
     def entry_time(self, p: Array, v: Array) -> Array:
-        """First time [s] on the ray, by clipping it against every facet."""
-        return _in_parts(self._entry, len(self.b), p, v)
+        """First time [s] on the ray, by clipping it against every facet; offsets may differ by ray."""
+        return _in_parts(self._entry, len(self.H), p, v, self.b)
 
-    def _entry(self, p: Array, v: Array) -> Array:
-        speed, rate, gap, slack = self._rates(p, v)
+    def _entry(self, p: Array, v: Array, b: Array) -> Array:
+        speed, rate, gap, slack = self._rates(p, v, b)
         with np.errstate(divide="ignore", invalid="ignore"):
             first = np.where(rate < 0, gap / rate, -np.inf).max(axis=-1)
             eased = np.where(rate < 0, (gap + slack) / rate, -np.inf).max(axis=-1)
@@ -245,10 +246,10 @@ class Polytope:
 
     def exit_time(self, p: Array, v: Array) -> Array:
         """First time [s] at which the ray touches the boundary from inside; 0 if outside, inf if never."""
-        return _in_parts(self._exit, len(self.b), p, v)
+        return _in_parts(self._exit, len(self.H), p, v, self.b)
 
-    def _exit(self, p: Array, v: Array) -> Array:
-        speed, rate, gap, _ = self._rates(p, v)
+    def _exit(self, p: Array, v: Array, b: Array) -> Array:
+        speed, rate, gap, _ = self._rates(p, v, b)
         with np.errstate(divide="ignore", invalid="ignore"):
             last = np.where(rate > 0, gap / rate, np.inf).min(axis=-1)
         return np.where(np.any(gap <= 0, axis=-1), 0.0, _in_time(last, speed))

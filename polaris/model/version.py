@@ -1,11 +1,13 @@
 """The version, read from the one place that states it: the project file."""
 
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
 DISTRIBUTION = "polaris-rta"
 
 
+@cache
 def version() -> str:
     """Version of this package: a checkout's project file, else what was installed."""
     project = Path(__file__).resolve().parents[2] / "pyproject.toml"
@@ -19,6 +21,7 @@ def version() -> str:
 
 
 __version__ = version()
+_installed = cache(metadata.version)
 
 
 def versions() -> dict[str, str]:
@@ -31,7 +34,7 @@ def versions() -> dict[str, str]:
     found = {"numba": "not used", "polaris": version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "control", "pulp", "highspy", "matplotlib", *used):
         try:
-            found[name] = metadata.version(name)
+            found[name] = _installed(name)
         except metadata.PackageNotFoundError:  # vendored, or installed without its metadata
             found[name] = "unknown"
     return found

@@ -124,10 +124,13 @@ def _reach(
     low, high = np.zeros(rays.shape[:2]) + least, scales[..., -1]
     for _ in range(times):
         scales, high = np.maximum(scales, low[..., None]), np.maximum(high, low)
-        tried = errors[:, None, None] + scales[..., None] * rays[:, :, None]
-        inside = safety.recoverable.contains(node, tried.reshape(-1, errors.shape[1])).reshape(scales.shape)
         known = np.concatenate([low[..., None], scales, high[..., None]], axis=2)
-        count = np.cumprod(inside, axis=2).sum(axis=2)[..., None]
+        count, most = np.zeros((*low.shape, 1), dtype=int), scales.shape[2]
+        for step in 2 ** np.arange(most.bit_length())[::-1]:  # a convex set holds the first so many of them
+            more = np.minimum(count + step, most)
+            tried = errors[:, None] + np.take_along_axis(known, more, axis=2) * rays
+            inside = safety.recoverable.contains(node, tried.reshape(-1, errors.shape[1]))
+            count = np.where(inside.reshape(count.shape), more, count)
         low, high = (np.take_along_axis(known, count + i, axis=2)[..., 0] for i in (0, 1))
         scales = low[..., None] + (high - low)[..., None] * np.linspace(0, 1, 6)[1:-1]
     return low

@@ -129,10 +129,12 @@ class Search:
         experimental: Sequence[Controller] | None,
         rules: SwitchingRules | None,
         progress: Callable[[int, int], None] | None,
+        fits: bool = False,
     ) -> "Search":
         """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
 
-        What does not belong together is refused because its tubes would mean nothing.
+        What does not belong together is refused because its tubes would mean nothing; a safety that has just
+        been made from the scenario `fits`.
         """
         of_kind("safety", safety, Safety, "polaris.get_safety")
         if experimental is None:
@@ -143,7 +145,8 @@ class Search:
         if not isinstance(experimental, Sequence) or isinstance(experimental, str):
             rule = "must be a list of controllers, even of one"
             raise ScenarioError("experimental", type(experimental).__name__, rule)
-        check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
+        if not fits:
+            check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
         for controller in experimental:
             check_controller(controller, safety)
         if len(rules.weights) > len(experimental):

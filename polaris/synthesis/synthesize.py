@@ -64,8 +64,9 @@ def synthesize(
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
     recourse = safety is None if recourse is None else recourse
+    fits = safety is None
     safety = get_safety(scenario) if safety is None else safety
-    search = Search.over(scenario, safety, experimental, rules, progress)
+    search = Search.over(scenario, safety, experimental, rules, progress, fits)
     in_view = recourse and safety.problem.recourse != "none"
     found = most_worthy(search, in_view)
     free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -209,7 +210,7 @@ class Tracking:
         """What faults that are isolated late need along rows up to l periods later, shape (memory + 2, r)."""
         most = self.left(rows, self.upsets)
         gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
-        for j, off in enumerate(np.vstack(self.misled) if self.system.observer else []):
+        for j, off in enumerate(chain.from_iterable(self.misled) if self.system.observer else ()):
             errors = off @ np.abs(self.gain).T  # S answers what its estimates are off by
             most[..., j] += answered(gains, errors) + sum(self.late(rows, errors[0])) + np.abs(rows) @ off[0]
         return np.asarray(most.max(axis=-1, initial=0.0) * (1 + ROUNDING))

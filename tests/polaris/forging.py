@@ -36,6 +36,10 @@ COARSE = 'feedback={kind="sampled",period_s=0.5}'
 """Two periods a step instead of nine: sets of few generators, in which a forgery is soon refused for good."""
 
 
+QUARTER = COARSE.replace("0.5", "0.25")
+"""Four of them, where U must fly or S be proven as with nine."""
+
+
 def make(assignments, folder):
     """A run of a variant of the tiny scene in which U flies in the middle, too."""
     variant = ["tracking.R=[60,60]", "simulation.runs=2", *assignments]

@@ -28,18 +28,18 @@ from polaris.synthesis.arrival import SOON, _correcting, _needs, _settled, _weig
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.synthesize import synthesize
 
-from .forging import CERTIFICATE, COARSE, Forger, Lie, make
+from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
 from .random_scenarios import synthesised as random_scene
 from .random_scenarios import written
 from .tiny import TINY, synthesised
 
 VARIANTS = {
-    "reached": ["recoverable.recourse=in_view"],
-    "too narrow": ["goal.tolerance_m=0.01"],
+    "reached": [QUARTER, "recoverable.recourse=in_view"],
+    "too narrow": [QUARTER, "goal.tolerance_m=0.01"],
     "any state": [COARSE, 'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[inf,inf,inf,inf]}'],
     "a box": [
         'goal={kind="box",center=[8.0,6.0,0.0,0.0],half_widths=[0.0,0.5,inf,0.1]}',
-        "recoverable.recourse=in_view",
+        *(QUARTER, "recoverable.recourse=in_view"),
     ],
 }
 

@@ -47,6 +47,7 @@ from .tiny import TINY
 ROOT = Path(__file__).resolve().parents[2]
 PERIOD = 0.25
 TABLE = {"kind": "black_box", "name": "box", "probability": 0.02}
+LIKELY = {"probability": 0.2, "confidence": 0.9}  # so little needs few flights
 
 
 def document(**table):
@@ -389,7 +390,7 @@ def test_a_comparison_asks_once_a_period_for_all_flights():
 
 def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     pytest.importorskip("pyarrow")
-    plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document())]), 4, batch=2)
+    plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document(**LIKELY))]), 4, batch=2)
     plan = replace(plan, kind=ScheduleRuns(("polaris", "safety", "experimental")))
     boxes = {"box": lambda t, x, xi: 0.9 * follower(t, x, xi)}
     folder = run_campaign(plan.asking(boxes), tmp_path / "runs")
@@ -415,7 +416,7 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
 
 
 def test_points_of_a_trade_off_are_statistical_and_nothing_needed_is_read_from_them(tmp_path):
-    scenario, boxes = ScheduleScenario.from_dict(document()), {"box": follower}
+    scenario, boxes = ScheduleScenario.from_dict(document(**LIKELY)), {"box": follower}
     asked = {"system.disturbance_max": [0.02]}
     folder = tradeoff(scenario, tmp_path / "front", asked, share=0.5, black_boxes=boxes)
     (row,) = folder.summary["points"]
@@ -666,7 +667,7 @@ def test_the_command_line_flies_a_program_and_a_file_alone_does_not(tmp_path, ca
 
     from polaris.cli.app import app
 
-    (tmp_path / "scene.toml").write_text(write_toml(document()), encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(write_toml(document(**LIKELY)), encoding="utf-8")
     (tmp_path / "box.py").write_text(GOOD, encoding="utf-8")
     place = [str(tmp_path / "scene.toml"), "--no-figures", "--out", str(tmp_path / "run")]
     alone = CliRunner().invoke(app, ["run", *place])

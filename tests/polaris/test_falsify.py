@@ -40,8 +40,8 @@ STIFF = {"recoverable.recourse": "none", "recoverable.kind": "paper_ball", "trac
 @cache
 def with_black_box():
     """A schedule in which a controller flies that may do anything."""
-    overrides = {"schedule.min_dwell_steps": 1, "recoverable.recourse": "none"}
-    return synthesize(load_scenario("keep_out").with_overrides(overrides))
+    weak = ["tracking.Q=[1,1,1,1]", "tracking.R=[8,8]", "horizon.step_s=0.25", "planner.thrust_reserve=0.5"]
+    return synthesize(load_scenario(TINY, ["experimental.0={kind='any_thrust',name='any'}", *weak]))
 
 
 def flight_of(schedule, tail=False, substeps=1):
@@ -69,18 +69,16 @@ def test_the_bound_is_neither_violated_nor_idle():
 
 
 @pytest.mark.slow
-def test_a_million_trajectories_violate_nothing():
-    total = 0
-    for name in BUNDLED:
-        found = falsify(synthesised(name)[1], 200_000, seed=7)
-        total += found.runs
-        told = found.summary()
-        print(f"\n{name}: {found.runs} trajectories, {told['runs_per_s']:.0f} per second")
-        for row in told["limits"]:
-            least, proven = row["least"], row["proven"]
-            print(f"  {row['limit']:20} {least:10.4g} of {proven:10.4g} {row['proven_share']:6.1%}")
-        assert found.failure is None, (name, found.failure)
-    assert total == 1_000_000
+@pytest.mark.parametrize("name", BUNDLED)
+def test_a_million_trajectories_violate_nothing(name):
+    """200,000 of each of five scenes."""
+    found = falsify(synthesised(name)[1], 1_000_000 // len(BUNDLED), seed=7)
+    told = found.summary()
+    print(f"\n{name}: {found.runs} trajectories, {told['runs_per_s']:.0f} per second")
+    for row in told["limits"]:
+        least, proven = row["least"], row["proven"]
+        print(f"  {row['limit']:20} {least:10.4g} of {proven:10.4g} {row['proven_share']:6.1%}")
+    assert found.failure is None and found.runs == 200_000
 
 
 def test_same_seed_same_search():

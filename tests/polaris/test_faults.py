@@ -23,7 +23,7 @@ ROUND = [[np.cos(a), np.sin(a)] for a in np.arange(5) * 2 * np.pi / 5]
 FIVE = (f"thrusters.directions={[[float(x) for x in row] for row in ROUND]}", "thrusters.thrust_max_N=1.5")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(i, marks=pytest.mark.slow) for i in (2, 3))])
 def test_every_input_in_the_box_is_made_whichever_thruster_has_failed(seed):
     """By another program: for random inputs and corners, thrusts that make them exactly."""
     rng = np.random.default_rng(seed)
@@ -75,6 +75,7 @@ def test_bad_tables_are_refused_by_name(assignments, field):
     assert error.value.field.startswith(field)
 
 
+@pytest.mark.usefixtures("few")
 def test_forged_faults_are_refused(tmp_path):
     forger = Forger(make([*FIVE, 'faults=[{kind="stuck_off"}]'], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"

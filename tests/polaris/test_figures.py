@@ -141,7 +141,7 @@ def test_limits_of_one_keep_in_set_are_one_name():
 
 
 def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypatch):
-    names = ("scene", "scene_3d", "margin")
+    names = ("scene_3d", "margin")
     chosen = {name: FIGURES[name] for name in names}
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()

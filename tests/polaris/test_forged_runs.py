@@ -14,20 +14,30 @@ pytest.importorskip("flint")
 
 from scipy.linalg import solve_continuous_are
 
-from polaris.certificate.argument import ORDERS
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
 
 from .conftest import synthesised as bundled
-from .forging import CERTIFICATE, Forger, Lie, accepted, excused, make, one_at_a_time, replaced, twice
+from .forging import (
+    CERTIFICATE,
+    QUARTER,
+    Forger,
+    Lie,
+    accepted,
+    excused,
+    make,
+    one_at_a_time,
+    replaced,
+    twice,
+)
 
 WHOLE = bool(os.environ.get("POLARIS_ALL_FORGERIES"))
 """Whether the slow tests forge every field, which takes about half an hour, or a sample."""
 
 FOLLOWING = {
     "unaware": [],
-    "setpoint": ['experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'],
-    "shared": ['experimental.0.reference={kind="shared"}'],
+    "setpoint": [QUARTER, 'experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'],
+    "shared": [QUARTER, 'experimental.0.reference={kind="shared"}'],
     "sampled": [
         'feedback={kind="sampled",period_s=0.1}',
         "schedule.min_dwell_steps=2",
@@ -139,12 +149,6 @@ def forgers(tmp_path_factory):
         return made[kind]
 
     return forger
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """With few generators alone: the checker tries again with many what fails, in several times the time."""
-    monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
 
 
 @pytest.mark.parametrize("kind", FOLLOWING)

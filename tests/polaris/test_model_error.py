@@ -176,7 +176,7 @@ def test_two_digits_round_up():
 
 
 @pytest.mark.parametrize(
-    "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
+    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
 )
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     found = model_error(*printed(name), samples=40_000)
@@ -188,7 +188,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
 
 
 @pytest.mark.parametrize(
-    "name", [*SPACECRAFT[:2], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[2:])]
+    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
     scenario, schedule = printed(name, *[CONTINUOUS] * (name in SPACECRAFT[:2]))
@@ -199,8 +199,8 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
     assert 0.2 * w_max < flown.residual.max() < w_max
     assert not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1
-    few, fine = (fly_true(schedule, env, 6, substeps=parts).runs.states for parts in (1, 2))
-    assert np.abs(few - fine)[..., :3].max() < 1e-3, "the integration has converged"
+    fine = fly_true(schedule, env, 40, substeps=2).runs.states
+    assert np.abs(flown.runs.states - fine)[..., :3].max() < 1e-3, "the integration has converged"
     # The tubes of the linear model contain the nonlinear motion.
     q = schedule.safety.clearance.q
     for k, step in enumerate(schedule.steps):
@@ -212,7 +212,7 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
 ERRORS = (
     *(
         "feedback.kind=sampled",
-        "feedback.period_s=2.0",
+        "feedback.period_s=5.0",
         "tracking.thrust_share=0.5",
         "recoverable.recourse=none",
     ),
@@ -290,7 +290,7 @@ def test_a_target_outside_what_is_declared_is_noticed():
 
 
 def test_command_says_what_is_left_out_and_whether_it_is_covered(tmp_path):
-    scenario = load_scenario("static", ["recoverable.recourse=none"])  # the quicker synthesis
+    scenario = load_scenario("static", ["recoverable.recourse=none", CONTINUOUS])  # the quicker synthesis
     file = tmp_path / "static.toml"
     file.write_text(scenario.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["model-error", str(file), "--json"])

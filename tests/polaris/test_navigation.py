@@ -192,7 +192,10 @@ def test_bounds_hold_within_a_range_that_is_kept():
         synthesize(scene(RANGED[0], RANGED[1].replace("[8.2, 6.2]", "7.0")))
 
 
-@pytest.mark.parametrize("made", ["pulse='centred'", "impulse_bit_N_s=0.001,remainder='carried'"])
+@pytest.mark.parametrize(
+    "made",
+    [pytest.param("pulse='centred'", marks=pytest.mark.slow), "impulse_bit_N_s=0.001,remainder='carried'"],
+)
 def test_phases_go_with_pulses_and_what_is_carried(made):
     """Measurements err within the bounds of the steps that use them, and predictions within theirs."""
     late = (f"thrusters={{magnitude_error=0.01,{made}}}", "timing.delay_s=0.25", "timing.missed_periods=1")
@@ -289,7 +292,8 @@ def test_observers_go_with_missed_periods(more):
 FORGED = SMALL, FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.25"
 
 
-@pytest.mark.parametrize("more", [(), FORGED, (SMALL, MISSED, NEAR)])
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("more", [(), FORGED, pytest.param((SMALL, MISSED, NEAR), marks=pytest.mark.slow)])
 def test_forged_observers_are_refused(more, tmp_path):
     """Neither another gain, nor less noise, nor smaller bounds than they give."""
     forger = Forger(make([*SAMPLED[:2], *MEASURED, *more], tmp_path), tmp_path)
@@ -330,6 +334,7 @@ def test_forged_observers_are_refused(more, tmp_path):
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
 
 
+@pytest.mark.usefixtures("few")
 def test_forged_ranges_are_refused(tmp_path):
     """The certificate keeps every box of the scenario, no larger, for as long as its phase lasts."""
     forger = Forger(make([*SAMPLED[:2], *RANGED], tmp_path), tmp_path)

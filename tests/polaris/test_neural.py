@@ -291,6 +291,7 @@ def test_a_run_with_errors_verifies_and_holds_under_attack(tmp_path):
     assert falsify(synthesize(folder.scenario), 400).failure is None
 
 
+@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("forgotten", [pytest.param("navigation", marks=pytest.mark.slow), "thrusters"])
 def test_tubes_of_a_network_that_forget_an_error_are_rejected(forgotten, tmp_path, monkeypatch):
     pytest.importorskip("onnx")

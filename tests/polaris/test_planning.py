@@ -270,7 +270,7 @@ def by_back_end(task, solver, **options):
 
 
 @pytest.mark.parametrize("solver", ["highs", "gurobi"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), 2])
 def test_every_solver_solves_the_same_program(seed, solver):
     """To the last digit: no bound above another's optimum, wherever each looked for its cells."""
     rng = np.random.default_rng(seed)
@@ -392,7 +392,7 @@ def clock(monkeypatch, tell):
     [
         (problem([CROSSING, KEEP_OUT]), {}),
         (problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)), {}),
-        (corridor(), {"max_linear_programs": 60}),
+        pytest.param(corridor(), {"max_linear_programs": 60}, marks=pytest.mark.slow),
     ],
     ids=["crossing", "annulus", "limited"],
 )

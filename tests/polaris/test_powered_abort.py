@@ -30,7 +30,7 @@ from polaris.synthesis.demand import command_errors
 from polaris.synthesis.synthesize import synthesize
 
 from .closed_loops import attack
-from .forging import CERTIFICATE, COARSE, Forger, make
+from .forging import CERTIFICATE, COARSE, QUARTER, Forger, make
 from .test_error_sources import exact, tables
 from .test_transients import LATE, SOFT
 from .tiny import TINY
@@ -43,7 +43,7 @@ OWN = f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"
 
 @pytest.fixture(scope="module")
 def tiny():
-    return synthesize(load_scenario(TINY).with_assignments([OWN]))
+    return synthesize(load_scenario(TINY).with_assignments([OWN, QUARTER]))
 
 
 def proven(schedule):
@@ -86,7 +86,7 @@ def test_a_claim_that_is_too_bold_is_refuted_and_can_be_flown_again(tiny, monkey
     vars(bold)["powered"] = replace(tiny.powered, ways=ways)
     found = falsify(bold, 2000, 0)
     assert found.failure.kind == "abort" and found.abort is not None
-    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN]), found)
+    case = write_case(tmp_path / "case.json", load_scenario(TINY).with_assignments([OWN, QUARTER]), found)
     assert replay(case)[0] is None
     monkeypatch.setattr("polaris.runs.case.synthesize", lambda scenario: bold)
     assert str(replay(case)[0]) == str(found.failure)
@@ -104,7 +104,7 @@ def test_the_goal_is_the_schedule_s_own(tiny):
 
 
 def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
-    plain = synthesize(load_scenario(TINY))
+    plain = synthesize(load_scenario(TINY, [QUARTER]))
     before, after = certificate(plain, "tiny"), certificate(tiny, "tiny")
     assert "powered" not in before and plain.powered is None
     changed = {k for k in after if k not in before or after[k] != before[k]}
@@ -116,7 +116,7 @@ def test_without_the_table_nothing_changes_and_with_it_no_step_does(tiny):
 def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
     def asked(within, budget):
         table = f"abort={{{ORBIT},within_s={within},delta_v_max_m_s={budget},required=true}}"
-        return synthesize(load_scenario(TINY).with_assignments([table]))
+        return synthesize(load_scenario(TINY).with_assignments([table, QUARTER]))
 
     assert abort_told(asked(10.0, 20.0).powered.told()).startswith("from 12 of 12 steps")
     with pytest.raises(NotCertified, match=r"in step \d+ .* raise abort.delta_v_max_m_s by") as scarce:
@@ -125,7 +125,9 @@ def test_what_is_required_is_kept_or_refused_with_the_step_and_by_how_much():
         asked(3.0, 20.0)
     with pytest.raises(NotCertified, match=r"the tank holds 9 m/s; raise tank.delta_v_m_s by"):
         synthesize(
-            load_scenario(TINY).with_assignments([OWN[:-1] + ",required=true}", "tank.delta_v_m_s=9.0"])
+            load_scenario(TINY).with_assignments(
+                [OWN[:-1] + ",required=true}", "tank.delta_v_m_s=9.0", QUARTER]
+            )
         )
     assert (scarce.value.exit_code, late.value.exit_code) == (4, 3)
 
@@ -136,7 +138,7 @@ def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
     spent = np.cumsum([0.0, *(spell.most.sum() for spell in tiny._spells)]) * scale
     spent = spent[np.arange(12) + (tiny.modes > 0)]
     tank = float(np.median(spent + [way.delta_v for way in tiny.powered.ways]) * 1.02)
-    schedule = synthesize(load_scenario(TINY).with_assignments([OWN, f"tank.delta_v_m_s={tank!r}"]))
+    schedule = synthesize(load_scenario(TINY).with_assignments([OWN, QUARTER, f"tank.delta_v_m_s={tank!r}"]))
     left = [tank - spent[k] - schedule.powered.ways[k].delta_v for k in proven(schedule)]
     assert 0 < len(left) < 12 and min(left) >= 0 and np.array_equal(schedule.modes, tiny.modes)
     assert any("the tank holds" in way.why for way in schedule.powered.ways)

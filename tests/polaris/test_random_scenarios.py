@@ -33,11 +33,12 @@ from .random_scenarios import random_scenario, synthesised
 from .test_margins import worst_share
 from .tiny import synthesised as tiny
 
-FEW = (2, 26, 43, 2001, 3015)
+FEW = (2, 2001, 5006, 5034)
+MERGED = 3015
 """Among them: a tail shorter than the memory, clipped laws, balls; nothing is claimed after T in 36, below.
 
-2001 has a clipped step whose enclosures with other slopes do not contain one another,
-3015 many generators to merge.
+2001 has a clipped step whose enclosures with other slopes do not contain one another, the slow one many
+generators to merge.
 """
 
 MANY = 160
@@ -221,8 +222,8 @@ def clipped_verdicts(seeds, folder):
 
 
 def test_clipped_proofs_verify(tmp_path):
-    found = dict(clipped_verdicts((0, 5, 35), tmp_path))  # 5: sampled, wide bands within a period
-    assert len(found) == 3
+    found = dict(clipped_verdicts((0, 5), tmp_path))  # 5: sampled, wide bands within a period
+    assert len(found) == 2
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 
@@ -235,7 +236,7 @@ def test_many_clipped_proofs_verify(tmp_path):
 
 @pytest.mark.slow
 def test_a_hundred_random_proofs_verify(tmp_path):
-    found = list(verdicts(range(MANY), tmp_path))
+    found = list(verdicts((*range(MANY), MERGED), tmp_path))
     judge(found)
     proved = [schedule for _, schedule, _ in found if schedule and schedule.guarantee == "proved"]
     assert len(proved) >= 100

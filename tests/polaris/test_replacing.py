@@ -362,7 +362,16 @@ def test_a_full_disk_names_the_path_and_the_way_on(tmp_path, size):
     target = write(tmp_path / "run", {"summary.json": b"old"})
     (target / "notes").write_bytes(b"mine")
     before = contents(target)
-    command = [sys.executable, "-c", FULL, str(target), str(size), "--no-figures"]
+    command = [
+        sys.executable,
+        "-c",
+        FULL,
+        str(target),
+        str(size),
+        "--no-figures",
+        "--set",
+        "simulation.runs=1",
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     lines = done.stderr.strip().splitlines()
     assert done.returncode == 2 and len(lines) == 1, done.stderr

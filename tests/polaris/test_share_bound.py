@@ -18,6 +18,7 @@ from polaris.synthesis.synthesize import synthesize
 from polaris.synthesis.undisturbed import FREE, Flights
 from reach.numerics.linear import discretize
 
+from ..kept import printed as bundled
 from .random_scenarios import synthesised as random_schedule
 from .tiny import TINY
 
@@ -108,7 +109,7 @@ def test_nothing_that_can_be_flown_is_called_impossible(more):
     for i, free in enumerate(sets):
         held = tuple(FREE if k in free else 1 for k in range(K))
         impossible = flights.impossible(held)
-        if least_room(flights, flights_of(problem, law, held, 250, i, 30)) > 0.02:
+        if least_room(flights, flights_of(problem, law, held, 250, i, 15)) > 0.02:
             assert not impossible, free
             fewest = min(fewest, len(free))
         refuted += impossible
@@ -178,10 +179,9 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
 # -- the bound ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["static", "dynamic"])
+@pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
 def test_where_u_alone_collides_less_than_everything_is_reached(name):
-    scenario = load_scenario(name, ["recoverable.recourse=none"])
-    schedule = synthesize(scenario)
+    scenario, schedule = bundled(name)
     bound = share_bound(schedule, scenario.switching_rules(), scenario.model.schedule.bound_programs)
     assert schedule.share() <= bound.share == 58 / 60
     assert bound.ended == "reached" and bound.programs < 100

@@ -72,7 +72,7 @@ def attack(name, n, seed):
     ],
 )
 def test_no_run_breaks_the_claim(name):
-    attack(name, 500, 1)
+    attack(name, 250, 1)
 
 
 @pytest.mark.slow
@@ -82,7 +82,7 @@ def test_ten_thousand_runs_do_not_break_the_claim(name):
         attack(name, 500, 100 + seed)
 
 
-@pytest.mark.parametrize("name", ["static", "dynamic"])
+@pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
 def test_u_alone_collides_and_s_alone_does_not(name):
     scenario, schedule = printed(name)
     assert distances(schedule, simulate(schedule, 50, 0, mode=1), scenario) < 0
@@ -148,8 +148,7 @@ def pulses(modes):
     ("strategy", "dwell", "cap"),
     [
         ("greedy", 1, 2),
-        ("greedy", 3, 2),
-        ("greedy", 2, None),
+        *(pytest.param("greedy", *rules, marks=pytest.mark.slow) for rules in ((3, 2), (2, None))),
         ("greedy", 5, None),
         pytest.param("look_ahead", 1, 2, marks=pytest.mark.slow),
         ("look_ahead", 3, 2),

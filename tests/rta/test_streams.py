@@ -134,7 +134,7 @@ def test_without_the_checks_the_same_streams_do_harm():
 def test_a_replayed_log_gives_the_same_decisions(tmp_path):
     monitor = robot()
     scene = monitor.grid
-    operators = plans(3, scene.decisions, scene.system.n)[::4]
+    operators = plans(3, scene.decisions, scene.system.n)[::8]
     logs = [DecisionLog(tmp_path / f"{run}.jsonl", flush_every=50) for run in range(len(operators))]
     deciders = [OnlineMonitor(monitor, PATIENT, log).step for log in logs]
     told = {"second_clock": range(0, len(logs), 2), "applied": range(0, len(logs), 3)}

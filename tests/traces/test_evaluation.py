@@ -537,6 +537,8 @@ def test_facets_agree_with_fixed_polytopes(case):
         both = Faceted(H[i : i + 1], np.repeat(b[i : i + 1], 2, axis=0))
         shared = both.signed_distance(np.repeat(p[i : i + 1], 2, axis=0))
         assert shared == pytest.approx([distance[i]] * 2, abs=1e-9)
+    H, b, p, v = (np.concatenate([part] * 300) for part in case)  # more samples than are held at once
+    assert np.array_equal(Faceted(H, b).entry_time(p, v), np.tile(entry_time, 300))
 
 
 def test_facet_distance_against_a_solver():
