@@ -26,7 +26,8 @@ from polaris.model.satellite import true_states
 from polaris.runs.schedule import fly_schedule, write_run
 from polaris.runs.stages import Stages
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.orbit.environment import Environment, near_circular
+from polaris.simulation.orbit.environment import Environment
+from polaris.simulation.orbit.frame import near_circular
 from polaris.simulation.run_metrics import cubic
 
 from .onboard import FlightSoftware, held

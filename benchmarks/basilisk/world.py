@@ -110,7 +110,7 @@ def absolute(target: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def inertial(env: Environment, latitude: float, target: np.ndarray) -> np.ndarray:
-    """Inertial state of a target as `polaris.simulation.orbit.environment` gives it, node on the x axis."""
+    """Inertial state of a target as `polaris.simulation.orbit.frame` gives it, node on the x axis."""
     R, V, h, px, py, pz = target
     inclination = np.arctan2(np.hypot(px, py), pz)
     c, s = np.cos(latitude), np.sin(latitude)

@@ -10,9 +10,9 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .affine_law import at_nodes
 from .clearance import Clearance
 from .error_bounds import ErrorBounds
+from .intersample import at_nodes
 from .recoverable import Margin, left
 
 

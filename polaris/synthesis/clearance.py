@@ -12,8 +12,8 @@ from ..model.system import Array
 from ..model.timed_polytope import TimedPolytope
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .affine_law import at_nodes
 from .demand import Scheduled, command_errors
+from .intersample import at_nodes
 from .tracking import Tracking
 
 

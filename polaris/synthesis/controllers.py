@@ -16,8 +16,9 @@ from reach.tubes.flow import LinearFlow
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
-from .affine_law import AffineLaw, affine_bow, at_nodes, clipped_bow, clipped_step
+from .affine_law import AffineLaw, clipped_step
 from .demand import taken_over
+from .intersample import affine_bow, at_nodes, clipped_bow
 from .tracking import Tracking
 
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))

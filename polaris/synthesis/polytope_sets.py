@@ -10,8 +10,8 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .affine_law import at_nodes
 from .clearance import Clearance
+from .intersample import at_nodes
 from .recoverable import Margin, left
 
 COARSE = (0.5, 0.05)

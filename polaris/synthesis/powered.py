@@ -18,12 +18,12 @@ from ..model.tolerances import ROUNDING
 from ..planning.problem import PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
-from .affine_law import at_nodes
 from .attempts import perceive_unsafe, plan_problem
 from .clearance import Clearance, error_tube
 from .controllers import TubeSegment
 from .end_condition import coast, judge_end, tail_length
 from .get_safety import Safety, get_recover
+from .intersample import at_nodes
 from .problem import PoweredAbort
 from .takeover import SPARE, Branch, Takeover, Way
 

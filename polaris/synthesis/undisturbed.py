@@ -17,9 +17,10 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import REFERENCE, ROUNDING
 from ..planning.lp import GrowingLP
-from .affine_law import at_nodes, clipped_map
+from .affine_law import clipped_map
 from .controllers import AffineController
 from .get_safety import Safety
+from .intersample import at_nodes
 
 FREE = 0  # a step in which any thrust within the limits is allowed, as under S
 PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)

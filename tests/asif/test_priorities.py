@@ -10,9 +10,10 @@ from polaris.inspection.constraints.families import Families
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.inspection import Inspection
-from polaris.rta import priorities
-from polaris.rta.priorities import EXACT, GAP, MET, SPARE, SURE, least_violation, lowest
+from polaris.rta import priorities, vertex
+from polaris.rta.priorities import EXACT, GAP, MET, SPARE, SURE, least_violation
 from polaris.rta.projection import FAILED, FILTERED, SHORT, project, solve
+from polaris.rta.vertex import lowest
 
 CLOSE = 5e-3
 """Of the limit: what another 1e-7 for rows that count more may be worth between near-parallel rows."""
@@ -296,7 +297,7 @@ def test_what_can_be_met_goes_the_old_way(monkeypatch):
 
 def test_fifty_deputies_anywhere_are_answered_without_exact_arithmetic(monkeypatch):
     """No thrust meets everything; what gives way is settled in floating point."""
-    monkeypatch.setattr(priorities, "_exact", None)
+    monkeypatch.setattr(vertex, "_exact", None)
     rng = np.random.default_rng(1)
     x = np.concatenate([rng.uniform(-600, 600, (3, 50, 3)), rng.uniform(-0.3, 0.3, (3, 50, 3))], axis=2)
     asif = ActiveSetFilter(make_filter(Families(Inspection(deputies=50)), "centralized"))

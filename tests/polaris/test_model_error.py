@@ -13,7 +13,8 @@ from polaris.model.errors import ScenarioError
 from polaris.model.satellite import SatelliteObstacle
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.integration import runge_kutta
-from polaris.simulation.orbit.environment import MU, Environment, frame_rates, near_circular, relative_rate
+from polaris.simulation.orbit.environment import MU, Environment
+from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
 from polaris.simulation.orbit.model_error import justify, model_error, sample_residual, two_digits
 from polaris.simulation.orbit.region import Region, visited
 from polaris.simulation.orbit.residual import residual_bound

@@ -27,7 +27,8 @@ from polaris.simulation.falsification.claims import _pulsed
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.firing import Firing
 from polaris.simulation.integration import Integrator
-from polaris.simulation.orbit.environment import Environment, near_circular, relative_rate
+from polaris.simulation.orbit.environment import Environment
+from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
 from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis import controllers

@@ -11,7 +11,8 @@ from ...model.satellite import SatelliteObstacle
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
 from ...synthesis.synthesize import synthesize
-from .environment import Environment, relative_rate
+from .environment import Environment
+from .frame import relative_rate
 from .region import Region, satellite_region, visited
 from .residual import Residual, residual_bound
 

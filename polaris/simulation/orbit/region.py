@@ -11,9 +11,9 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.satellite import SatelliteObstacle
 from ...model.system import Array, LinearSystem
-from ...synthesis.affine_law import at_nodes
 from ...synthesis.clearance import error_tube
 from ...synthesis.get_safety import Safety
+from ...synthesis.intersample import at_nodes
 from ...synthesis.schedule import Schedule
 
 

@@ -17,7 +17,8 @@ from ..failing import drawn
 from ..integration import Integrator, runge_kutta
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
-from .environment import Environment, frame_rates, near_circular, relative_rate
+from .environment import Environment
+from .frame import frame_rates, near_circular, relative_rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,7 @@ class TrueFlights:
     residual : ndarray, shape (R, N)
         What the linear equations left out, the largest within each period [m/s^2].
     target : ndarray, shape (R, N+1, 6)
-        The target's orbit (see `polaris.simulation.orbit.environment`).
+        The target's orbit (see `polaris.simulation.orbit.frame`).
     ballistic : ndarray, shape (R,)
         The chaser's drag coefficient times area over mass [m^2/kg].
     within : ndarray of bool, shape (R,)
