@@ -131,7 +131,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         elif found is None and known.kind == "abort":
             found, _ = exceeded(whole, int(data["abort"]), runs)
         return found if found and found.broken else None, scenario
-    except (ValueError, TypeError, IndexError) as error:
+    except (ValueError, TypeError, LookupError, OverflowError) as error:
         raise ScenarioError("case", str(path), f"is damaged ({error})") from error
 
 

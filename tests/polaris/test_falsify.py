@@ -303,6 +303,7 @@ def test_case_that_was_changed_is_refused(tmp_path):
     assert data["x0"] == found.case[0].x0[0].tolist()
     changes = {"schedule": ["0" * 64], "version": [1], "format": ["other"]}
     changes["x0"] = [["nan?"], [None] * len(data["x0"])]
+    changes |= {"violation": [{**data["violation"], "kind": "abort"}, {}], "failing": [{"begins": 0}]}
     for key, value in ((key, value) for key, values in changes.items() for value in values):
         broken = tmp_path / f"{key}.json"
         changed = {**data, "schedule": digest(schedule), key: value}
