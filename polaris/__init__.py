@@ -16,6 +16,6 @@ from contextlib import suppress
 
 # The checker, `python -m polaris.certificate`, runs where there is nothing but Python and python-flint.
 with suppress(ModuleNotFoundError):
-    import lazy_loader
+    from reach.numerics.packages import door
 
-    __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

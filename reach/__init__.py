@@ -4,6 +4,6 @@ A library of its own: it needs numpy and scipy only. Names are imported when fir
 and where it lives, stands in the stub beside this file.
 """
 
-import lazy_loader
+from .numerics.packages import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -35,11 +35,12 @@ def tables() -> dict[str, str]:
 
 
 def main() -> None:
-    """Rewrite the page."""
-    text = PAGE.read_text(encoding="utf-8")
+    """Rewrite the page if a table changed."""
+    before = text = PAGE.read_text(encoding="utf-8")
     for name, table in tables().items():
         text = put(text, name, table)
-    PAGE.write_text(text, encoding="utf-8")
+    if text != before:
+        PAGE.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -214,10 +214,12 @@ def texts() -> dict[str, str]:
 
 
 def write(folder: Path) -> list[Path]:
-    """Write all files into a folder; return their paths."""
+    """Write the files that changed into a folder; return the paths of all."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts().items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+        path = folder / name
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8", newline="\n")
     return [folder / name for name in texts()]
 
 

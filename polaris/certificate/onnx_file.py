@@ -31,7 +31,8 @@ def check_file(law: Law, path: Path) -> None:
     try:
         layers = read_layers(data, len(law.input_scale))
     except ImportError as error:
-        raise Undecided("controllers", f"reading {path.name} needs the package onnx") from error
+        rule = f"reading {path.name} needs the package onnx: pip install 'polaris-rta[networks]'"
+        raise Undecided("controllers", rule) from error
     except Exception as error:  # the package raises errors of its own where a file is garbled
         raise Undecided("controllers", f"{path.name} is not understood: {error}") from error
     if layers != law.layers:

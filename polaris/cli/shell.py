@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
 
 import typer
 
+from reach.numerics import packages
 from reach.numerics.errors import ReachError
 
-from ..model.errors import ClockWarning, PolarisError, ScenarioError
+from ..model.errors import ClockWarning, PolarisError, ScenarioError, failed
 
 if TYPE_CHECKING:
     from ..runs.folder import RunFolder
@@ -144,6 +145,7 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
             for key, group in groups.items():
                 given[key] = group(**{one.name: given.pop(one.name) for one in fields(group)})
             with answering():
+                tested_packages()
                 code = work(**given)
             if code:
                 raise typer.Exit(code)
@@ -160,6 +162,14 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
         return guarded
 
     return add
+
+
+def tested_packages() -> None:
+    """Refuse to run on packages in versions that nobody tested: exit code 2."""
+    try:
+        packages.check()
+    except ReachError as error:
+        raise failed(str(error), 2) from None
 
 
 def drawing(figures: bool) -> Any:

@@ -4,6 +4,6 @@ After Dunlap, van Wijk, Hobbs: Run Time Assurance for Autonomous Spacecraft Insp
 corrections that ``docs/inspection-theory.md`` lists.
 """
 
-import lazy_loader
+from reach.numerics.packages import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -4,11 +4,12 @@ import os
 from collections.abc import Callable
 from functools import cache, partial
 from importlib import import_module
-from importlib.util import find_spec
 from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
+
+from reach.numerics.packages import unusable
 
 from .system import Array
 
@@ -16,8 +17,8 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 
 def wanted() -> bool:
-    """Whether compiled loops are to be used: numba is there, and POLARIS_COMPILED is not set to 0."""
-    return find_spec("numba") is not None and os.environ.get("POLARIS_COMPILED", "1") != "0"
+    """Return True if numba is there in a tested version, and POLARIS_COMPILED is not set to 0."""
+    return not unusable("numba") and os.environ.get("POLARIS_COMPILED", "1") != "0"
 
 
 def plain(x: Array) -> Array:
@@ -33,7 +34,7 @@ def compiled(loop: Loop, inline: bool = False) -> Loop:
     What is compiled is kept on disk, by its file alone: such a function calls no function of another file,
     and takes constants of other files as arguments. Operations keep their order and their rounding.
     """
-    if find_spec("numba") is None:
+    if unusable("numba"):
         return loop
     import numba
 

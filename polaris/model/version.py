@@ -2,22 +2,13 @@
 
 from functools import cache
 from importlib import metadata
-from pathlib import Path
 
-DISTRIBUTION = "polaris-rta"
+from reach.numerics.packages import project
 
 
-@cache
 def version() -> str:
-    """Version of this package: a checkout's project file, else what was installed."""
-    project = Path(__file__).resolve().parents[2] / "pyproject.toml"
-    if project.is_file():
-        import tomllib
-
-        declared = tomllib.loads(project.read_text(encoding="utf-8")).get("project", {})
-        if declared.get("name") == DISTRIBUTION:
-            return str(declared["version"])
-    return metadata.version(DISTRIBUTION)
+    """Return the version of this package."""
+    return str(project()["version"])
 
 
 __version__ = version()
@@ -25,7 +16,7 @@ _installed = cache(metadata.version)
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything a result depends on, by name; numba's where it compiles loops."""
+    """Return the versions of everything a result depends on, by name; numba's where it compiles loops."""
     import platform
 
     from .compiled import wanted

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
+from reach.numerics.packages import unusable
+
 from ..model.errors import ScenarioError
 from ..model.tolerances import SOLVER_FEASIBILITY
+from .lp import silent_highspy
 from .problem import PlannerOptions
 
 Hear = Callable[[float, float, float], str]
@@ -30,9 +32,8 @@ class Found:
 
 def require(solver: str) -> None:
     """Refuse a back end that is not installed."""
-    if solver == "gurobi" and find_spec("gurobipy") is None:
-        rule = "needs the package gurobipy: install the extra 'gurobi', or use another solver"
-        raise ScenarioError("planner.solver", "gurobi", rule)
+    if solver == "gurobi" and (why := unusable("gurobipy")):
+        raise ScenarioError("planner.solver", "gurobi", f"{why}, or use another solver")
 
 
 def run(lp: Any, options: PlannerOptions, nodes: int, seconds: float, hear: Hear) -> Found:
@@ -64,8 +65,7 @@ def _warm_highs(**options: Any) -> Any:
 
 
 def _highs(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: Hear) -> Found:
-    import highspy
-
+    highspy = silent_highspy()
     kind, gave_up = highspy.HighsModelStatus, [""]
 
     def ask(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:

@@ -4,6 +4,8 @@ The mixed-integer program goes through PuLP (`model`); the hundreds of small lin
 path search do not, because they differ by a few rows and the simplex basis carries over.
 """
 
+import os
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,15 +17,37 @@ from ..model.tolerances import SOLVER_FEASIBILITY
 FAR = 1e6  # range of what is unlimited: no row of the planner gets as many lengths away from its bound
 
 
+@cache
+def silent_highspy() -> Any:
+    """Import HiGHS; what its first solver prints to the process's standard output goes nowhere.
+
+    From version 1.16 on the constructor prints a licence notice, before it reads any option. C code prints
+    it, so that the file descriptor itself is led elsewhere meanwhile.
+    """
+    import highspy
+
+    try:
+        kept = os.dup(1)
+    except OSError:  # standard output is closed
+        return highspy
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        make: Any = highspy.Highs  # its constructor carries no types
+        make()
+    finally:
+        os.dup2(kept, 1)
+        os.close(nowhere)
+        os.close(kept)
+    return highspy
+
+
 class GrowingLP:
     """``min cost x  s.t.  lower <= A x <= upper, low <= x <= high`` with rows added and taken back."""
 
     def __init__(self, cost: Array, low: Array, high: Array) -> None:
-        import highspy
-
-        self._highspy = highspy
-        make: Any = highspy.Highs  # its constructor carries no types
-        self.highs: Any = make()
+        self._highspy = highspy = silent_highspy()
+        self.highs: Any = highspy.Highs()
         self._set(output_flag=False, threads=1, presolve="off", solver="simplex")
         self._set(primal_feasibility_tolerance=SOLVER_FEASIBILITY)
         n = len(cost)

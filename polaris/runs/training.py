@@ -10,8 +10,13 @@ Needs the extra ``gym``.
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
+
+from reach.numerics.packages import unusable
+
+if why := unusable("gymnasium"):
+    raise ImportError(why)
+import gymnasium as gym
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper

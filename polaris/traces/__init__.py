@@ -1,5 +1,5 @@
 """Traces of RTAEval, in and out: read and write them, measure them, export runs as such."""
 
-import lazy_loader
+from reach.numerics.packages import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

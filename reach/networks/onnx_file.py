@@ -7,6 +7,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
+from ..numerics.packages import unusable
 from .network import Activation, Affine, Network
 
 LARGEST = 64 * 2**20  # bytes of a file beyond which it is refused: a controller is small
@@ -31,11 +32,10 @@ def read_onnx(path: str | Path) -> Network:
         If the package is missing, the file is none, too large, keeps weights elsewhere, branches, has an
         operator that is not understood, or a weight that is not finite.
     """
-    try:
-        import onnx
-    except ImportError as error:
-        rule = "reading ONNX files needs the package onnx (pip install 'polaris[networks]')"
-        raise ReachError(rule) from error
+    if why := unusable("onnx"):
+        raise ReachError(f"an ONNX file cannot be read: {why}")
+    import onnx
+
     if not isinstance(path, str | Path):
         raise ReachError(f"the path of a file is needed, got {type(path).__name__}")
     path = Path(path)

@@ -133,7 +133,7 @@ def test_addresses_where_no_scheduler_is_are_refused(monkeypatch):
 def test_without_distributed_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(ScenarioError, match=r"distributed: pip install '\.\[campaign\]'"),
+        pytest.raises(ScenarioError, match=r"distributed: pip install 'polaris-rta\[campaign\]'"),
         cluster("tcp://127.0.0.1:8786"),
     ):
         pass

@@ -177,5 +177,5 @@ def test_what_needs_the_extra_says_so(flown, tmp_path, monkeypatch, default_inst
     monkeypatch.chdir(tmp_path)
     done = invoke(*(str(word).format(flown=flown.path) for word in words))
     assert (done.exit_code, done.stdout) == (2, ""), done.output
-    assert done.stderr.count("\n") == 1 and "pip install '.[campaign]'" in done.stderr
+    assert done.stderr.count("\n") == 1 and "pip install 'polaris-rta[campaign]'" in done.stderr
     assert list(tmp_path.iterdir()) == []

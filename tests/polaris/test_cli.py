@@ -253,22 +253,21 @@ def test_a_shell_can_complete(typed, expected, tmp_path, monkeypatch):
 
 
 def test_hints_name_packages_that_exist():
-    """Whatever a message tells to install is a dependency, or an extra of a copy of the repository."""
-    root = Path(polaris.__file__).resolve().parent
-    project = tomllib.loads((root.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    named = [
-        *project["dependencies"],
-        *(x for extra in project["optional-dependencies"].values() for x in extra),
-    ]
-    known = {re.split(r"[<>=\[]", package)[0] for package in named}
-    pages = [*root.rglob("*.py"), root.parent / "README.md", *(root.parent / "docs").glob("*.md")]
+    """Hints name a dependency, the distribution, or a copy of it, and extras that exist."""
+    root = Path(polaris.__file__).resolve().parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    needed = [*project["dependencies"], *(one for extra in extras.values() for one in extra)]
+    known = {re.split(r"[<>=\[]", package)[0] for package in needed} | {".", project["name"]}
+    code = [page for package in ("polaris", "reach") for page in (root / package).rglob("*.py")]
+    pages = [*code, root / "README.md", *(root / "docs").glob("*.md")]
     hints = [hint for page in pages for hint in re.findall(r"pip install ([^\n`]+)", page.read_text("utf-8"))]
     assert hints
     for hint in hints:
-        for word in re.findall(r"[\w.\[\],'\"-]+", hint.split("#")[0]):
-            word = word.strip("'\"),")
-            extra = re.fullmatch(r"\.\[(\w+)\]", word)
-            assert word in {*known, "."} or (extra and extra[1] in project["optional-dependencies"]), hint
+        hint = hint.replace("{DISTRIBUTION}", project["name"]).replace("[{extra}]", "").split('"')[0]
+        for word in re.findall(r"[\w.\[\]-]+", hint.split("#")[0]):
+            package, extra = re.fullmatch(r"(.+?)(?:\[(\w+)\])?", word).groups()
+            assert package in known and (extra is None or extra in extras), hint
 
 
 def test_plot_redraws_the_same_bytes_from_the_files_alone(invoke, tmp_path, monkeypatch):

@@ -585,8 +585,8 @@ def test_no_back_end_is_called_or_loaded_where_the_tree_decides():
 
 
 def test_back_end_that_is_not_installed_is_refused_at_once(monkeypatch):
-    monkeypatch.setattr(backends, "find_spec", lambda name: None)
-    with pytest.raises(ScenarioError, match="install the extra 'gurobi'"):
+    monkeypatch.setitem(sys.modules, "gurobipy", None)
+    with pytest.raises(ScenarioError, match=r"gurobipy: pip install 'polaris-rta\[gurobi\]'"):
         plan(problem([]), PlannerOptions(solver="gurobi"))
 
 

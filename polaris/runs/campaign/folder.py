@@ -12,11 +12,12 @@ import json
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from reach.numerics.packages import unusable
 
 from ...model.errors import NotCertified, ScenarioError
 from ...model.version import version
@@ -275,7 +276,6 @@ FORMATS: dict[str, Parquet | Npz] = {"parquet": Parquet(), "npz": Npz()}
 def usable(formats: Sequence[str]) -> str:
     """The first of some formats that this install can write; `ScenarioError` if it can write none."""
     for name in formats:
-        if name != "parquet" or find_spec("pyarrow") is not None:
+        if name != "parquet" or not unusable("pyarrow"):
             return name
-    rule = "must be a package that is installed, to write Parquet files: pip install '.[campaign]'"
-    raise ScenarioError("pyarrow", None, rule)
+    raise ScenarioError("format", "parquet", unusable("pyarrow"))

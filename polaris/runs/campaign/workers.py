@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
 
+from reach.numerics.packages import unusable
+
 from ...model.errors import PolarisError, ScenarioError, failed
 
 TICK = 2.0  # seconds without a result after which the workers are asked whether there are any
@@ -149,13 +151,12 @@ def cluster(address: str) -> Iterator[Workers]:
     Raises
     ------
     ScenarioError
-        If ``distributed`` is not installed, or no scheduler answers there in a few seconds.
+        If ``distributed`` is not installed, in a tested version, or no scheduler answers in a few seconds.
     """
-    try:
-        import distributed
-    except ImportError as error:
-        rule = "needs the package distributed: pip install '.[campaign]'"
-        raise ScenarioError("--scheduler", address, rule) from error
+    if why := unusable("distributed"):
+        raise ScenarioError("--scheduler", address, why)
+    import distributed
+
     if not re.fullmatch(r"\w+://[^\s/]+:\d+", address):
         raise ScenarioError("--scheduler", address, "must be an address like tcp://host:8786")
     with _unlogged():
