@@ -172,8 +172,9 @@ def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, A
     if missing:
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
     if not isinstance(asked, LinearSystem):
-        if "u_max" not in known:
-            raise TypeError("get_safety(control.StateSpace, ...) also needs u_max")
+        if short := [name for name in ("u_max", "C") if name not in known]:
+            rule = "C is the position, in which unsafe sets lie: one row per axis"
+            raise TypeError(f"get_safety(control.StateSpace, ...) also needs {', '.join(short)}; {rule}")
         extra = {name: known.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in known}
         asked = LinearSystem.from_statespace(asked, **extra)
     wrong = sorted(set(known) - {field.name for field in fields(Problem)})

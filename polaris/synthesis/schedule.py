@@ -156,6 +156,7 @@ class Schedule:
             allocated=problem.allocation is not None,
             late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
+            position=problem.system.position.tolist(),
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
 
