@@ -172,7 +172,9 @@ def test_state_space_position_is_what_c_says():
     assert ROCK.signed_distance(0.0, positions).min() > 0
     assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)
     schedule = synthesize(safety, experimental=[])
-    assert "position: C x = (x0, x2), states counted from 0; the unsafe sets lie there" in schedule.assumptions
+    assert (
+        "position: C x = (x0, x2), states counted from 0; the unsafe sets lie there" in schedule.assumptions
+    )
 
 
 @pytest.mark.parametrize("kind", ["ball", "time_varying_ball", "polytope"])

@@ -64,7 +64,9 @@ def test_those_that_apply_and_no_others_are_said_everywhere_in_the_same_words(na
     scenario, schedule = scene(name)
     said = list(schedule.assumptions)
     assert ("sets at rest" in words(said), "other satellites" in words(said)) == (rest, others)
-    assert {"model", "position", "initial state", "chaser", "perception", "sampling", "clocks"} <= set(words(said))
+    assert {"model", "position", "initial state", "chaser", "perception", "sampling", "clocks"} <= set(
+        words(said)
+    )
     assert said[-2].startswith(last) and said[-1].startswith("arithmetic: ")
     data = certificate(schedule, scenario.name)
     assert data["assumptions"] == said[:-1]
