@@ -1,20 +1,25 @@
 """What a run claims beside safety, against what its scenario demands and against the rest of its folder."""
 
+import tomllib
+
 import numpy as np
 import pytest
 
 pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify
+from polaris.cli.show.schedule import _goal
+from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.figures import draw_run
 from polaris.runs.arrays import read_arrays, tube_arrays
 from polaris.runs.run import run
+from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from .forging import QUARTER
+from .forging import QUARTER, Forger, Lie, make
 from .tiny import TINY
 
 CORNER = (
@@ -96,3 +101,113 @@ def between(runs, schedule, parts):
     d = start[:, :, None, 2:] + np.concatenate([0 * d[:, :, :1], d], axis=2)
     p = start[:, :, None, :2] + np.cumsum((d[:, :, 1:] + d[:, :, :-1]) / 2, axis=2) * h / parts
     return np.concatenate([p, d[:, :, 1:]], axis=-1)
+
+
+# -- order of states --------------------------------------------------------------------------------
+
+CART = {
+    "system": {
+        "kind": "linear",
+        "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -4.0]],  # position, velocity, force of a slow motor
+        **{"B": [[0.0], [0.0], [4.0]], "D": [[0.0], [1.0], [0.0]], "input_max": 1.0},
+        **{"disturbance_max": 0.01, "position_states": [0]},
+    },
+    "initial_set": {"kind": "box", "center": [0.0, 0.0, 0.0], "half_widths": [0.02, 0.01, 0.01]},
+    "tracking": {"Q": [1.0, 1.0, 1.0], "R": [1.0]},
+    "goal": {"kind": "box", "center": [3.0, 0.0, 0.0], "half_widths": [0.01, 0.02, 0.5]},
+    "obstacles": [
+        {"kind": "polytope", "name": "wall", "normals": [[-1.0]], "offsets_m": [-4.0], "unbounded": True}
+    ],
+    "experimental": [{"kind": "saturated_affine", "name": "u", "Q": [2.0, 1.0, 1.0], "R": [1.0]}],
+}
+"""An odd number of states, one of which is neither position nor velocity."""
+
+
+def in_order(scenario, order):
+    """The same scenario, its states in another order."""
+    scenario, (_, *more) = {**scenario}, order
+    system, place = scenario["system"], [order.index(i) for i in range(len(order))]
+    told = {"A": [[system["A"][i][j] for j in order] for i in order]}
+    told |= {key: [system[key][i] for i in order] for key in "BD"}
+    first = system.get("position_states", range(len(order) // 2))
+    scenario["system"] = system | told | {"position_states": [place[i] for i in first]}
+
+    def turned(table):
+        """Lists with a number for every state; tables within, too."""
+        for key, value in table.items():
+            if isinstance(value, dict):
+                value = turned(value)
+            elif key in ("center", "half_widths", "state", "Q"):
+                value = [value[i] for i in order]
+            table = table | {key: value}
+        return table
+
+    for name in ("initial_set", "goal", "tracking"):
+        scenario[name] = turned(scenario[name])
+    scenario["experimental"] = [turned(each) for each in scenario["experimental"]]
+    return scenario
+
+
+@pytest.mark.parametrize(
+    ("change", "orders"),
+    [({}, ([0, 1, 2, 3], [3, 0, 2, 1])), (CART, ([0, 1, 2], [1, 2, 0]))],
+    ids=["robot", "cart"],
+)
+def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
+    """Velocities are those of the position, wherever they stand, to the synthesis and to the checker."""
+    base = tomllib.loads(TINY.read_text(encoding="utf-8")) | change
+    base |= {"feedback": {"kind": "sampled", "period_s": 0.25}, "simulation": {"runs": 2}}
+    base |= {"schedule": {"bound_programs": 0}}
+    claims = []
+    for order in orders:
+        file = tmp_path / f"{order}.toml"
+        file.write_text(write_toml(in_order(base, order)), encoding="utf-8")
+        made = run(file, tmp_path / "run")
+        assert verify(made.path).outcome == "VERIFIED"
+        claims.append(made.summary["guarantee"]["goal"])
+        assert claims[-1].pop("drift_m_per_orbit") is None
+    for claim in claims:
+        assert claim == pytest.approx(claims[0], rel=1e-4)
+    assert claims[0]["velocity_time_s"] == 3.0  # a quarter of 12 s
+
+
+# -- velocities -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("most", "reached"), [(0.5, True), (0.005, "not_proven")])
+def test_velocities_have_a_tolerance_of_their_own(most, reached, tmp_path):
+    """What is claimed as reached is within both tolerances, to the checker too, which refuses a narrower one."""
+    near = ["goal.tolerance_m=2.0", f"goal.velocity_tolerance_m_s={most}", "schedule.bound_programs=0"]
+    forger = Forger(make([QUARTER, *near], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    lie = Lie(forger)
+    goal = lie.schedule["guarantee"]["goal"]
+    assert goal["reached"] == reached and goal["velocity_time_s"] == pytest.approx(2.0 / most)
+    assert (goal["distance_m"] <= 2.0) == (reached is True)
+    lie.scenario["goal"]["velocity_tolerance_m_s"] = 0.9 * most
+    lie.judge({"goal"})
+    lie = Lie(forger)
+    for name in ("schedule", "summary"):
+        getattr(lie, name)["guarantee"]["goal"]["velocity_time_s"] = 1.0
+    lie.judge({"goal"})
+
+
+def test_flights_keep_both_tolerances():
+    near = [QUARTER, "goal.tolerance_m=0.5", "goal.velocity_tolerance_m_s=0.1"]
+    schedule = synthesize(load_scenario(TINY).with_assignments(near))
+    runs, found = simulate(schedule, 200, 0, disturbance="worst", tail=True), schedule.arrival
+    off = np.abs(runs.states[:, round(found.by / 0.25)] - [8.0, 6.0, 0.0, 0.0]).max(axis=0)
+    assert found.distance <= 0.5 and np.all(off[:2] <= 0.5) and 0.03 < off[2:].max() <= 0.1
+
+
+def test_a_tolerance_of_velocities_needs_one_of_lengths():
+    with pytest.raises(ScenarioError, match="required with velocity_tolerance"):
+        load_scenario(TINY).with_assignments(["goal.velocity_tolerance_m_s=0.1"])
+
+
+@pytest.mark.parametrize("drift", [None, 73.7])
+def test_the_line_of_the_goal_says_when_how_near_and_what_holds_it(drift):
+    claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "tolerance_m": 4.0, "velocity_time_s": 450.0}
+    told = _goal(claim | {"drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3})
+    assert told.startswith("reached at 1958 s, within 3.9 m (velocities count as the length they make in 450 s)")
+    assert "To stay there S must fly on" in told and ("m per orbit" in told) == (drift is not None)
