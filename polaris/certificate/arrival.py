@@ -91,6 +91,16 @@ class Arrival:
                 )
         raise refusals[0]
 
+    def keeps(self, claim: dict[str, Any], budget: float) -> str:
+        """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
+        if claim["reached"] is True:
+            spent, until = arb(claim["delta_v_max_m_s"]), "the goal"
+        else:
+            spent, until = self.spent / (1 + arb(SLACK)), "T: the goal is not claimed to be reached"
+        told = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
+        require("schedule", budget - spent, told)
+        return f"at most {told}"
+
     @property
     def soon(self) -> arb:
         """Time in which a velocity is a length [s]."""

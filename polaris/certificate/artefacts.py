@@ -90,10 +90,17 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
             record.holds("summary", "claims no more than the certificate")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
-    least, tank = claimed.get("abort", {}).get("least_m"), scenario.get("tank", {}).get("delta_v_m_s")
     orbit = scenario.get("abort", {}).get("orbit")
-    orbit = scenario["goal"] if orbit == {"kind": "goal"} else orbit
-    return Stated(start, bounds, least, claimed["upkeep"], tank, (claimed["goal"], scenario["goal"]), orbit)
+    return Stated(
+        start,
+        bounds,
+        least=claimed.get("abort", {}).get("least_m"),
+        upkeep=claimed["upkeep"],
+        tank=scenario.get("tank", {}).get("delta_v_m_s"),
+        budget=scenario.get("schedule", {}).get("delta_v_max_m_s"),
+        goal=(claimed["goal"], scenario["goal"]),
+        orbit=scenario["goal"] if orbit == {"kind": "goal"} else orbit,
+    )
 
 
 def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:

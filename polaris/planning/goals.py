@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-
 from typing import Self
 
 import numpy as np

@@ -12,7 +12,6 @@ from .clearance import error_tube
 from .end_condition import in_hills_frame
 from .get_safety import Safety
 from .goal_rows import distance, goal_rows, velocity_times
-from .problem import Problem
 from .spending import Spell, spent
 from .tracking import Tracking
 

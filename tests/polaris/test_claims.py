@@ -8,6 +8,9 @@ import pytest
 pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify
+from polaris.certificate.demands import CHECKED, NO_DEMAND, UNCHECKED, listed
+from polaris.certificate.scenario_keys import SCENARIO
+from polaris.certificate.structure import Kinds, Rows
 from polaris.cli.show.schedule import _goal
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
@@ -20,6 +23,7 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
 from .forging import QUARTER, Forger, Lie, make
+from .test_forged_runs import NO_CLAIM
 from .tiny import TINY
 
 CORNER = (
@@ -108,7 +112,11 @@ def between(runs, schedule, parts):
 CART = {
     "system": {
         "kind": "linear",
-        "A": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -4.0]],  # position, velocity, force of a slow motor
+        "A": [
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -4.0],
+        ],  # position, velocity, force of a slow motor
         **{"B": [[0.0], [0.0], [4.0]], "D": [[0.0], [1.0], [0.0]], "input_max": 1.0},
         **{"disturbance_max": 0.01, "position_states": [0]},
     },
@@ -176,7 +184,7 @@ def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
 
 @pytest.mark.parametrize(("most", "reached"), [(0.5, True), (0.005, "not_proven")])
 def test_velocities_have_a_tolerance_of_their_own(most, reached, tmp_path):
-    """What is claimed as reached is within both tolerances, to the checker too, which refuses a narrower one."""
+    """What is claimed as reached is within both, to the checker too, which refuses a narrower one."""
     near = ["goal.tolerance_m=2.0", f"goal.velocity_tolerance_m_s={most}", "schedule.bound_programs=0"]
     forger = Forger(make([QUARTER, *near], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
@@ -207,7 +215,86 @@ def test_a_tolerance_of_velocities_needs_one_of_lengths():
 
 @pytest.mark.parametrize("drift", [None, 73.7])
 def test_the_line_of_the_goal_says_when_how_near_and_what_holds_it(drift):
-    claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "tolerance_m": 4.0, "velocity_time_s": 450.0}
+    claim = {"reached": True, "by_s": 1958.0, "distance_m": 3.9, "velocity_time_s": 450.0}
     told = _goal(claim | {"drift_m_per_orbit": drift, "delta_v_max_m_s": 1.3})
-    assert told.startswith("reached at 1958 s, within 3.9 m (velocities count as the length they make in 450 s)")
+    assert told.startswith(
+        "reached at 1958 s, within 3.9 m (velocities count as the length they make in 450 s"
+    )
     assert "To stay there S must fly on" in told and ("m per orbit" in told) == (drift is not None)
+
+
+# -- what a scenario demands ------------------------------------------------------------------------
+
+
+def paths(shape, at=()):
+    """Every key of the checker's table of a scenario file, which is that of the models."""
+    match shape:
+        case dict():
+            for key, item in shape.items():
+                yield from paths(item, (*at, key.removesuffix("?")))
+        case Kinds(tables):
+            yield ".".join((*at, "kind"))
+            for table in tables.values():
+                yield from paths(table, at)
+        case Rows(item) if isinstance(item, (dict, Kinds)):
+            yield from paths(item, at)
+        case _:
+            yield ".".join(at)
+
+
+def test_every_key_of_a_scenario_is_checked_or_told_as_not_checked_or_demands_nothing():
+    """A new key? If it demands something, check it and name the claim, or have it printed as not checked."""
+    checked = [key for tables in CHECKED.values() for key in listed(tables)]
+    every = [*checked, *(key for tables in (*UNCHECKED.values(), NO_DEMAND) for key in listed(tables))]
+    assert len(set(every)) == len(every)
+    assert set(every) == set(paths(SCENARIO))
+    rules = (rule.removeprefix("scenario.toml: ").removesuffix(" *") for rule in NO_CLAIM)
+    assert {rule.replace(".*.", ".") for rule in rules} & set(checked) == {"title", "goal.sides"}
+
+
+DEMANDING = (
+    *(QUARTER, "schedule.min_dwell_steps=2", "schedule.max_switches=5", "schedule.delta_v_max_m_s=8.0"),
+    *("schedule.bound_programs=0", "goal.tolerance_m=0.5", "goal.velocity_tolerance_m_s=0.2"),
+    *("tank.delta_v_m_s=1000.0", "planner.thrust_reserve=0.2", "planner.gap=0.001"),
+    'abort={drift_s=6.0,orbit={kind="goal"},within_s=30.0,delta_v_max_m_s=20.0}',
+)
+TIGHTER = {
+    "schedule.delta_v_max_m_s": 0.1,
+    "schedule.max_switches": 0,
+    "schedule.min_dwell_steps": 12,
+    "goal.tolerance_m": 0.01,
+    "goal.velocity_tolerance_m_s": 0.001,
+    "tank.delta_v_m_s": 0.1,
+    "abort.drift_s": 60.0,
+    "abort.required": True,
+    "abort.within_s": 2.0,
+    "abort.delta_v_max_m_s": 0.1,
+}
+"""Of every number that is a demand one that the run does not keep."""
+
+
+@pytest.fixture(scope="module")
+def demanding(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demanding")
+    return Forger(make(DEMANDING, folder), folder)
+
+
+def test_what_is_demanded_and_not_checked_is_printed(demanding):
+    verdict = demanding.judge({})
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    told = [line for line in verdict.text().splitlines() if line.startswith("not checked: ")]
+    assert any(line.endswith(": planner.extra_margin_m, planner.thrust_reserve") for line in told)
+    assert "not checked: that no plan is better: planner.objective, planner.gap" in told
+    assert not any(key in line for line in told for key in ("orbit", "delta_v_max", "bound_programs"))
+
+
+@pytest.mark.parametrize("key", TIGHTER)
+def test_a_folder_that_does_not_keep_what_its_scenario_demands_is_refused(demanding, key):
+    """The scenario says more, its hash and what other files repeat of it are right."""
+    lie, (table, name) = Lie(demanding), key.split(".")
+    lie.scenario[table][name] = TIGHTER[key]
+    rules, rule = lie.schedule["rules"], name.removesuffix("_m_s").removesuffix("_steps")
+    if table == "schedule":
+        rules[rule] = TIGHTER[key]
+    claims = {claim for claim, tables in CHECKED.items() if key in listed(tables)}
+    lie.judge(claims | ({"powered_abort"} if table in ("tank", "abort") else set()))
