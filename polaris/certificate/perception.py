@@ -166,7 +166,7 @@ def _row_support(
     length = _length(given)
     off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
     require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
-    return spec["offsets_m"][f] / length, (off - ROUNDED).max(arb(0)) * _reach(document)
+    return spec["offsets_m"][f] / length, arb(0) if off < ROUNDED else off * _reach(document)
 
 
 def _reach(document: Document) -> arb:

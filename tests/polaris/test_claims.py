@@ -1,5 +1,6 @@
 """What a run claims beside safety, against what its scenario demands and against the rest of its folder."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -22,7 +23,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from .forging import QUARTER, Forger, Lie, make
+from .forging import QUARTER, Forger, Lie, make, places, replaced
 from .test_forged_runs import NO_CLAIM
 from .tiny import TINY
 
@@ -133,7 +134,7 @@ CART = {
 
 def in_order(scenario, order):
     """The same scenario, its states in another order."""
-    scenario, (_, *more) = {**scenario}, order
+    scenario = {**scenario}
     system, place = scenario["system"], [order.index(i) for i in range(len(order))]
     told = {"A": [[system["A"][i][j] for j in order] for i in order]}
     told |= {key: [system[key][i] for i in order] for key in "BD"}
@@ -298,3 +299,90 @@ def test_a_folder_that_does_not_keep_what_its_scenario_demands_is_refused(demand
         rules[rule] = TIGHTER[key]
     claims = {claim for claim, tables in CHECKED.items() if key in listed(tables)}
     lie.judge(claims | ({"powered_abort"} if table in ("tank", "abort") else set()))
+
+
+# -- numbers of one folder --------------------------------------------------------------------------
+
+CONTRARY = {
+    "seed": [7],
+    "synthesis.experimental_share": [0.9],
+    "synthesis.share_at_most": [0.0],
+    "synthesis.share_bound.worth": [0.0],
+    "synthesis.switches": [9],
+    "synthesis.start_margin": [0.99],
+    "synthesis.start_limit": ["nothing at all"],
+    "synthesis.recoverable": ["ball"],
+    "*.controller": ["s"],
+    "*.runs": [3],
+    "*.min_distance_m": [None, 1e9, 0.0],
+    "*.min_distance_mean_m": [None, 1e9, -1e9],
+    "*.mean_distance_m": [None, -1e9],
+    "*.min_ttc_s": [0.0],
+    "*.min_ttc_free_drift_s": [1e9],
+    "*.drift_horizon_s": [1.0],
+    "*.experimental_share": [0.51],
+    "*.switches": [7],
+    "*.collided": [True, False],
+    "*.collided_runs": [3],
+    "*.delta_v_m_s": [1e9],
+    "*.delta_v_max_m_s": [0.0, 1e9],
+    "*.max_thrust_ratio": [0.0],
+    "*.max_thrust_ratio_safety": [None, 0.5],
+    "*.max_thrust_ratio_experimental": [None, 0.5],
+}
+"""Values of the right type that cannot stand beside the other numbers of a run of the scene below."""
+ALONE = "schema_version scenario title created definitions versions synthesis.planner synthesis.seconds"
+ALONE += " guarantee synthesis.share_bound.programs synthesis.share_bound.demands synthesis.share_bound.ended"
+"""Words and what is compared elsewhere; of the effort of searches nothing follows."""
+
+
+def test_every_number_of_a_summary_that_contradicts_another_is_refused(demanding):
+    """A new number? It is compared with another one of the folder, or there is none to compare it with."""
+    summary, seen = demanding.tree("summary.json"), set()
+    for at, value in places(summary):
+        path = ".".join(map(str, at))
+        if isinstance(value, dict) or any(f"{path}.".startswith(f"{alone}.") for alone in ALONE.split()):
+            continue
+        flown = at[0] in ("polaris", "safety", "experimental")
+        seen.add(pattern := ".".join(("*", *at[1:])) if flown else path)
+        for other in CONTRARY[pattern]:
+            if other == value or (at[0] == "experimental" and pattern.startswith(("*.min_d", "*.min_ttc_s"))):
+                continue  # U alone may collide, of which nothing follows
+            if (other is None) == ("ratio_" in path and value is None) and "ratio_" in path:
+                continue
+            files = {"summary.json": json.dumps(replaced(summary, at, other))}
+            verdict = demanding.judge(files)
+            assert (verdict.outcome, verdict.claim in ("summary", "margins")) == ("REJECTED", True), (
+                path,
+                other,
+            )
+    assert seen == set(CONTRARY)
+
+
+def test_runs_that_spend_more_than_is_claimed_are_refused(demanding):
+    lie = Lie(demanding)
+    lie.summary["polaris"]["delta_v_max_m_s"] = 1.01 * lie.summary["guarantee"]["goal"]["delta_v_max_m_s"]
+    lie.judge({"summary"})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"step": "clear"},
+        {"step": 99},
+        {"t_s": 0.5},
+        {"unsafe_set": "no"},
+        {"after_s": 1e9},
+        {"distance_m": 1.0},
+    ],
+    ids=str,
+)
+def test_a_witness_is_of_a_drift_that_is_not_clear(demanding, change):
+    lie = Lie(demanding)
+    steps, witness = lie.certificate["drift"]["steps"], lie.schedule["guarantee"]["abort"]["witness"]
+    assert steps[witness["step"]] is None
+    if change == {"step": "clear"}:
+        change = {"step": (k := next(k for k, step in enumerate(steps) if step)), "t_s": float(k)}
+    witness |= change
+    lie.summary["guarantee"] = lie.schedule["guarantee"]
+    lie.judge({"passive"})
