@@ -43,9 +43,9 @@ class Arrival:
     drift: float | None  # bound on the secular drift per orbit at that time [m]; None outside Hill's frame
     delta_v: float  # velocity change until then, at most [m/s]
     velocity_time: float | None = None
-    """Time [s] in which a velocity makes the length that it counts as: tolerance by velocity tolerance, or the
-    lesser of the goal's own (1 / rate) and `SOON` of the horizon; None if the goal asks nothing of velocities
-    alone."""
+    """Time [s] in which a velocity makes the length that it counts as: tolerance by velocity tolerance, or
+    the lesser of the goal's own (1 / rate) and a quarter of the horizon; None if the goal asks nothing of
+    velocities alone."""
 
 
 @dataclass(frozen=True)
