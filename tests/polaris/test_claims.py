@@ -209,6 +209,22 @@ def test_flights_keep_both_tolerances():
     assert found.distance <= 0.5 and np.all(off[:2] <= 0.5) and 0.03 < off[2:].max() <= 0.1
 
 
+def test_the_orbit_of_an_abort_has_a_tolerance_of_velocities_too(tmp_path):
+    """Aborted flights arrive slowly enough, by the schedule's claim and by the checker's."""
+    orbit = '{kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5,velocity_tolerance_m_s=0.05}'
+    asked = [QUARTER, f"abort={{orbit={orbit},within_s=14.0}}", "schedule.bound_programs=0"]
+    forger = Forger(make(asked, tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    schedule = synthesize(load_scenario(TINY).with_assignments([*asked, "tracking.R=[60,60]"]))
+    k, way = next((k, way) for k, way in enumerate(schedule.powered.ways) if way.branch is not None)
+    runs = simulate(schedule.aborted(k), 40, 0, disturbance="worst", tail=True)
+    off = np.abs(runs.states[:, way.cell * 4] - [0.0, 6.0, 0.0, 0.0]).max(axis=0)
+    assert np.all(off <= [0.5, 0.5, 0.05, 0.05])
+    lie = Lie(forger)
+    lie.scenario["abort"]["orbit"]["velocity_tolerance_m_s"] = 0.001
+    lie.judge({"powered_abort"})
+
+
 def test_a_tolerance_of_velocities_needs_one_of_lengths():
     with pytest.raises(ScenarioError, match="required with velocity_tolerance"):
         load_scenario(TINY).with_assignments(["goal.velocity_tolerance_m_s=0.1"])
