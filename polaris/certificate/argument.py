@@ -127,6 +127,8 @@ class Argument:
             given = self.document, path, self.loop, memory, held, taken, scheduled
             arrival = Arrival(*given, self.pilots[0], merging)
             self.record.holds("goal", arrival.check(*self.stated.goal))
+            if self.stated.budget is not None:
+                self.record.holds("schedule", arrival.keeps(self.stated.goal[0], self.stated.budget))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if self.document.powered is not None:

@@ -12,7 +12,7 @@ from .arcs import Path
 from .balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
 from .document import Document
 from .flights import Flown, Pilot, fly
-from .goal_rows import GOALS, Weighted
+from .goal_rows import Weighted
 from .loop import Memory, Needs
 from .motion import Motion
 from .scheduled import Scheduled
@@ -63,9 +63,17 @@ class Arrival:
             raise Rejected(
                 "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
             )
-        rows = Weighted.of(GOALS[spec["kind"]](self.document, spec), self.soon, self.document)
+        rows = Weighted.of(spec, self.soon, self.document)
         needs = Needs(self.loop, self.memory, rows.rows)
         self.tolerated(claim, spec, rows.scale, self.holding(needs))
+        seconds = claim["velocity_time_s"]
+        if (seconds is None) != (rows.seconds is None):
+            raise Rejected("goal", "velocities count as a length exactly where the goal asks for some")
+        if rows.seconds is not None:
+            off = rows.seconds * SLACK - abs(rows.seconds - seconds)
+            require(
+                "goal", off, f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
+            )
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -82,6 +90,16 @@ class Arrival:
                     f"reached by {by:.6g} s, {within}" if reached else f"not claimed to be reached, {within}"
                 )
         raise refusals[0]
+
+    def keeps(self, claim: dict[str, Any], budget: float) -> str:
+        """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
+        if claim["reached"] is True:
+            spent, until = arb(claim["delta_v_max_m_s"]), "the goal"
+        else:
+            spent, until = self.spent / (1 + arb(SLACK)), "T: the goal is not claimed to be reached"
+        told = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
+        require("schedule", budget - spent, told)
+        return f"at most {told}"
 
     @property
     def soon(self) -> arb:

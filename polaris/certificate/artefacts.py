@@ -90,10 +90,17 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
             record.holds("summary", "claims no more than the certificate")
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
-    least, tank = claimed.get("abort", {}).get("least_m"), scenario.get("tank", {}).get("delta_v_m_s")
     orbit = scenario.get("abort", {}).get("orbit")
-    orbit = scenario["goal"] if orbit == {"kind": "goal"} else orbit
-    return Stated(start, bounds, least, claimed["upkeep"], tank, (claimed["goal"], scenario["goal"]), orbit)
+    return Stated(
+        start,
+        bounds,
+        least=claimed.get("abort", {}).get("least_m"),
+        upkeep=claimed["upkeep"],
+        tank=scenario.get("tank", {}).get("delta_v_m_s"),
+        budget=scenario.get("schedule", {}).get("delta_v_max_m_s"),
+        goal=(claimed["goal"], scenario["goal"]),
+        orbit=scenario["goal"] if orbit == {"kind": "goal"} else orbit,
+    )
 
 
 def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
@@ -150,6 +157,23 @@ def check_summary(
     _close("velocity change of the plan", spent, synthesis["planner"]["delta_v_m_s"])
     for key, (_, modes) in flown.items():
         _check_flown(document, key, modes, stored[key])
+    spent, goal = stored["polaris"]["delta_v_max_m_s"], claimed["goal"]["delta_v_max_m_s"]
+    worths = [0.0, *(spec.get("weight", 1.0) for spec in scenario["experimental"])]
+    worth = math.fsum(worths[mode] for mode in document.modes) / K
+    worst, most = synthesis.get("worst_found"), synthesis["share_at_most"]
+    needed = {
+        "share_at_most of no less than experimental_share": _raised(most) >= share(document.modes),
+        "share_at_most of no less than proven_share": _raised(most) >= synthesis.get("proven_share", 0.0),
+        "share_bound.worth of no less than the schedule's": _raised(synthesis["share_bound"]["worth"])
+        >= worth,
+        "worst_found where, and only where, black boxes fly": "worst_found" not in synthesis
+        or (worst is None) == (not document.statement),
+        "violated with a failure": worst is None or worst["violated"] == (worst["failure"] is not None),
+        "velocity changes of runs within the claim": document.guarantee != "proved"
+        or bool(document.transients)
+        or spent <= _raised(goal),
+    }
+    _hold(needed, "")
     return stored
 
 
@@ -169,10 +193,10 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
     _close(f"horizon of free drift of {key}", horizon, found["drift_horizon_s"])
     hit, collided = found["collided_runs"], found["collided"]
     proved = document.guarantee == "proved" and key != "experimental"
-    least, mean, all_times = (
-        math.inf if found[name] is None else found[name]
-        for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")
-    )
+    apart = [found[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
+    if None in apart:
+        raise Rejected("summary", f"{key}: a distance is null in summary.json, but there are unsafe sets")
+    (least, mean, all_times), straight = apart, found["min_ttc_s"]
     drift = found["min_ttc_free_drift_s"]
     spent, most_spent = found["delta_v_m_s"], found["delta_v_max_m_s"]
     ratios = [found[f"max_thrust_ratio{who}"] for who in ("_safety", "_experimental")]
@@ -182,6 +206,7 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
         "collided, although it is proven not to": not (proved and collided),
         "distances in order": least <= _raised(mean) and mean <= _raised(all_times),
         "min_distance_m, of runs that did not collide": collided or least > 0,
+        "min_ttc_s, of runs that did not collide": collided or straight is None or straight > 0,
         "min_ttc_free_drift_s": drift is None or drift <= horizon * up,
         "velocity changes in order": spent <= most_spent * up
         and most_spent <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * up,
@@ -190,9 +215,14 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
         == max((r for r in ratios if r is not None), default=-1),
         "max_thrust_ratio_safety of at most 1": not proved or ratios[0] is None or ratios[0] <= up,
     }
+    _hold(needed, f"{key}: ")
+
+
+def _hold(needed: dict[str, bool], where: str) -> None:
+    """Refuse a summary in which one number contradicts another."""
     for what, holds in needed.items():
         if not holds:
-            raise Rejected("summary", f"{key}: {what} does not hold in summary.json")
+            raise Rejected("summary", f"{where}{what} does not hold in summary.json")
 
 
 def _raised(x: float) -> float:

@@ -50,6 +50,7 @@ class Premises:
     allocated: bool = False  # whether inputs are made by thrusters of which one may have failed
     late: Iterable[tuple[str, float]] = ()  # kinds of faults that are isolated late; how long that takes [s]
     sampled: Mapping[str, Any] | None = None  # of black boxes: probability, confidence, flights, outside, ...
+    position: Iterable[Iterable[float]] = ()  # the rows of C
 
     def told(self) -> list[str]:
         """All that applies, in words, in the order that the format prescribes."""
@@ -57,8 +58,10 @@ class Premises:
         point = "a point, its own size being part of the unsafe sets"
         ever = " for ever" if self.horizon == "infinite" else ""
         limits = f"|u_i| <= u_max, norm(w, 2) <= {self.w_max:g} and otherwise arbitrary"
+        axes = ", ".join(map(_sum, self.position))
         return [
             f"model: x' = A x + B u + D w, {limits}",
+            *([f"position: C x = ({axes}), states counted from 0; the unsafe sets lie there"] * bool(axes)),
             "initial state: inside the initial set",
             f"chaser: {size if self.chaser else point}",
             "perception: every unsafe set lies in its timed polytope",
@@ -131,6 +134,12 @@ class Premises:
             return "fuel: enough for every command up to T"
         end = "for ever" if ever else f"until {self.until:g} s"
         return f"after T: the safety controller flies on {end}, and there is fuel for every command"
+
+
+def _sum(row: Iterable[float]) -> str:
+    """A combination of states in words."""
+    terms = (f"{x:g} x{i}".removeprefix("1 ") for i, x in enumerate(row) if x)
+    return " + ".join(terms)
 
 
 def _listed(bounds: Iterable[float]) -> str:

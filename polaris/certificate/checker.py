@@ -9,6 +9,7 @@ import flint
 from .argument import Argument
 from .artefacts import check_artefacts, check_hashes, check_networks, has_artefacts, read_scenario, unchecked
 from .balls import PRECISION
+from .demands import unchecked_demands
 from .document import Document, read
 from .inputs import check_inputs
 from .plants import MOST_BITS, precision_for
@@ -62,7 +63,8 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     finally:
         flint.ctx.prec = before
     seconds = time.perf_counter() - begun
-    return Verdict(outcome, claim, witness, excess, tuple(record.checked), tuple(trusted), seconds)
+    told = tuple(record.checked), tuple(trusted), seconds, tuple(record.unchecked)
+    return Verdict(outcome, claim, witness, excess, *told)
 
 
 def _check(document: Document, folder: Path | None, record: Record, whole: bool = False) -> list[str]:
@@ -79,6 +81,7 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         check_networks(document, scenario, folder, record)
         stated = check_artefacts(document, folder, scenario, record)
         trusted += unchecked(scenario, folder)
+        record.unchecked += unchecked_demands(scenario)
     confirmed = len(record.checked)
     while True:
         try:

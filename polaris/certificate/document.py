@@ -220,6 +220,7 @@ class Document:
             allocated=self.allocation is not None,
             late=[(each["name"], each["lasts"]) for each in self.transients],
             sampled=self.statement or None,
+            position=self.C,
         ).told()
         if read["assumptions"] != self.assumptions:
             told = "the certificate rests on other assumptions than those of its format"

@@ -127,7 +127,8 @@ CLAIMED = {
     "assumptions": Rows(TEXT),
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
-        **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"), "drift_m_per_orbit": BOUND,
+        **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"),
+        **every(BOUND, "drift_m_per_orbit velocity_time_s"),
     },
     "upkeep": Either((None, {
         **every(NOT_NEGATIVE, "settled_s until_settled_m_s rate_m_s2"),

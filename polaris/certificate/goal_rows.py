@@ -6,13 +6,16 @@ be entered.
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from flint import arb, arb_mat
 
-from .balls import diagonal, largest, matrix, norms, smallest
+from .balls import absolute, diagonal, largest, matrix, norms, smallest
 from .document import Document
+from .verdict import Rejected
 
+ZERO = 1e-12  # share of the terms of an entry of C A below which it counts as zero
 USUAL_RATE = 1e-2  # rate [1/s] by which velocities are divided where there is no mean motion
 
 Row = tuple[list[arb], arb]  # coefficients of the states, and what they may come to
@@ -25,6 +28,18 @@ class Goal:
     rows: list[Row]
     groups: list[list[Row]]
     scale: float
+    equal: int = 0  # how many rows, the first ones, are halves of equalities in several states
+
+
+def speeds(document: Document) -> list[arb]:
+    """Speed of the position [m/s] that a unit of each state makes: 0 for what is no velocity."""
+    C, A = matrix(document.C), matrix(document.A)
+    rate, terms = C * A, absolute(C) * absolute(A)
+    for i, j in product(range(C.nrows()), range(C.ncols())):
+        if not abs(rate[i, j]) > ZERO * terms[i, j]:
+            rate[i, j] = 0
+    place = [any(row[i] for row in document.C) for i in range(C.ncols())]
+    return [arb(0) if here else s for here, s in zip(place, norms(rate.transpose()), strict=True)]
 
 
 def _row(n: int, entries: dict[int, Any], side: Any) -> Row:
@@ -39,8 +54,8 @@ def _within(n: int, entries: dict[int, Any], middle: Any, half: Any = 0) -> list
 
 def _state_rows(document: Document, spec: dict[str, Any]) -> Goal:
     middle, half = spec.get("center") or spec["state"], spec.get("half_widths")
-    n, rate = len(middle), document.mean_motion or USUAL_RATE
-    weights = [arb(1)] * (n - n // 2) + [1 / arb(rate)] * (n // 2)
+    n, rate = len(middle), arb(document.mean_motion or USUAL_RATE)
+    weights = [s / rate if s > 0 else arb(1) for s in speeds(document)]
     half = half or [0.0] * n
     rows: list[Row] = []
     for i, (weight, c, h) in enumerate(zip(weights, middle, half, strict=True)):
@@ -75,7 +90,7 @@ def _elliptical_rows(document: Document, spec: dict[str, Any]) -> Goal:
         length = (c**2 + s**2 / 4).sqrt()
         rows.append(_row(6, {0: c / length, 1: s / 2 / length}, outer / length))
         group.append(_row(6, {0: -c / length, 1: -s / 2 / length}, -arb(inner) / length))
-    return Goal(rows, [group] if inner > 0 else [], spec["outer_semi_minor_m"])
+    return Goal(rows, [group] if inner > 0 else [], spec["outer_semi_minor_m"], 4)
 
 
 GOALS = {
@@ -91,26 +106,38 @@ GOALS = {
 class Weighted:
     """A goal's rows one below the other, groups last; those of velocities alone weighed less.
 
-    Such a row counts for no more than the length that the velocity makes in some time [s].
+    Such a row counts for no more than the length that the velocity makes in some time [s], or, where
+    velocities have a tolerance of their own, for that in which this is the tolerance of lengths; so do
+    equalities then that velocities are in.
     """
 
     rows: arb_mat
     sides: list[arb]
     groups: list[int]  # how many rows belong to each group
     scale: float
+    seconds: arb | None = None  # time in which velocities make the length that they count for [s]
 
     @classmethod
-    def of(cls, goal: Goal, soon: arb, document: Document) -> "Weighted":
-        """Weigh a goal's rows."""
+    def of(cls, spec: dict[str, Any], soon: arb, document: Document) -> "Weighted":
+        """Weigh the rows of the scenario's goal."""
+        goal, own = GOALS[spec["kind"]](document, spec), spec.get("velocity_tolerance_m_s")
+        if own is not None and "tolerance_m" not in spec:
+            raise Rejected("goal", "a tolerance of velocities is given, but none of lengths")
         every = [*goal.rows, *(row for group in goal.groups for row in group)]
         every = every or [_row(len(document.A), {}, 0)]  # any state will do
-        rows = matrix([row for row, _ in every])
-        weights = []
-        for along, length in zip(norms(rows * matrix(document.C).transpose()), norms(rows), strict=True):
-            weight = soon / length if along == 0 and length > 0 else arb(1)
-            weights.append(weight if weight < 1 else arb(1))
+        weights, times, speed = [], list[arb](), speeds(document)
+        for i, (row, _) in enumerate(every):
+            alone = all(x == 0 for x, s in zip(row, speed, strict=True) if s == 0)
+            moving = [[x / s for x, s in zip(row, speed, strict=True) if s != 0]]
+            weight, time = arb(1), norms(matrix(moving))[0] if moving[0] else arb(0)
+            if time > 0 and (alone or (own is not None and i < goal.equal)):
+                counts = smallest((time, soon)) if own is None else arb(spec["tolerance_m"]) / own
+                weight = counts / time
+                times.append(counts)
+            weights.append(weight)
+        rows, groups = matrix([row for row, _ in every]), [len(group) for group in goal.groups]
         sides = [side * weight for (_, side), weight in zip(every, weights, strict=True)]
-        return cls(diagonal(weights) * rows, sides, [len(group) for group in goal.groups], goal.scale)
+        return cls(diagonal(weights) * rows, sides, groups, goal.scale, largest(times) if times else None)
 
     def over(self, x: arb_mat) -> list[arb]:
         """By how much a state is beyond each row's side."""

@@ -28,6 +28,7 @@ class Stated:
     least: float | None = None  # least distance [m] of the drift after all thrust stops
     upkeep: dict[str, Any] | None = None  # what S spends for as long as it flies on
     tank: float | None = None  # velocity change that there is propellant for, by the scenario
+    budget: float | None = None  # velocity change that the schedule may spend, by the scenario
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
     orbit: dict[str, Any] | None = None  # that an abort with thrust leads to, by the scenario
 

@@ -157,15 +157,16 @@ def _length(n: list[arb]) -> arb:
 def _row_support(
     document: Document, normal: list[float], spec: dict[str, Any], f: int, name: str
 ) -> tuple[arb, arb]:
-    """Support of a facet of a polytope along its normal, and by how much rounding of the stored one moves it.
+    """Support of a facet of a polytope along its normal, and by how much it is moved if that is turned.
 
-    The latter over the positions that matter: ten times as far as anything in the certificate.
+    The latter over the positions that matter: ten times as far as anything in the certificate. Rounding of
+    a unit normal is no turn: a facet through the origin has no offset to which it could be compared.
     """
     given = [arb(x) for x in spec["normals"][f]]
     length = _length(given)
     off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
     require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
-    return spec["offsets_m"][f] / length, off * _reach(document)
+    return spec["offsets_m"][f] / length, arb(0) if off < ROUNDED else off * _reach(document)
 
 
 def _reach(document: Document) -> arb:

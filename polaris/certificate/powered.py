@@ -18,7 +18,7 @@ from .balls import above, absolute, column, largest, magnitude, plain, require, 
 from .coasting import JUMP_SLACK, check_end, flown_path, prolonged
 from .document import Document
 from .flights import Flown
-from .goal_rows import GOALS, Weighted
+from .goal_rows import Weighted
 from .limits import Limits
 from .loop import Memory, Needs
 from .motion import Motion
@@ -179,7 +179,7 @@ class Along:
         doc, common, spec = self.document, self.common, self.common.orbit
         assert spec is not None
         arrival = Arrival(doc, self.path, common.loop, common.memory, (), arb(0), self.scheduled)
-        rows = Weighted.of(GOALS[spec["kind"]](doc, spec), arrival.soon, doc)
+        rows = Weighted.of(spec, arrival.soon, doc)
         needs = common.needs(("orbit", doc.steps), rows.rows)
         claim = {"tolerance_m": self.branch.tolerance, "reached": False}
         arrival.tolerated(claim, spec, rows.scale, arrival.holding(needs))

@@ -136,6 +136,13 @@ def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] 
             spans.append([k * document.delta, (k + 1) * document.delta])
     if (None in drift.steps) == (stored["witness"] is None):
         raise Rejected("passive", "a witness belongs to a drift that is not clear from all steps")
+    if (witness := stored["witness"]) is not None:
+        step, after, last = witness["step"], witness["after_s"], drift.horizon + document.delta
+        there = step < document.steps and drift.steps[step] is None and witness["distance_m"] <= 0
+        if not (there and witness["t_s"] == step * document.delta and 0 < after <= last):
+            raise Rejected("passive", "the witness is not of a step from which the drift is not clear")
+        if witness["unsafe_set"] not in {item.name for item in document.unsafe}:
+            raise Rejected("passive", f"{shown(witness['unsafe_set'])} of the witness is no unsafe set")
     if (stored["least_m"] is None) == bool(spans and document.unsafe):
         raise Rejected("passive", "a least distance belongs to a drift that is clear from some step")
     return stored | {"drift_s": drift.horizon, "keep_in": drift.keep_in, "clear_s": spans}

@@ -44,7 +44,7 @@ _AFFINE = {
     "name": NAME, "Q?": WEIGHT, "R?": WEIGHT, "gain?": MATRIX, "reference?": _REFERENCE, "weight?": WORTH,
 }
 _ESTIMATE = {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS}
-_GOAL = {"tolerance_m?": POSITIVE}
+_GOAL = every(POSITIVE, "tolerance_m? velocity_tolerance_m_s?")
 _ORBITS: dict[str, dict[str, Any]] = {
     "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
                        "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},

@@ -43,6 +43,7 @@ class Record:
 
     checked: list[tuple[str, str]] = field(default_factory=list)
     sampled: bool = False  # whether what was confirmed rests on samples
+    unchecked: list[str] = field(default_factory=list)  # what the scenario demands and no check confirms
 
     def holds(self, claim: str, found: str) -> None:
         """Note a claim that was confirmed."""
@@ -65,6 +66,8 @@ class Verdict:
         Claims that were confirmed, each with what was found.
     trusted : tuple of str
         What the verdict rests on and no checker can confirm.
+    unchecked : tuple of str
+        What the scenario demands and no check confirms; no claim rests on it.
     seconds : float
         Wall time [s].
     """
@@ -76,6 +79,7 @@ class Verdict:
     checked: tuple[tuple[str, str], ...] = ()
     trusted: tuple[str, ...] = ()
     seconds: float = 0.0
+    unchecked: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -87,6 +91,7 @@ class Verdict:
         width = max((len(name) for name, _ in self.checked), default=0)
         lines = [f"{'holds':10}{name:{width}}  {found}" for name, found in self.checked]
         lines += [f"{'trusted':10}{line}" for line in self.trusted]
+        lines += [f"not checked: {line}" for line in self.unchecked]
         if self.claim:
             by = "" if self.excess is None else f", by {self.excess:.4g}"
             fails = "fails" if self.outcome == REJECTED else "open"

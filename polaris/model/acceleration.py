@@ -48,3 +48,15 @@ def _exact(M: Array) -> Any:
     from flint import fmpq, fmpq_mat
 
     return fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in row] for row in M.tolist()])
+
+
+ZERO = 1e-12  # share of the terms of an entry of C A below which it counts as zero
+
+
+def speeds(A: Array, C: Array) -> Array:
+    """Return the speed of the position [m/s] that a unit of each state makes, shape (n,).
+
+    Velocities are the states in ``C A`` that are no part of the position; of all others the speed is 0.
+    """
+    rate = np.where(np.abs(C @ A) > ZERO * (np.abs(C) @ np.abs(A)), C @ A, 0.0)
+    return np.where(np.any(C != 0, axis=0), 0.0, np.linalg.norm(rate, axis=0))

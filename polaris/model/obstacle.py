@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .checks import halfspaces, positive, vector, whole
 from .errors import ScenarioError
-from .shapes import Ball, Polytope, Shape
+from .shapes import FLAT, Ball, Polytope, Shape
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
 from .tolerances import ROUNDING
@@ -249,7 +249,7 @@ def directions(d: int, facets: int | None = None, path: str = "facets") -> Array
 def solid(path: str, H: ArrayLike, b: ArrayLike) -> Polytope:
     """Build a polytope with unit rows, refused unless it has an interior."""
     polytope = Polytope(*halfspaces(path, H, b))
-    if not polytope.depth > 1e-9 * max(float(np.abs(polytope.b).max()), 1e-3):
+    if not polytope.depth > 1e-9 * max(float(np.abs(polytope.b).max()), FLAT):
         found = "no point satisfies them all" if polytope.depth < 0 else "the set has no volume"
         raise ScenarioError(f"{path}.b", polytope.b.tolist(), f"H p <= b must have an interior; {found}")
     return polytope

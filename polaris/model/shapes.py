@@ -18,6 +18,7 @@ from .errors import ScenarioError
 from .system import Array
 from .tolerances import ROUNDING
 
+FLAT = 1e-3  # least length [m] to which the room inside a polytope is compared
 CHUNK = 200_000  # numbers held at once while distances and times to a polytope are computed
 
 
@@ -174,7 +175,7 @@ class Polytope:
 
     @cached_property
     def middle(self) -> Array:
-        """Centre of a largest inscribed ball (of one as wide as the offsets, if unbounded), shape (d,)."""
+        """Centre of a largest inscribed ball, if unbounded of one as wide as the offsets or `FLAT`, (d,)."""
         return self._largest_ball[0]
 
     @property
@@ -186,7 +187,7 @@ class Polytope:
     def _largest_ball(self) -> tuple[Array, float]:
         from scipy.optimize import linprog
 
-        scale = float(max(np.abs(self.b).max(), 1e-300))
+        scale = float(max(np.abs(self.b).max(), FLAT))  # the facets of a wedge may all pass the origin
         cost = np.r_[np.zeros(self.d), -1.0]
         rows = np.c_[self.H, np.ones(len(self.b))]
         bounds = [(None, None)] * self.d + [(None, 1.0)]

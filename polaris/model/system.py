@@ -273,26 +273,26 @@ class LinearSystem:
 
     @classmethod
     def from_statespace(
-        cls, sys: Any, u_max: ArrayLike, w_max: float = 0.0, D: ArrayLike | None = None, **kwargs: Any
+        cls,
+        sys: Any,
+        u_max: ArrayLike,
+        w_max: float = 0.0,
+        D: ArrayLike | None = None,
+        *,
+        C: ArrayLike,
+        **kwargs: Any,
     ) -> LinearSystem:
-        """Build from a ``control.StateSpace`` (its A and B; D defaults to B's columns, unit scaled).
+        """Build from a ``control.StateSpace``: its A and B; D defaults to B's columns, unit scaled.
 
-        Its outputs are taken for the position (1 to 3 of them) unless ``C`` is given; where the output is
-        the whole state, the position is the first half of it, as in `LinearSystem`. Outputs that stand
-        for the position must not depend on the input: a feed-through matrix is refused.
+        Its outputs are what is measured, of any kind, and are not used: ``C`` says what the position is, in
+        which unsafe sets lie, shape (d, n) with d = 1, 2 or 3.
         """
         A, B = np.asarray(sys.A, dtype=float), np.asarray(sys.B, dtype=float)
         if getattr(sys, "dt", 0) not in (0, None):
             raise ScenarioError("system", f"discrete time, dt = {sys.dt}", "must be a continuous-time system")
-        if kwargs.get("C") is None and np.any(getattr(sys, "D", 0.0)):
-            rule = "must be zero where outputs are taken for the position: C x, which no input moves at once"
-            raise ScenarioError("system.D (feed-through)", np.asarray(sys.D).tolist(), f"{rule}; or pass C")
-        outputs = np.atleast_2d(np.asarray(sys.C, dtype=float))
-        if kwargs.get("C") is None and not np.array_equal(outputs, np.eye(len(A))):
-            if len(outputs) > 3:
-                rule = "does not say which outputs are the position: pass C with one row per axis"
-                raise ScenarioError("system.C", outputs.shape, rule)
-            kwargs["C"] = outputs
+        if C is None:
+            raise ScenarioError("system.C", None, "must say which states are the position, one row per axis")
         if D is None:
             D = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
-        return cls(A, B, np.asarray(D, dtype=float), as_finite("system.u_max", u_max, 1), w_max, **kwargs)
+        limit = as_finite("system.u_max", u_max, 1)
+        return cls(A, B, np.asarray(D, dtype=float), limit, w_max, as_finite("system.C", C, 2), **kwargs)

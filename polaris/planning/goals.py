@@ -1,15 +1,18 @@
 """Goals: where a plan must end. To the planner each is a few linear conditions on the last state."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..model.acceleration import speeds
 from ..model.checks import non_negative, number, positive, whole
 from ..model.errors import ScenarioError
-from ..model.system import Array, as_finite
+from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import GOAL
 
 
@@ -54,6 +57,10 @@ class Goal(ABC):
     def describe(self) -> str:
         """One line for messages and reports."""
 
+    def of(self, system: LinearSystem) -> Self:
+        """Return the goal for a system, which says which states are velocities."""
+        return self
+
     def residual(self, x: Array) -> tuple[float, str]:
         """Largest violation of the goal itself [m] and what it is, at a state x of shape (n,)."""
         return self.conditions.residual(x), self.describe()
@@ -80,6 +87,7 @@ class Box(Goal):
     center: Array
     half_widths: Array
     rate: float = 1e-2
+    speeds: Array = field(init=False, repr=False)  # of a unit of each state [m/s]; 0 until `of` a system
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "center", as_finite("goal.center", self.center, 1))
@@ -88,6 +96,14 @@ class Box(Goal):
             raise ScenarioError("goal.half_widths", self.half_widths, f"must be {self.n} numbers >= 0")
         object.__setattr__(self, "half_widths", widths)
         positive("goal.rate", self.rate, "1/s")
+        object.__setattr__(self, "speeds", np.zeros(self.n))
+
+    def of(self, system: LinearSystem) -> Self:
+        """Return the same box, its velocities those of a system."""
+        found = copy(self)
+        found.__dict__.pop("conditions", None)
+        object.__setattr__(found, "speeds", speeds(system.A, system.position))
+        return found
 
     @property
     def n(self) -> int:
@@ -97,8 +113,8 @@ class Box(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
-        center, widths, half = self.center, self.half_widths, self.n // 2
-        weight = np.r_[np.ones(self.n - half), np.full(half, 1 / self.rate)]
+        center, widths = self.center, self.half_widths
+        weight = np.where(self.speeds > 0, self.speeds * (1 / self.rate), 1.0)
         W, middle = np.diag(weight), weight * center
         fixed, boxed = widths == 0, np.isfinite(widths) & (widths > 0)
         rows, reach = W[boxed], weight[boxed] * widths[boxed]

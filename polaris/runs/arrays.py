@@ -55,11 +55,13 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """The reachable set of every step at its nodes, in error and in absolute coordinates.
 
     ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
-    Generators (q+1, g, K, n) are in single precision; a box of what that takes is the last n of them.
+    Generators (q+1, g, K, n) are in single precision; a box of what that takes, and of what jitter, pulses
+    and carried impulses displace the true state from the modelled one, is the last n of them.
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
+    system, final = safety.problem.system, schedule.final
     single, most = nodes.G.astype(np.float32), np.float32(np.inf)
-    off = np.abs(nodes.G - single).sum(axis=-1).astype(np.float32)
+    off = (np.abs(nodes.G - single).sum(axis=-1) + system.displaced_at_nodes).astype(np.float32)
     box = np.nextafter(off, most)[..., None] * np.eye(nodes.dim, dtype=np.float32)
     q = safety.tracking.feedback.nodes_per_cell
     return {
@@ -68,9 +70,11 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
         "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
         "center_error": nodes.c,
         "generators": np.concatenate([single, box], axis=-1).transpose(1, 3, 0, 2),
-        "bow": np.stack([step.tube.bow for step in schedule.steps]),
-        "final_center_error": schedule.final.c,
-        "final_generators": schedule.final.G,
+        "bow": np.stack([step.tube.bow for step in schedule.steps])
+        + system.displaced
+        - system.displaced_at_nodes,
+        "final_center_error": final.c,
+        "final_generators": np.hstack([final.G, np.diag(system.displaced_at_nodes)]),
     }
 
 

@@ -244,6 +244,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "by_s": goal.by,
             "distance_m": goal.distance,
             "tolerance_m": goal.tolerance,
+            "velocity_time_s": goal.velocity_time,
             "drift_m_per_orbit": goal.drift,
             "delta_v_max_m_s": goal.delta_v,
         },

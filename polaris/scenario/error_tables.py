@@ -213,8 +213,11 @@ class Abort(ScenarioPart):
         own = None if isinstance(self.orbit, GoalOrbit) else self.orbit
         if own is not None and self.within_s is None:
             raise ScenarioError("abort.within_s", None, "must be given with an orbit of its own")
-        goal, tolerance = (None, None) if own is None else (own.build(system), own.tolerance_m)
-        return PoweredAbort(goal, tolerance, self.within_s, self.delta_v_max_m_s, self.required)
+        asked = PoweredAbort(None, None, self.within_s, self.delta_v_max_m_s, self.required)
+        if own is None:
+            return asked
+        near, slow = own.tolerance_m, own.velocity_tolerance_m_s
+        return replace(asked, goal=own.build(system), tolerance=near, velocity_tolerance=slow)
 
     def build(self, system: LinearSystem) -> AbortOptions | None:
         """What is asked of the drift."""

@@ -26,14 +26,21 @@ class GoalTable(ScenarioPart):
 
     makes: ClassVar[Callable[..., goals.Goal]]
     tolerance_m: f.Positive | None = unit("m", default=None)
-    """How far off the goal counts as reached; velocities count as lengths. By default 5 % of the goal's size,
-    or what the safety controller needs to hold a goal, if that is more."""
+    """How far off the goal counts as reached. A condition on velocities alone counts as the length that they
+    make in 1/eta (100 s without an orbit) or a quarter of the horizon, whichever is less. By default 5 % of
+    the goal's size, or what the safety controller needs to hold a goal, if that is more."""
+    velocity_tolerance_m_s: f.Positive | None = unit("m/s", default=None)
+    """How far off velocities may be, beside tolerance_m, which it needs: conditions on velocities alone, and
+    those that an orbit sets them at the place where the chaser is."""
 
     def build(self, system: LinearSystem) -> goals.Goal:
         """The goal."""
+        if self.tolerance_m is None and self.velocity_tolerance_m_s is not None:
+            raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
         with in_file_terms("goal", self):
-            given = {name: value for name, value in self.arguments().items() if name != "tolerance"}
-            return type(self).makes(**given, **self._rate(system))
+            given = self.arguments().items()
+            asked = {name: value for name, value in given if "tolerance" not in name}
+            return type(self).makes(**asked, **self._rate(system)).of(system)
 
     def _rate(self, system: LinearSystem) -> dict[str, float]:
         return {"rate": system.mean_motion or USUAL_RATE}

@@ -233,6 +233,7 @@ class ScheduleScenario(Scenario):
             R=rules.full_weight(tracking.R),
             goal=self.goal(),
             goal_tolerance=self.model.goal.tolerance_m,
+            goal_velocity_tolerance=self.model.goal.velocity_tolerance_m_s,
             recoverable=self.model.recoverable.kind,
             recourse=self.model.recoverable.recourse,
             period=self._period,

@@ -8,16 +8,14 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from ..planning.goals import GoalConditions
 from .clearance import error_tube
 from .end_condition import in_hills_frame
 from .get_safety import Safety
-from .problem import Problem
+from .goal_rows import distance, goal_rows, velocity_times
 from .spending import Spell, spent
 from .tracking import Tracking
 
 GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached, where no length is given
-SOON = 0.25  # share of the horizon in which a velocity error has become the length that it counts for
 
 
 SPARE, FLOWN = 0.1, 0.02
@@ -30,8 +28,8 @@ class Arrival:
     """What is proven of the goal, S flying from T on.
 
     Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
-    (`polaris.planning.goals.GoalConditions`), but a velocity counts for no more than the length it makes in a
-    quarter of the horizon.
+    (`polaris.planning.goals.GoalConditions`). A velocity counts as the length that it makes in
+    `velocity_time`.
     """
 
     reached: bool | str
@@ -44,6 +42,10 @@ class Arrival:
     goal, if that is more."""
     drift: float | None  # bound on the secular drift per orbit at that time [m]; None outside Hill's frame
     delta_v: float  # velocity change until then, at most [m/s]
+    velocity_time: float | None = None
+    """Time [s] in which a velocity makes the length that it counts as: tolerance by velocity tolerance, or
+    the lesser of the goal's own (1 / rate) and a quarter of the horizon; None if the goal asks nothing of
+    velocities alone."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
     problem, tracking, reference = safety.problem, safety.tracking, safety.reference
     goal, K, h = problem.goal.conditions, problem.K, tracking.flow.h
     rows, sides = goal_rows(problem)
+    seconds = velocity_times(problem, rows)
     cells = reference.fine(tracking.feedback.nodes_per_cell)[K:]
     states = np.concatenate([reference.chi[K][None], *(cell[1:] for cell in cells)])
     after = After(safety, held[-1][0])
@@ -123,16 +126,8 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
         drift=_drift(safety, held, states[best], best, after),
         delta_v=(taken * (1 + spare(tracking, FLOWN)) + _correcting(safety, held, best, after))
         * (1 + ROUNDING),
+        velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
     )
-
-
-def goal_rows(problem: Problem) -> tuple[Array, Array]:
-    """Rows of the goal and their sides, those of velocities weighed as the lengths they count for."""
-    goal = problem.goal.conditions
-    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
-    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
-    weight = _weights(problem, rows)
-    return rows * weight[:, None], sides * weight
 
 
 def tolerated(safety: Safety, rows: Array, failing: bool = False) -> float:
@@ -145,15 +140,6 @@ def tolerated(safety: Safety, rows: Array, failing: bool = False) -> float:
     need = need + np.abs(rows) @ tracking.system.displaced_at_nodes + tracking.upset(rows)[-1] * failing
     hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
     return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
-
-
-def _weights(problem: Problem, rows: Array) -> Array:
-    """Weights of the goal's rows: a velocity counts as the length it makes in `SOON` of the horizon."""
-    length = np.linalg.norm(rows, axis=1)
-    velocity = np.all(rows @ problem.system.position.T == 0, axis=1) & (length > 0)
-    rate = np.divide(1.0, length, out=np.ones(len(rows)), where=velocity)
-    soon = 1 / (SOON * problem.K * problem.delta)
-    return np.where(velocity, np.minimum(rate / soon, 1.0), 1.0)
 
 
 def _needs(
@@ -266,17 +252,6 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     if tank is not None and rate > 0:
         lasts = settled + (tank - until) / rate if tank >= until else T if tank >= taken else 0.0
     return Upkeep(settled, until, rate, orbit, tank, lasts)
-
-
-def distance(goal: GoalConditions, over: Array) -> Array:
-    """Largest excess over the goal's conditions [m], given that of every row, shape (nodes,)."""
-    fixed = 2 * len(goal.E) + len(goal.G)
-    worst = np.max(over[:, :fixed], axis=1, initial=0.0)
-    first = fixed
-    for N, _ in goal.one_of:
-        worst = np.maximum(worst, over[:, first : first + len(N)].min(axis=1))
-        first += len(N)
-    return np.asarray(worst)
 
 
 def _drift(safety: Safety, held: Held, x: Array, node: int, after: After) -> float | None:

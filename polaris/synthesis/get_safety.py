@@ -124,7 +124,8 @@ def get_safety(
         A certified plan to take for line 4, instead of looking for one.
     **options
         Further fields of `Problem`; a bare system needs ``goal``. A ``control.StateSpace`` also needs
-        ``u_max`` (and takes ``w_max`` and ``D``).
+        ``u_max`` and ``C``, what the position is, in which unsafe sets lie: its outputs are what is measured
+        (and takes ``w_max``, ``D`` and ``mass``).
 
     Returns
     -------

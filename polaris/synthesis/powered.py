@@ -117,7 +117,8 @@ def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: in
     """A branch of n steps towards the orbit, after the last of some steps; or why there is none."""
     b, goal, tracking = taken[-1].k + 1, asked.goal or safety.problem.goal, safety.tracking
     aborted = replace(safety.problem, K=b + n, abort=None, powered=None)
-    problem = replace(aborted, goal=goal, goal_tolerance=asked.tolerance)
+    near, slow = asked.tolerance, asked.velocity_tolerance
+    problem = replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
     tail = tail_length(tracking)
     unsafe = perceive_unsafe(problem, problem.K + tail)
     most = min(problem.planner.max_linear_programs, PROGRAMS)

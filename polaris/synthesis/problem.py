@@ -30,6 +30,7 @@ class PoweredAbort:
     within: float | None = None  # time that it may take [s]; needed with an orbit of its own
     budget: float | None = None  # velocity change that S may spend on it [m/s]
     required: bool = False  # whether a schedule with a step from which it is not proven is refused
+    velocity_tolerance: float | None = None  # as `Problem.goal_velocity_tolerance` [m/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,8 @@ class Problem:
     goal_tolerance : float or None
         Length [m], in the goal's own scaling, within which the goal counts as reached; None for what
         `polaris.synthesis.arrival.Arrival` says.
+    goal_velocity_tolerance : float or None
+        Velocity [m/s] that counts as `goal_tolerance` does, which it needs; None for what `Arrival` says.
     recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
     recourse : {"none", "in_view"}
@@ -99,6 +102,7 @@ class Problem:
     R: ArrayLike
     goal: Goal
     goal_tolerance: float | None = None
+    goal_velocity_tolerance: float | None = None
     recoverable: str = "polytope"
     recourse: str = "none"
     period: float | None = None
@@ -135,8 +139,13 @@ class Problem:
             )
         if not isinstance(self.planner, PlannerOptions):
             raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
+        object.__setattr__(self, "goal", self.goal.of(self.system))
         if self.goal_tolerance is not None:
             positive("goal.tolerance_m", self.goal_tolerance, "m")
+        if self.goal_velocity_tolerance is not None:
+            positive("goal.velocity_tolerance_m_s", self.goal_velocity_tolerance, "m/s")
+            if self.goal_tolerance is None:
+                raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
@@ -172,8 +181,9 @@ def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, A
     if missing:
         raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
     if not isinstance(asked, LinearSystem):
-        if "u_max" not in known:
-            raise TypeError("get_safety(control.StateSpace, ...) also needs u_max")
+        if short := [name for name in ("u_max", "C") if name not in known]:
+            rule = "C is the position, in which unsafe sets lie: one row per axis"
+            raise TypeError(f"get_safety(control.StateSpace, ...) also needs {', '.join(short)}; {rule}")
         extra = {name: known.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in known}
         asked = LinearSystem.from_statespace(asked, **extra)
     wrong = sorted(set(known) - {field.name for field in fields(Problem)})

@@ -16,7 +16,7 @@ from ..model.obstacle import chaser_radius
 from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .arrival import Arrival, Held, Upkeep, arrival, upkeep
+from .arrival import FLOWN, Arrival, Held, Upkeep, arrival, spare, upkeep
 from .black_box import FittedSegment
 from .controllers import Controller, TubeSegment, construct_s
 from .get_safety import Safety
@@ -156,6 +156,7 @@ class Schedule:
             allocated=problem.allocation is not None,
             late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
+            position=problem.system.position.tolist(),
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
 
@@ -249,7 +250,8 @@ class Schedule:
 
         This is what a budget, `SwitchingRules.delta_v_max`, is held against.
         """
-        return self.arrival.delta_v if self.arrival.reached is True else self.delta_v[1]
+        until_end = self.delta_v[1] * (1 + spare(self.safety.tracking, FLOWN))
+        return self.arrival.delta_v if self.arrival.reached is True else until_end
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""

@@ -10,11 +10,12 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .arrival import distance, goal_rows, long, long_after, spare, tolerated
+from .arrival import long, long_after, spare, tolerated
 from .clearance import error_tube
 from .controllers import TubeSegment
 from .demand import command_errors
 from .get_safety import Safety
+from .goal_rows import distance, goal_rows
 from .problem import PoweredAbort
 from .recoverable import Margin, RecoverableSet, directed
 from .tracking import Tracking

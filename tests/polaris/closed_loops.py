@@ -440,8 +440,10 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
     goal, at, eta = problem.goal.conditions, round(claim.by / loop.dt), problem.system.mean_motion
     rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
     sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
-    length = np.linalg.norm(rows, axis=1)
-    still = np.all(rows @ problem.system.position.T == 0, axis=1) & (length > 0)
+    A, C = problem.system.A, problem.system.position
+    speed = np.where(np.any(C != 0, axis=0), 0, np.linalg.norm(C @ A, axis=0))
+    length = np.linalg.norm(rows / np.where(speed > 0, speed, np.inf), axis=1)
+    still = (length > 0) & ~np.any(rows[:, speed == 0], axis=1)
     weight = np.where(still, np.minimum(problem.K * problem.delta / 4 / np.where(still, length, 1), 1), 1)
     rows, sides = rows * weight[:, None], sides * weight
     drifts = [[2, 0, 0, 0, 1 / eta, 0]] if claim.drift is not None and eta else np.zeros((0, loop.system.n))

@@ -34,6 +34,7 @@ def restate(data):
         satellites=any(line.startswith("other satellites") for line in data["assumptions"]),
         horizon=end["horizon"],
         until=None if end["until"] is None else float.fromhex(end["until"]),
+        position=plain(data["system"]["C"]),
     ).told()
 
 

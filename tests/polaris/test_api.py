@@ -44,12 +44,13 @@ def test_state_space_of_python_control():
 
     loop = control.ss(A, B, np.eye(4), np.zeros((4, 2)))
     safety = get_safety(
-        loop, THETA, (ROCK,), 40, 0.25, np.eye(4), 4 * np.eye(2), goal=GOAL, u_max=[1.0, 1.0], w_max=0.01
+        *(loop, THETA, (ROCK,), 40, 0.25, np.eye(4), 4 * np.eye(2)),
+        **{"goal": GOAL, "u_max": [1.0, 1.0], "w_max": 0.01, "C": np.eye(4)[:2]},
     )
     assert np.allclose(safety.tracking.gain, plane().tracking.gain)
     sampled = control.ss(A, B, np.eye(4), np.zeros((4, 2)), 0.1)
     with pytest.raises(ScenarioError, match="continuous-time"):
-        get_safety(sampled, THETA, (), 4, 0.25, np.eye(4), np.eye(2), goal=GOAL, u_max=[1.0, 1.0])
+        LinearSystem.from_statespace(sampled, [1.0, 1.0], C=np.eye(4)[:2])
 
 
 def test_units_do_not_matter():
@@ -157,20 +158,23 @@ def test_malformed_systems_name_the_field(matrices, field):
         LinearSystem(**matrices)
 
 
-def test_state_space_position_is_its_output():
-    """States in another order: the output matrix says which are the position."""
+def test_state_space_position_is_what_c_says():
+    """States in another order, and velocities measured: C says which are the position."""
     import control
 
     order = [0, 2, 1, 3]  # x, v_x, y, v_y
     P = np.eye(4)[order]
-    loop = control.ss(P @ A @ P.T, P @ B, np.eye(4)[:2] @ P.T, np.zeros((2, 2)))
+    loop = control.ss(P @ A @ P.T, P @ B, np.eye(4)[2:] @ P.T, np.ones((2, 2)))
     goal = StationaryPoint(P @ np.array([4.0, 0, 0, 0]))
-    safety = get_safety(
-        loop, P @ THETA, (ROCK,), 40, 0.25, [1.0] * 4, [4.0] * 2, goal=goal, u_max=[1.0, 1.0], w_max=0.01
-    )
+    given = {"goal": goal, "u_max": [1.0, 1.0], "w_max": 0.01, "C": np.eye(4)[:2] @ P.T}
+    safety = get_safety(loop, P @ THETA, (ROCK,), 40, 0.25, [1.0] * 4, [4.0] * 2, **given)
     positions = safety.reference.chi @ safety.tracking.system.position.T
     assert ROCK.signed_distance(0.0, positions).min() > 0
     assert np.allclose(positions[-1], [4.0, 0.0], atol=1e-5)
+    schedule = synthesize(safety, experimental=[])
+    assert (
+        "position: C x = (x0, x2), states counted from 0; the unsafe sets lie there" in schedule.assumptions
+    )
 
 
 @pytest.mark.parametrize("kind", ["ball", "time_varying_ball", "polytope"])
@@ -250,15 +254,14 @@ def test_objects_of_the_wrong_kind_are_one_message(case, tmp_path, monkeypatch):
     assert "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("outputs", [np.eye(4)[:2], np.eye(4)])
-def test_outputs_with_feed_through_are_no_position(outputs):
+@pytest.mark.parametrize("outputs", [np.eye(4)[:2], np.eye(4)[2:], np.eye(4)])
+def test_the_outputs_of_a_state_space_are_no_position(outputs):
+    """With C = velocity a wall would be a speed limit, and a flight would be proven through it."""
     import control
 
-    through = np.zeros((len(outputs), 2))
-    through[0, 0] = 1e-9
-    with pytest.raises(ScenarioError, match="feed-through"):
-        LinearSystem.from_statespace(control.ss(A, B, outputs, through), u_max=[1.0, 1.0])
-    given = LinearSystem.from_statespace(
-        control.ss(A, B, outputs, through), u_max=[1.0, 1.0], C=np.eye(4)[:2]
-    )
-    assert given.d == 2
+    loop = control.ss(A, B, outputs, 0)
+    with pytest.raises(TypeError, match="also needs C; C is the position"):
+        get_safety(loop, THETA, (ROCK,), 4, 0.25, np.eye(4), np.eye(2), goal=GOAL, u_max=[1.0, 1.0])
+    with pytest.raises(ScenarioError, match="which states are the position"):
+        LinearSystem.from_statespace(loop, [1.0, 1.0], C=None)
+    assert LinearSystem.from_statespace(loop, [1.0, 1.0], C=np.eye(4)[:2]).d == 2

@@ -64,7 +64,9 @@ def test_those_that_apply_and_no_others_are_said_everywhere_in_the_same_words(na
     scenario, schedule = scene(name)
     said = list(schedule.assumptions)
     assert ("sets at rest" in words(said), "other satellites" in words(said)) == (rest, others)
-    assert {"model", "initial state", "chaser", "perception", "sampling", "clocks"} <= set(words(said))
+    assert {"model", "position", "initial state", "chaser", "perception", "sampling", "clocks"} <= set(
+        words(said)
+    )
     assert said[-2].startswith(last) and said[-1].startswith("arithmetic: ")
     data = certificate(schedule, scenario.name)
     assert data["assumptions"] == said[:-1]
@@ -100,7 +102,8 @@ def test_satellites_that_are_none_need_no_assumption():
     scenario, schedule = scene("tiny")
     data = certificate(schedule, scenario.name)
     safety = schedule.safety
-    found = Premises(0.02, None, satellites=True, horizon="one_period", until=safety.end.until)
+    end = {"horizon": "one_period", "until": safety.end.until}
+    found = Premises(0.02, None, satellites=True, position=safety.problem.system.C, **end)
     data["assumptions"] = found.told()
     data["digest"] = digest(data)
     rejected_beside(scenario, data)

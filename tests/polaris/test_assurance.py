@@ -40,6 +40,7 @@ def test_the_assumptions_are_those_that_runs_carry():
     listed = PAGE.split("## What the certificate rests on")[1].split("\n## ")[0]
     known = {"estimate": [0.05] * 3 + [0.002] * 3, "timing": (2.0, 0.0, 0, 0.0), "carried": 0.005}
     known |= {"thrusters": (0.0824742, 0.0377778, 0.0), "pulses": [0.2] * 3, "allocated": True}
+    known |= {"position": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, -2.0]]}
     late = [("loss", 4.0), ("navigation_lost", 10.0)]
     words = Premises(
         1e-5, 2.0, satellites=True, horizon="one_period", until=3600.0, late=late, **known

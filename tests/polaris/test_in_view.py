@@ -15,7 +15,7 @@ from polaris.planning.following import Followed, FollowingSearch
 from polaris.planning.rows import Rows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.arrival import _weights, distance
+from polaris.synthesis.goal_rows import _weights, distance
 from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours
 from polaris.synthesis.search import Search, SwitchingRules
 from polaris.synthesis.synthesize import synthesize

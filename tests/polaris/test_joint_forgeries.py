@@ -128,6 +128,7 @@ def test_coordinates_of_the_position_are_independent(lie, place):
     lie.scenario["system"]["position_states"] = place
     rows = [[float(i == j) for j in range(4)] for i in place]
     lie.certificate["system"]["C"] = [[x.hex() for x in row] for row in rows]
+    lie.guarantee()
     refused(lie.verdict(), "system")
 
 

@@ -19,6 +19,7 @@ from polaris.model.shapes import Polytope
 from polaris.model.system import LinearSystem
 from polaris.report.scene.geometry import boxed
 from reach.numerics.linear import discretize
+from reach.sets.zonotope import Zonotope
 
 CW = clohessy_wiltshire(0.0012, 10.0, 0.1, w_max=1e-6)
 PLANE = LinearSystem(
@@ -457,3 +458,30 @@ def test_outlines():
     sat = SatelliteObstacle("s", [100, 0, 0, 0, -0.24, 0], np.ones(6) * 0.01, 10)
     assert sat.outline(0.0, CW).max(axis=0) == pytest.approx([110.01, 10.01, 10.01], rel=0.02)
     assert np.ptp(sat.outline(600.0, CW), axis=0).min() > 20
+
+
+# -- facets through the origin --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [PolytopeObstacle, KeepInPolytope])
+@pytest.mark.parametrize("rows", [1, 2, 3])
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_facets_through_the_origin_are_those_of_a_set_that_is_moved(kind, rows, d):
+    """Half-spaces, wedges and corners of any orientation, all offsets 0: distances, rays, depths."""
+    rng = np.random.default_rng(10 * d + rows)
+    move = rng.normal(size=d)
+    H = rng.normal(size=(rows, d)) if d > 1 else np.full((rows, 1), -2.0)
+    H[H @ np.ones(d) > 0] *= -1  # they leave (1, 1, 1) inside
+    more = {"unbounded": True} if kind is PolytopeObstacle else {}
+    at, moved = kind("wall", H, np.zeros(rows), **more), kind("wall", H, H @ move, **more)
+    p, v = rng.normal(size=(200, d)) * 10, rng.normal(size=(200, d))
+    assert at.signed_distance(0.0, p) == pytest.approx(moved.signed_distance(0.0, p + move), abs=1e-9)
+    assert at.entry_time(0.0, p, v) == pytest.approx(moved.entry_time(0.0, p + move, v), abs=1e-6)
+    place = Zonotope(p[0], rng.normal(size=(d, 2)))
+    assert at.shape.overlap(place) == pytest.approx(moved.shape.overlap(place + move), abs=1e-9)
+
+
+@pytest.mark.parametrize("b", [[0.0, 0.0], [0.0, -1e-13], [0.0, -1.0]])
+def test_what_is_flat_or_empty_at_the_origin_is_refused(b):
+    with pytest.raises(ScenarioError, match="interior"):
+        PolytopeObstacle("flat", [[0, 0, 1], [0, 0, -1]], b, unbounded=True)

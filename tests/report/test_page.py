@@ -144,7 +144,7 @@ def test_first_screen_answers_what_a_reader_asks(run, html):
     summary, told = read_run(run).summary, words(html)
     head = told[: told.index("The flight")]
     goal, found = summary["guarantee"]["goal"], summary["synthesis"]
-    assert goal["reached"] is True and f"Does it arrive? by {goal['by_s']:.6g} s proven, within" in head
+    assert goal["reached"] is True and f"Does it arrive? at {goal['by_s']:.6g} s proven, within" in head
     assert "Is it safe? ✓ proved" in head
     for key, text in (
         ("distance_m", r"within ([\d.]+) m of the goal"),

@@ -102,15 +102,16 @@ def _claim(claim: Mapping[str, Any]) -> str:
 
 
 def _goal(claim: Mapping[str, Any]) -> str:
-    """Whether the goal is reached, how nearly, and at what cost."""
+    """Say whether the goal is reached, how nearly, what keeps flights there, and the cost."""
     near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
-    drifts = "" if drift is None else f", drift up to {directed(drift, '.3g', up=True)} m per orbit"
-    off = f"within {near} m{drifts}"
-    spent = f"velocity change at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s"
+    counts, off = claim["velocity_time_s"], f"within {near} m"
+    off += "" if counts is None else f" (velocities count as the length they make in {counts:.4g} s)"
+    alone = "" if drift is None else f": alone it drifts up to {directed(drift, '.3g', up=True)} m per orbit"
+    spent = f"Velocity change until then at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
     if claim["reached"] is True:
-        return f"reached by {claim['by_s']:.6g} s ({off}; {spent})."
+        return f"reached at {claim['by_s']:.6g} s, {off}. To stay there S must fly on{alone}. {spent}"
     missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
-    return f"{missed}: {off} at best, {claim['tolerance_m']:.4g} m count as reached; {spent}."
+    return f"{missed}: {off} at best, {claim['tolerance_m']:.4g} m count as reached. {spent}"
 
 
 def _metrics(summary: Mapping[str, Any]) -> Table:

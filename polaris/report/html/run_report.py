@@ -65,7 +65,8 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
         word = "not proven" if goal["reached"] == "not_proven" else "no"
         arrives = (word, f"at best within {within} m; {goal['tolerance_m']:.4g} m would do")
         if goal["reached"] is True:
-            arrives = (f"by {_time(goal['by_s'])}", f"proven, within {within} m of the goal")
+            there = f"proven, within {within} m of the goal; to stay there S must fly on"
+            arrives = (f"at {_time(goal['by_s'])}", there)
         then = "to the goal" if goal["reached"] is True else "until it is nearest"
         cost += f"; {then} at most {most} m/s, proven"
     if "safety" in summary:

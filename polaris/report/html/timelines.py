@@ -200,6 +200,7 @@ def proven_distance(picture: Picture) -> Array | None:
 
     The tube lies in the hull of its ends, up to its bow and that of the reference; offsets run linearly, so
     the gap to a facet is least at an end. Negative gaps rest on S taking over: no more than 0 is promised.
+    What the true state is displaced by is in the tube, and in the sets that are perceived: it counts once.
     """
     tube, system = picture.tube, picture.system
     unsafe = perceive(picture.obstacles, system, picture.reference.delta, picture.planned)
@@ -209,12 +210,13 @@ def proven_distance(picture: Picture) -> Array | None:
     rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
     grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
     bow = tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(system.position @ system.A).T
-    found = []
+    found, twice = [], np.stack([system.displaced_at_nodes, system.displaced - system.displaced_at_nodes])
     for timed in unsafe:
         rows, offsets = timed.normals, timed.fine(q)
         reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
         size = np.abs(tube.centre).sum(axis=-1, keepdims=True) + np.abs(offsets)
         gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
-        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T
+        apart = np.abs(rows @ system.position) @ twice[0] + np.abs(rows) @ np.abs(system.position) @ twice[1]
+        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T + apart
         found.append(between.max(axis=-1))
     return np.asarray(np.maximum(np.min(found, axis=0), 0.0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...synthesis.arrival import distance
+from ...synthesis.goal_rows import distance
 from ...synthesis.schedule import Schedule
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker

@@ -1,0 +1,111 @@
+"""What each key of a scenario asks of a run: checked, under a claim; not checked; or nothing.
+
+A test walks the format: every key stands in one of the three tables, by the table of the file that it is in.
+One that is new belongs to a check, or to what `polaris verify` prints as not checked.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+CHECKED = {
+    "scenario": {"": "schema_version"},
+    "system": {
+        "": "name",
+        "system": "kind mean_motion_rad_s mass_kg thrust_max_N A B C D disturbance_max_m_s2 input_max"
+        " disturbance_max position_states",
+        "navigation": "position_error_m velocity_error_m_s state_error",
+        "navigation.phases": "from_s position_error_m velocity_error_m_s state_error",
+        "navigation.measurement": "position_error_m velocity_error_m_s matrix error",
+        "navigation.measurement.initial": "position_error_m velocity_error_m_s state_error",
+        "thrusters": "magnitude_error misalignment_deg mass_error impulse_bit_N_s remainder pulse"
+        " directions thrust_max_N",
+        "timing": "delay_s jitter_s missed_periods clock_error_s",
+        "faults": "kind share isolation_s lasts_s",
+    },
+    "unsafe_sets": {
+        "chaser": "radius_m",
+        "navigation.phases": "within_m",
+        "obstacles": "kind name center_m half_widths_m velocity_m_s radius_m facets normals offsets_m"
+        " state state_half_widths thrust_accel_max_m_s2",
+        "keep_in": "kind name normals offsets_m apex_m axis half_angle_deg facets length_m",
+    },
+    "initial_set": {
+        "initial_set": "kind center half_widths position_radius_m velocity_radius_m_s generators"
+    },
+    "sampling": {"feedback": "kind period_s", "horizon": "duration_s step_s"},
+    "controllers": {
+        "tracking": "Q R",
+        "experimental": "kind name Q R gain path inputs input_scale output_scale_N",
+        "experimental.reference": "kind state semi_minor_m phase_rad cross_track_m cross_phase_rad",
+    },
+    "error_bounds": {"tracking": "bound weight"},
+    "samples": {"experimental": "probability confidence", "simulation": "seed"},
+    "recoverable_sets": {"recoverable": "kind"},
+    "goal": {
+        "goal": "kind tolerance_m velocity_tolerance_m_s inner_semi_minor_m outer_semi_minor_m"
+        " sides cross_track_max_m amplitude_max_m along_track_m state center half_widths"
+    },
+    "schedule": {"schedule": "min_dwell_steps max_switches delta_v_max_m_s"},
+    "upkeep": {"tank": "delta_v_m_s"},
+    "passive": {"abort": "drift_orbits drift_s required keep_in"},
+    "powered_abort": {
+        "abort": "within_s delta_v_max_m_s",
+        "abort.orbit": "kind tolerance_m velocity_tolerance_m_s inner_semi_minor_m outer_semi_minor_m"
+        " sides cross_track_max_m amplitude_max_m along_track_m state",
+    },
+    "summary": {"": "title"},
+}
+"""By claim the keys that are compared with the run under it, or that it is derived from."""
+
+UNCHECKED = {
+    "the clearance and the thrust that the plan leaves beyond what errors need": {
+        "planner": "extra_margin_m thrust_reserve",
+        "tracking": "thrust_share",
+    },
+    "that no plan is better": {"planner": "objective gap"},
+    "that no schedule is worth more": {
+        "schedule": "strategy delta_v_price switch_price",
+        "experimental": "weight",
+    },
+    "that the disturbance bound covers what the linear model leaves out (polaris model-error)": {
+        "orbit": "inclination_max_deg radius_deviation_max_m radial_rate_max_m_s rate_deviation_max"
+        " density_kg_m3 scale_height_m ballistic_coefficient_m2_kg ballistic_difference_max_m2_kg"
+        " other_acceleration_max_m_s2"
+    },
+    "how many runs are simulated": {"simulation": "runs"},
+    "that the box was asked as one with memory": {"experimental": "memory"},
+}
+"""What is demanded and not checked, and by which keys."""
+
+NO_DEMAND = {
+    "": "description",
+    "obstacles": "unbounded",
+    "planner": "solver max_linear_programs max_nodes time_limit_s",
+    "recoverable": "recourse",
+    "schedule": "beam bound_programs",
+}
+"""Words for readers, and how plan and schedule are looked for."""
+
+
+def listed(tables: Mapping[str, str]) -> list[str]:
+    """Return the paths of keys that are listed by table."""
+    return [f"{table}.{key}".lstrip(".") for table, keys in tables.items() for key in keys.split()]
+
+
+def given(table: Mapping[str, Any], at: str = "") -> Iterator[str]:
+    """Yield the paths of the keys that a scenario gives; those of lists of tables may come more than once."""
+    for key, value in table.items():
+        for each in value if isinstance(value, list) else [value]:
+            if isinstance(each, dict):
+                yield from given(each, f"{at}{key}.")
+        yield at + key
+
+
+def unchecked_demands(scenario: Mapping[str, Any]) -> list[str]:
+    """Return what a scenario demands and no check confirms, one line for each group of keys."""
+    known, lines = set(given(scenario)), []
+    for demand, tables in UNCHECKED.items():
+        found = [key for key in listed(tables) if key in known]
+        named = found if len(found) <= 4 else [f"[{table}]" for table in tables]
+        lines += [f"{demand}: {', '.join(named)}"] if found else []
+    return lines
