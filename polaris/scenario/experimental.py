@@ -66,7 +66,7 @@ def read_policies(
         if any(other.name == file.name and other != file for other, _ in found.values()):
             raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")
         try:
-            network = read_onnx(file)
+            network = read_onnx(file, spec.precision)
         except ReachError as error:
             raise ScenarioError(f"{path}.path", spec.path, f"cannot be used: {error}") from error
         scale = np.ones(network.inputs) if spec.input_scale is None else np.array(spec.input_scale)

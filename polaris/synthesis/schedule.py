@@ -20,6 +20,7 @@ from .arrival import Arrival, Held, Upkeep, arrival, upkeep
 from .black_box import FittedSegment
 from .controllers import Controller, TubeSegment, construct_s
 from .get_safety import Safety
+from .neural import NeuralController
 from .passive import Drift, PassiveSafety
 from .powered import PoweredSafety, powered
 from .recoverable import Margin, RecoverableSet
@@ -156,6 +157,11 @@ class Schedule:
             allocated=problem.allocation is not None,
             late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
+            networks=[
+                (law.name, law.policy.network.precision)
+                for law in self.controllers
+                if isinstance(law, NeuralController)
+            ],
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
 
