@@ -146,7 +146,7 @@ def own_reference(spec: Any, gain: Array | None, safety: Safety, path: str) -> R
     if found.cut_by_clock:
         raise OutOfTime(
             f"{path}: the cheapest plan of this reference was not found in the time given "
-            f"(planner.time_limit_s = {problem.planner.time_limit:g})"
+            f"(planner.time_limit_s = {problem.planner.time_limit})"
         )
     return Reference.propagate(system, delta, problem.initial_set.c, found.nu)
 
