@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+import tracemalloc
 from dataclasses import replace
 from functools import cache
 from hashlib import sha256
@@ -18,7 +19,7 @@ from flint import arb, arb_mat
 from polaris.certificate.assumptions import ARITHMETIC
 from polaris.certificate.balls import matrix
 from polaris.certificate.bodies import Whereabouts
-from polaris.certificate.checker import verify
+from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import canonical, digest
 from polaris.certificate.networks import Policy as CheckedPolicy
 from polaris.certificate.networks import band, value
@@ -522,6 +523,31 @@ def test_the_checker_reads_files_as_the_package_does(tmp_path):
     for nodes, more, _ in WRONG.values():
         with pytest.raises(Exception):  # noqa: B017 - `check_file` takes all alike
             read_layers(saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), 3)
+
+
+def test_the_checker_reads_elementwise_operators_at_the_cost_of_their_file():
+    pytest.importorskip("onnx")
+    from tests.reach.test_onnx import chain
+
+    data = chain(["Add", "Mul", "Sub", "Div"] * 75).SerializeToString()
+    tracemalloc.start()
+    layers = read_layers(data, 4)
+    assert tracemalloc.get_traced_memory()[1] < 50e6  # a dense matrix of this width is 134 MB as doubles
+    tracemalloc.stop()
+    assert len(layers) == 301 and layers[1] == Layer("diagonal", scale=[1.0], b=[1.5])
+    with pytest.raises(ValueError, match="1000 layers"):
+        read_layers(chain(["Relu"] * 1001, 4).SerializeToString(), 4)
+
+
+def test_a_network_too_wide_to_follow_is_not_decided(made):
+    data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
+    zero, width = (0.0).hex(), 4000
+    wide = {"kind": "affine", "W": [[zero] * 4] * width, "b": [zero] * width}
+    back = {"kind": "affine", "W": [[zero] * width] * 2, "b": [zero] * 2}
+    law_of(data)["layers"] = [wide, {"kind": "tanh", "low": zero, "high": zero}, back]
+    data["digest"] = digest(data)
+    verdict = verify_document(data)
+    assert verdict.outcome == "UNKNOWN" and "too long to follow" in verdict.text()
 
 
 # -- who else flies it ------------------------------------------------------------------------------
