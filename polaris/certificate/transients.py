@@ -182,7 +182,8 @@ def _steepest(policy: Policy) -> arb_mat:
     for layer in policy.layers:
         if isinstance(layer, Weights):
             M = (layer.size if bent else layer).times(M)
-            M = M if own is None else M * (1 + own.relative(layer.terms + FOLDED))
+            if own is not None and layer is not policy.layers[-1]:
+                M = M * (1 + own.relative(layer.terms + FOLDED))
         else:
             M, bent = absolute(M) * (grown[1] * layer.steepest), True
     return absolute(M)

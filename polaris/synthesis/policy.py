@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reach.networks.network import Network
+from reach.networks.precision import MORE
 
 from ..model.errors import ScenarioError
 from ..model.obstacle import RigidObstacle
@@ -117,7 +118,8 @@ class Policy:
         senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
         others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
         read = senses.parts(np.zeros(n), np.eye(n), *others)
-        M = self.network.steepest(self.stack(read).T)
+        M, own = self.network.steepest(self.stack(read).T), self.network.rounding
+        M = M if own is None else M * (1 + own.relative(1 + MORE))  # the outputs' scale
         return np.asarray(self.output_scale[:, None] * M * (1 + ROUNDING))
 
     def stack(self, parts: dict[str, Array]) -> Array:
