@@ -12,10 +12,11 @@ from .hybrid.verification import HybridVerdict as HybridVerdict
 from .hybrid.verification import falsify_hybrid as falsify_hybrid
 from .hybrid.verification import replay_hybrid as replay_hybrid
 from .hybrid.verification import verify_hybrid as verify_hybrid
+from .networks.layers import Activation as Activation
+from .networks.layers import Affine as Affine
+from .networks.layers import Diagonal as Diagonal
 from .networks.loop import NetworkLoop as NetworkLoop
 from .networks.loop import NetworkTube as NetworkTube
-from .networks.network import Activation as Activation
-from .networks.network import Affine as Affine
 from .networks.network import Network as Network
 from .networks.onnx_file import read_onnx as read_onnx
 from .numerics.errors import ReachError as ReachError

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.arch.row import Row, Verdict
 from reach import Affine, Network, NetworkLoop, Zonotope, read_onnx
-from reach.networks.network import Activation
+from reach.networks.layers import Activation
 from reach.numerics.linear import discretize
 
 Array = np.ndarray

@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from polaris.model.checks import exact
 from polaris.scenario.scenario import KINDS, InspectionScenario
 from polaris.scenario.tables import ScenarioModel
 
@@ -202,7 +203,8 @@ def _value(node: dict[str, Any], tables: dict[str, Any]) -> str:
 def _range(node: dict[str, Any]) -> str:
     """Bounds of a number; those every number has are left out."""
     words = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
-    bounds = [f"{sign} {node[key]:g}" for key, sign in words.items() if key in node and abs(node[key]) < 1e12]
+    known = [(key, sign) for key, sign in words.items() if key in node and abs(node[key]) < 1e12]
+    bounds = [f"{sign} {exact(node[key])}" for key, sign in known]
     return " " + ", ".join(bounds) if bounds else ""
 
 

@@ -25,6 +25,18 @@ NOTHING_ELSE = (
 """Assumed of faults that are isolated late, and what is told of them."""
 
 
+_ROUNDED = (
+    "inputs scaled and rounded to it, IEEE 754 rounding to nearest, sums in any order, with or without fused "
+    "multiply-add; tanh and sigmoid are within {error:.2g} of their value"
+)
+ARITHMETIC = {
+    "real": "it is evaluated in real arithmetic: how a flight computer rounds in it is not covered",
+    "float32": f"it is evaluated in single precision (float32): {_ROUNDED.format(error=8 * 2.0**-24)}",
+    "float64": f"it is evaluated in double precision (float64): {_ROUNDED.format(error=8 * 2.0**-53)}",
+}
+"""What is assumed of the arithmetic of a network, by its precision."""
+
+
 @dataclass(frozen=True)
 class Premises:
     """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
@@ -51,6 +63,7 @@ class Premises:
     late: Iterable[tuple[str, float]] = ()  # kinds of faults that are isolated late; how long that takes [s]
     sampled: Mapping[str, Any] | None = None  # of black boxes: probability, confidence, flights, outside, ...
     position: Iterable[Iterable[float]] = ()  # the rows of C
+    networks: Iterable[tuple[str, str]] = ()  # names of networks, and the arithmetic of each
 
     def told(self) -> list[str]:
         """All that applies, in words, in the order that the format prescribes."""
@@ -69,6 +82,7 @@ class Premises:
             *([SATELLITES] if self.satellites else []),
             *self._of_hardware(),
             "experimental controllers: each obeys its declared model, told of obstacles what theirs allow",
+            *(f"network {name}: {ARITHMETIC[precision]}" for name, precision in self.networks),
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),
         ]

@@ -33,6 +33,12 @@ def diagonal(values: Sequence[Number]) -> arb_mat:
     return arb_mat(n, n, [values[i] if i == j else 0 for i in range(n) for j in range(n)])
 
 
+def scaled(values: Sequence[Number], M: arb_mat) -> arb_mat:
+    """Rows of a matrix, each times a number."""
+    rows = zip(values, M.tolist(), strict=True)
+    return arb_mat(M.nrows(), M.ncols(), [x * y for x, row in rows for y in row])
+
+
 def identity(n: int) -> arb_mat:
     """Unit matrix."""
     return diagonal([1.0] * n)

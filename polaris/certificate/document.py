@@ -22,6 +22,7 @@ MOST_NODES = 100_000  # most periods in a step
 MOST_NODES_IN_ALL = 2_000_000  # most periods in all steps, those of the tail included
 MOST_GENERATORS = 1000  # most generators of the initial set
 MOST_WORK = 10**10  # most products of numbers that all enclosures of a network may take
+MOST_ENTRIES = 10**7  # most numbers in the generators of one of them: about 1 GB
 MOST_FLIGHTS = 10**7  # most flights of a statement
 MOST_STATES = 32  # most states of a system: Lyapunov's equation is solved as n^2 linear ones
 
@@ -221,6 +222,7 @@ class Document:
             late=[(each["name"], each["lasts"]) for each in self.transients],
             sampled=self.statement or None,
             position=self.C,
+            networks=[(law.name, law.precision) for law in self.laws if law.kind == "neural"],
         ).told()
         if read["assumptions"] != self.assumptions:
             told = "the certificate rests on other assumptions than those of its format"
@@ -238,7 +240,8 @@ class Document:
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
             check_law(law, self.steps, self.sampled, sum(sizes.get(name, len(self.C)) for name in law.reads))
-            if law.work * self.q * self.modes.count(mode) > MOST_WORK:
+            work, entries = law.work
+            if work * self.q * self.modes.count(mode) > MOST_WORK or entries > MOST_ENTRIES:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]
         if boxes != [fit is not None for fit in self.fits] or any(boxes) != bool(self.statement):

@@ -37,7 +37,8 @@ _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inpu
 # fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
 _NETWORK = {
-    "name": NAME, "inputs": Rows(Text(pattern=f"{READ}.+"), 1, 100),
+    "name": NAME, "precision?": Text(("float32", "float64")),
+    "inputs": Rows(Text(pattern=f"{READ}.+"), 1, 100),
     "bodies?": Rows({
         "name": NAME, **every(Either((grid("d"), None)), "center_m velocity_m_s"),
         "state": Either((grid("n"), None)), "state_half_widths": Either((grid("n", AT_LEAST_0), None)),
@@ -47,6 +48,7 @@ _NETWORK = {
     "own_states?": grid("* n"), "own_inputs?": grid("* m"),
     "layers": Rows(Kinds({
         "affine": {"W": grid("* *"), "b": grid("*")}, **every(_LIMITS, "relu tanh sigmoid clip"),
+        "diagonal": {"scale": grid("*"), "b": grid("*")},
     }), 1, 1000),
 }
 

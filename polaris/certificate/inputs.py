@@ -221,6 +221,7 @@ def _check_controllers(document: Document, scenario: dict[str, Any]) -> None:
             top = spec["output_scale_N"]
             _need("controllers", "inputs", law.reads, spec.get("inputs", ["error"]))
             _need("controllers", "bodies", law.bodies, bodies_of(law.reads, scenario))
+            _need("controllers", "precision", law.precision, spec.get("precision", "real"))
             ones = [1.0] * len(law.input_scale)
             _need("controllers", "scale of the inputs", law.input_scale, spec.get("input_scale", ones))
             tops = top if isinstance(top, list) else [top] * len(document.u_max)

@@ -9,13 +9,22 @@ from .verdict import Rejected
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer of a network: weights and biases of an affine one, or limits of an activation."""
+    """Layer of a network: weights and biases, scales and biases of an elementwise one, or an activation.
 
-    kind: str  # affine, relu, tanh, sigmoid or clip
+    Of scales, and of biases beside them, one number stands for as many equal ones as there are components.
+    """
+
+    kind: str  # affine, diagonal, relu, tanh, sigmoid or clip
     W: list[list[float]] = field(default_factory=list)
     b: list[float] = field(default_factory=list)
-    low: float = 0.0
+    scale: list[float] = field(default_factory=list)
+    low: float = 0.0  # slope of a relu below 0, or lower limit of a clip
     high: float = 0.0
+
+    @property
+    def steepest(self) -> float:
+        """Largest slope of an activation."""
+        return max(self.low, 1.0) if self.kind == "relu" else 1.0
 
 
 def network_of(law: dict[str, Any]) -> dict[str, Any]:
@@ -28,14 +37,16 @@ def network_of(law: dict[str, Any]) -> dict[str, Any]:
             if not layer.W or len(layer.W) != len(layer.b) or any(len(row) != width for row in layer.W):
                 raise ValueError(f"layers of {law['name']} do not fit one another")
             width = len(layer.W)
-        elif (layer.kind == "relu" and not 0 <= layer.low <= 1) or not (
-            layer.kind != "clip" or layer.low <= layer.high
-        ):
+        elif layer.kind == "diagonal":
+            if not {len(layer.scale), len(layer.b)} <= {1, width}:
+                raise ValueError(f"layers of {law['name']} do not fit one another")
+        elif (layer.kind == "relu" and layer.low < 0) or (layer.kind == "clip" and layer.low > layer.high):
             raise ValueError(f"{law['name']} has a {layer.kind} that decreases")
     if width != len(law["output_scale"]) or len(set(law["inputs"])) < len(law["inputs"]):
         raise ValueError(f"inputs or outputs of {law['name']} do not fit")
     scales = {name: law[name] for name in ("input_scale", "output_scale")}
-    return {"reads": law["inputs"], "layers": layers, "bodies": law.get("bodies", []), **scales}
+    more = {"bodies": law.get("bodies", []), "precision": law.get("precision", "real")}
+    return {"reads": law["inputs"], "layers": layers, **more, **scales}
 
 
 UNIT = 4e-9  # how far the square of a unit normal may be off 1
@@ -81,6 +92,7 @@ class Law:
     output_scale: Vector = field(default_factory=list)
     layers: list[Layer] = field(default_factory=list)
     bodies: list[dict[str, Any]] = field(default_factory=list)  # that it reads, and how each moves
+    precision: str = "real"  # arithmetic in which a network is evaluated: real, float32 or float64
 
     @classmethod
     def of(cls, law: Any) -> "Law":
@@ -88,15 +100,16 @@ class Law:
         return cls(*map(law.get, ("name", "kind", "gain", "own_states", "own_inputs")), **network_of(law))
 
     @property
-    def work(self) -> int:
-        """Products of two numbers that one enclosure of the network takes, roughly."""
-        found, width = 0, len(self.input_scale)
+    def work(self) -> tuple[int, int]:
+        """Products of two numbers that one enclosure of the network takes; most numbers in its generators."""
+        found, most, size, generators = 0, 0, len(self.input_scale), len(self.input_scale)
         for layer in self.layers:
             if layer.kind == "affine":
-                found += len(layer.W) * len(layer.W[0]) * width
-            else:
-                width += len(layer.b)
-        return found
+                found, size = found + len(layer.W) * size * generators, len(layer.W)
+            elif layer.kind != "diagonal":
+                generators += size
+            found, most = found + size * generators, max(most, size * generators)
+        return found, most
 
 
 @dataclass(frozen=True)

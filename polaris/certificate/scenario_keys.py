@@ -143,7 +143,8 @@ SCENARIO = {
                       "confidence?": Real(least=0.5, most=1 - 1e-9), "memory?": bool},
         "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
                    "inputs?": Rows(Text(pattern=READ + NAME.pattern), 1, 100),
-                   "output_scale_N": PER_AXIS, "reference?": _REFERENCE, "weight?": WORTH},
+                   "precision?": Text(("real", "float32", "float64")), "output_scale_N": PER_AXIS,
+                   "reference?": _REFERENCE, "weight?": WORTH},
     }), 1, 8),
     "schedule?": {
         "strategy?": Text(("greedy", "look_ahead")),

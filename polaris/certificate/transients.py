@@ -24,7 +24,7 @@ from .balls import (
 from .document import ROUNDED, Document
 from .loop import Memory, Needs
 from .motion import Motion, Plant, Push
-from .networks import Policy
+from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
 from .timing import predicted
 from .verdict import Rejected, Undecided
@@ -174,13 +174,18 @@ def _peak(lists: list[list[arb]]) -> list[arb]:
 
 
 def _steepest(policy: Policy) -> arb_mat:
-    """Largest size of every entry of its derivative by the state: no activation is steeper than 1."""
-    M, bent = policy.reads, False
+    """Largest size of every entry of its derivative by the state, rounding in proportion to it included."""
+    own = policy.rounding
+    grown = [arb(1) if own is None else 1 + own.relative(count) for count in (3, 2)]
+    M, bent = policy.reads * grown[0], own is not None
+    M = absolute(M) if bent else M
     for layer in policy.layers:
-        if isinstance(layer, tuple):
-            M = (absolute(layer[0]) if bent else layer[0]) * M
+        if isinstance(layer, Weights):
+            M = (layer.size if bent else layer).times(M)
+            if own is not None and layer is not policy.layers[-1]:
+                M = M * (1 + own.relative(layer.terms + FOLDED))
         else:
-            M, bent = absolute(M), True
+            M, bent = absolute(M) * (grown[1] * layer.steepest), True
     return absolute(M)
 
 

@@ -93,6 +93,12 @@ def of_kind(field: str, value: object, kind: type, made_by: str) -> None:
         raise ScenarioError(field, type(value).__name__, rule)
 
 
+def exact(number: float) -> str:
+    """Return a short text that reads back as the very number: a limit is not rounded to what it excludes."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(float(number))
+
+
 def counted(number: int, noun: str, many: str | None = None) -> str:
     """``1 input``, ``3 inputs``; `many` where an s is not enough."""
     return f"{number} {noun if number == 1 else many or noun + 's'}"

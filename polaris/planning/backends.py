@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,12 @@ from .problem import PlannerOptions
 
 Hear = Callable[[float, float, float], str]
 """Told incumbent (infinite while there is none), bound and nodes; answers why to stop, or an empty string."""
+
+ASKED, PIVOTS = 100, 1000
+"""Questions of HiGHS whether to go on, and simplex iterations of Gurobi, per node that they are allowed.
+
+They bound the work at one node, cuts, heuristics and restarts of the root included: 20 questions are usual.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,9 +74,11 @@ def _warm_highs(**options: Any) -> Any:
 def _highs(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: Hear) -> Found:
     highspy = silent_highspy()
     kind, gave_up = highspy.HighsModelStatus, [""]
+    asked = count()
 
     def ask(what: Any, message: str, data: Any, answer: Any, user: Any) -> None:
         gave_up[0] = hear(data.mip_primal_bound, data.mip_dual_bound, data.mip_node_count) or gave_up[0]
+        gave_up[0] = gave_up[0] or ("effort_limit" if next(asked) >= ASKED * most else "")
         answer.user_interrupt = bool(gave_up[0])
 
     solver = _warm_highs(
@@ -110,9 +119,10 @@ def _gurobi(lp: Any, options: PlannerOptions, most: int, seconds: float, hear: H
             model.terminate()
 
     settings = {
-        "timeLimit": seconds,
+        "timeLimit": seconds if np.isfinite(seconds) else None,
         "MIPGap": options.gap / 2,  # PuLP's own argument passes a gap of 0 over
         "NodeLimit": most,
+        "IterationLimit": PIVOTS * most,
         "FeasibilityTol": SOLVER_FEASIBILITY,
         "IntFeasTol": SOLVER_FEASIBILITY,
         "Threads": 0 if options.threads is None else options.threads,

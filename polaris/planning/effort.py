@@ -67,8 +67,9 @@ class Effort:
         """A share of what is left; `SPARE_SHARE` of it where the stage is spare."""
         options, used, shares = self.options, self.used, np.array([SPARE_SHARE, share])
         most = options.max_linear_programs if options.solver == "facets" else options.max_nodes
-        effort, deadline = used + shares * max(most - used, 0.0), perf_counter() + shares * self.left
-        return Allowance(tuple(effort.tolist()), tuple(deadline.tolist()), spare)
+        spare_end, end = (perf_counter() + (each * self.left if each else 0.0) for each in shares.tolist())
+        effort = used + shares * max(most - used, 0.0)
+        return Allowance(tuple(effort.tolist()), (spare_end, end), spare)
 
     def report(self, stage: str, incumbent: float = np.inf, bound: float = -np.inf) -> None:
         """Tell the progress callback, a few times a second at most."""

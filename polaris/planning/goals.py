@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..model.acceleration import speeds
-from ..model.checks import non_negative, number, positive, whole
+from ..model.checks import exact, non_negative, number, positive, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import GOAL
@@ -212,7 +212,7 @@ class EllipticalNMT(_HillGoal):
         positive("goal.outer_semi_minor", self.outer_semi_minor, "m")
         room = self.outer_semi_minor * np.cos(np.pi / self.sides)
         if self.inner_semi_minor >= room:
-            rule = f"must be below {room:g} m (the {self.sides}-sided outer polygon reaches no further)"
+            rule = f"must be below {exact(room)} m (the {self.sides}-sided outer polygon reaches no further)"
             raise ScenarioError("goal.inner_semi_minor", self.inner_semi_minor, rule)
         if self.cross_track_max is not None:
             positive("goal.cross_track_max", self.cross_track_max, "m")

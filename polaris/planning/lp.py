@@ -14,6 +14,7 @@ from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import SOLVER_FEASIBILITY
 
+ITERATIONS = 1_000_000  # most simplex iterations of one program, hundreds of times more than one takes
 FAR = 1e6  # range of what is unlimited: no row of the planner gets as many lengths away from its bound
 
 
@@ -49,7 +50,7 @@ class GrowingLP:
         self._highspy = highspy = silent_highspy()
         self.highs: Any = highspy.Highs()
         self._set(output_flag=False, threads=1, presolve="off", solver="simplex")
-        self._set(primal_feasibility_tolerance=SOLVER_FEASIBILITY)
+        self._set(primal_feasibility_tolerance=SOLVER_FEASIBILITY, simplex_iteration_limit=ITERATIONS)
         n = len(cost)
         empty_i, empty = np.zeros(0, dtype=np.int32), np.zeros(0)
         self.highs.addCols(n, cost, low, high, 0, np.zeros(n, dtype=np.int32), empty_i, empty)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Literal
 
 import numpy as np
@@ -123,9 +124,9 @@ class PlannerOptions:
         Most linear programs the facet search solves, in all stages together.
     max_nodes : int
         Most branch-and-bound nodes of a back end, in all stages together.
-    time_limit : float
-        Wall time [s] for everything the planner does: a last resort, for what it cuts short depends on
-        the machine. `Plan.cut_by_clock` tells, and a `ClockWarning`.
+    time_limit : float or None
+        Wall time [s] for everything the planner does; None for no clock. What a clock cuts short depends on
+        the machine: `Plan.cut_by_clock` tells, and a `ClockWarning`.
     gap : float
         Relative optimality gap at which the search stops.
     threads : int or None
@@ -136,8 +137,8 @@ class PlannerOptions:
 
     solver: str = "facets"
     max_linear_programs: int = 10_000
-    max_nodes: int = 100_000
-    time_limit: float = 600.0
+    max_nodes: int = 10_000
+    time_limit: float | None = None
     gap: float = 1e-3
     threads: int | None = 1
     progress: Callable[[Progress], None] | None = None
@@ -146,9 +147,15 @@ class PlannerOptions:
         one_of("planner.solver", self.solver, SOLVERS)
         whole("planner.max_linear_programs", self.max_linear_programs, 1)
         whole("planner.max_nodes", self.max_nodes, 1)
-        positive("planner.time_limit", self.time_limit, "s")
+        if self.time_limit is not None:
+            positive("planner.time_limit", self.time_limit, "s")
         if not 0 <= number("planner.gap", self.gap) < 1:
             raise ScenarioError("planner.gap", self.gap, "must be in [0, 1)")
+
+    @property
+    def deadline(self) -> float:
+        """Value of `time.perf_counter` at which a search that begins now stops; infinite without a clock."""
+        return np.inf if self.time_limit is None else perf_counter() + self.time_limit
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def plan(problem: PlanProblem, options: PlannerOptions | None = None) -> Plan:
     found = Planner(problem, options).run()
     if found.cut_by_clock:
         warnings.warn(
-            f"the planner's wall clock (planner.time_limit_s = {options.time_limit:g}) ended its search"
+            f"the planner's wall clock (planner.time_limit_s = {options.time_limit}) ended its search"
             f" early ({', '.join(found.cut_by_clock)}): another machine, or another run, may find another"
             " plan; allow more time, or less effort",
             ClockWarning,
@@ -72,7 +72,7 @@ class Planner:
         backends.require(options.solver)
         begun = perf_counter()
         self.rows = Rows(problem)
-        self.search = PathSearch(self.rows, begun + options.time_limit)
+        self.search = PathSearch(self.rows, options.deadline)
         self.effort = Effort(self.search, options, begun)
 
     def run(self) -> Plan:
@@ -151,7 +151,7 @@ class Planner:
         return found
 
     def _out_of_time(self) -> NoReturn:
-        raise OutOfTime(f"none found in the time given ({self.options.time_limit:g} s): {NEITHER}")
+        raise OutOfTime(f"none found in the time given ({self.options.time_limit} s): {NEITHER}")
 
     def _none(self, status: str) -> NoReturn:
         if status == "infeasible":

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from reach.networks.network import Affine
+from reach.networks.layers import Activation, Affine, Diagonal
 from reach.numerics.linear import growth
 
 from ..certificate.bodies import MOVES
@@ -216,12 +216,6 @@ def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
 def described(law: NeuralController) -> dict[str, Any]:
     """What a network reads, its layers and its scales."""
     policy = law.policy
-    layers: list[dict[str, Any]] = [
-        {"kind": "affine", "W": layer.W, "b": layer.b}
-        if isinstance(layer, Affine)
-        else {"kind": layer.kind, "low": float(layer.low), "high": float(layer.high)}
-        for layer in policy.network.layers
-    ]
     scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
     moves = {key: (python_name(key), none) for key, none in MOVES.items()}
     bodies = [
@@ -229,7 +223,19 @@ def described(law: NeuralController) -> dict[str, Any]:
         for body in law.senses.bodies
     ]
     read = {"bodies": bodies} if bodies else {}
-    return {"inputs": list(policy.inputs), **scales, "layers": layers, **read}
+    layers, precision = [layer_item(layer) for layer in policy.network.layers], policy.network.precision
+    rounded = {} if precision == "real" else {"precision": precision}
+    return {"inputs": list(policy.inputs), **rounded, **scales, "layers": layers, **read}
+
+
+def layer_item(layer: Affine | Diagonal | Activation) -> dict[str, Any]:
+    """One layer of a network; equal numbers of an elementwise one are kept once."""
+    if isinstance(layer, Activation):
+        return {"kind": layer.kind, "low": float(layer.low), "high": float(layer.high)}
+    if isinstance(layer, Affine):
+        return {"kind": "affine", "W": layer.W, "b": layer.b}
+    parts = {"scale": layer.scale, "b": layer.b}
+    return {"kind": "diagonal"} | {k: v[:1] if np.all(v == v[0]) else v for k, v in parts.items()}
 
 
 def _samples(schedule: Schedule) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def read_policies(
         if any(other.name == file.name and other != file for other, _ in found.values()):
             raise ScenarioError(f"{path}.path", spec.path, "must not have the file name of another network")
         try:
-            network = read_onnx(file)
+            network = read_onnx(file, spec.precision)
         except ReachError as error:
             raise ScenarioError(f"{path}.path", spec.path, f"cannot be used: {error}") from error
         scale = np.ones(network.inputs) if spec.input_scale is None else np.array(spec.input_scale)
@@ -146,7 +146,7 @@ def own_reference(spec: Any, gain: Array | None, safety: Safety, path: str) -> R
     if found.cut_by_clock:
         raise OutOfTime(
             f"{path}: the cheapest plan of this reference was not found in the time given "
-            f"(planner.time_limit_s = {problem.planner.time_limit:g})"
+            f"(planner.time_limit_s = {problem.planner.time_limit})"
         )
     return Reference.propagate(system, delta, problem.initial_set.c, found.nu)
 

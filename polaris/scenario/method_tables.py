@@ -54,11 +54,11 @@ class Planner(ScenarioPart):
     extra of that name)."""
     max_linear_programs: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
     """Most linear programs that `facets` solves, in all stages."""
-    max_nodes: f.Whole = unit("-", default=100_000, ge=1, le=10**9)
+    max_nodes: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
     """Most branch-and-bound nodes of `highs` or `gurobi`, in all stages."""
-    time_limit_s: f.Real = unit("s", default=600.0, gt=0, le=1e6)
-    """Wall time for each plan, the last resort: what it cuts short depends on the machine, and the run says
-    so."""
+    time_limit_s: f.Real | None = unit("s", default=None, gt=0, le=1e6)
+    """Wall time for each plan; no clock without it. What a clock cuts short depends on the machine, and the
+    run says so."""
     gap: f.Real = unit("-", "Relative optimality gap at which the search stops.", default=1e-3, ge=0, lt=1)
 
 

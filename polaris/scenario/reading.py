@@ -12,7 +12,7 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ..model.checks import counted
+from ..model.checks import counted, exact
 from ..model.errors import ScenarioError
 from .fields import LARGEST, NAME_PATTERN
 
@@ -152,10 +152,10 @@ def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, A
 
 
 _RULES = {
-    "greater_than": "must be > {gt:g}",
-    "greater_than_equal": "must be >= {ge:g}",
-    "less_than": "must be < {lt:g}",
-    "less_than_equal": "must be <= {le:g}",
+    "greater_than": "must be > {gt}",
+    "greater_than_equal": "must be >= {ge}",
+    "less_than": "must be < {lt}",
+    "less_than_equal": "must be <= {le}",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
@@ -183,7 +183,7 @@ def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
     if kind == "value_error":
         return printable(str(context.get("error", message)))
     if kind in _RULES:
-        return _RULES[kind].format(**context)
+        return _RULES[kind].format(**{k: exact(v) if isinstance(v, float) else v for k, v in context.items()})
     return printable(re.sub(r"^[A-Z]\w* should", "must", message))
 
 

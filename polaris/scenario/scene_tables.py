@@ -195,6 +195,9 @@ class Neural(ScenarioPart):
     output_scale_N: f.PositivePerAxis = unit(
         "N (unit of the input)", "Thrust at an output of 1; one number or m."
     )
+    precision: Literal["real", "float32", "float64"] = unit("-", default="real")
+    """Arithmetic in which it is evaluated on board. `real`: rounding on board is not covered. `float32`,
+    `float64`: its sets hold what any runtime computes in it, whatever the order of summation."""
     reference: ControllerReference = unit("-", default_factory=lambda: SharedReference(kind="shared"))
     """What `error` and `reference_input` are about; the safety controller's reference without it."""
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, binom
 
+from ..model.checks import number
+from ..model.errors import ScenarioError
 from ..model.system import Array
 from ..synthesis.black_box import Ask, BlackBox, FittedSegment
 from ..synthesis.controllers import Controller
@@ -152,11 +154,19 @@ def synthesize_sampled(
     attacks : int
         Flights of the search for the worst.
 
+    Raises
+    ------
+    ScenarioError
+        If probability or confidence is not between 0 and 1; and as `synthesize` raises.
+
     Notes
     -----
     The doubt ``1 - confidence`` is shared out among the attempts: a half to the first, a quarter to the
     second, and so on, so that the statement holds though later attempts depend on earlier samples.
     """
+    for name, value in (("probability", probability), ("confidence", confidence)):
+        if not 0 < number(name, value) < 1:
+            raise ScenarioError(name, value, "must be > 0 and < 1")
     known = [law.anything if isinstance(law, BlackBox) else law for law in experimental]
     proven = synthesize(scenario, safety, known, progress=progress, recourse=True)
     doubt, laws = 1 - confidence, list(experimental)

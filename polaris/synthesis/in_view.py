@@ -112,7 +112,7 @@ class Windows:
         self.rows = Rows(self.asked)
         self.lacking = np.zeros((len(sets), self.asked.cells, 1))
         followed = Followed.of(system, law.powers[-1], law.own)
-        self.search = FollowingSearch(self.rows, perf_counter() + problem.planner.time_limit, followed)
+        self.search = FollowingSearch(self.rows, problem.planner.deadline, followed)
         self.unit = float(self.rows.price.max())
         self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)

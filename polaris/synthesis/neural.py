@@ -9,8 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
+from reach.networks.layers import Activation, Affine
 from reach.networks.loop import ORDER, NetworkLoop
-from reach.networks.network import Activation, Affine, Network
+from reach.networks.network import Network
 from reach.numerics.errors import Unresolved
 from reach.numerics.rounding import gamma
 from reach.sets.zonotope import Zonotope
@@ -121,7 +122,7 @@ class NeuralController:
             Activation("clip", -1.0, 1.0),
             Affine(np.diag(system.u_max), zeros),
         )
-        network = Network((*policy.network.layers, *limited))
+        network = Network((*policy.network.layers, *limited), policy.network.precision)
         A, B, D = system.A, system.B, system.D
         eta = system.navigation if np.any(system.navigation) else None
         return NetworkLoop(A, B, D, system.w_max, self.tracking.flow.h, network, reads, eta)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reach.networks.network import Affine, Network
+from reach.networks.network import Network
+from reach.networks.precision import MORE
 
 from ..model.errors import ScenarioError
 from ..model.obstacle import RigidObstacle
@@ -81,6 +82,7 @@ class Policy:
     Parameters
     ----------
     network : reach.networks.network.Network
+        Its precision is that in which it is evaluated on board.
     inputs : tuple of str
         What z is made of, in order: "error" (own reference - x), "state", "time" (start of the step [s]),
         "reference_input" (of the own reference); of an obstacle b "position:b" [m], "velocity:b" [m/s],
@@ -116,13 +118,9 @@ class Policy:
         senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
         others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
         read = senses.parts(np.zeros(n), np.eye(n), *others)
-        M, bent = self.stack(read).T, False
-        for layer in self.network.layers:
-            if isinstance(layer, Affine):
-                M = (np.abs(layer.W) if bent else layer.W) @ M
-            else:
-                M, bent = np.abs(M), True
-        return np.asarray(self.output_scale[:, None] * np.abs(M) * (1 + ROUNDING))
+        M, own = self.network.steepest(self.stack(read).T), self.network.rounding
+        M = M if own is None else M * (1 + own.relative(1 + MORE))  # the outputs' scale
+        return np.asarray(self.output_scale[:, None] * M * (1 + ROUNDING))
 
     def stack(self, parts: dict[str, Array]) -> Array:
         """Scaled inputs, shape (..., r), from arrays by name, of broadcastable leading shapes."""

@@ -20,6 +20,7 @@ from .arrival import FLOWN, Arrival, Held, Upkeep, arrival, spare, upkeep
 from .black_box import FittedSegment
 from .controllers import Controller, TubeSegment, construct_s
 from .get_safety import Safety
+from .neural import NeuralController
 from .passive import Drift, PassiveSafety
 from .powered import PoweredSafety, powered
 from .recoverable import Margin, RecoverableSet
@@ -157,6 +158,11 @@ class Schedule:
             late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
             position=problem.system.position.tolist(),
+            networks=[
+                (law.name, law.policy.network.precision)
+                for law in self.controllers
+                if isinstance(law, NeuralController)
+            ],
         )
         return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
 

@@ -1,186 +1,89 @@
-"""Feed-forward networks as functions, and sound enclosures of what they make of a zonotope.
-
-An activation is held by an affine band, ``|f(y) - (slope y + offset)| <= radius`` for every y in [lo, hi]. It
-may have any slope; that of the secant is taken, and what is left, ``f(y) - slope y``, has its extremes at the
-ends of the interval, at kinks, and where ``f' = slope``.
-"""
+"""Feed-forward networks as functions, and sound enclosures of what they make of a zonotope."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array, as_vector, check_fields, checked, finite_fields, per_row, require_single
-from ..numerics.errors import ReachError
+from ..numerics.checks import Array, as_vector, checked, per_row, require_single
+from ..numerics.errors import ReachError, Unresolved
 from ..numerics.rounding import gamma
 from ..sets.zonotope import Zonotope
+from .layers import Activation, Affine, Diagonal
+from .precision import FORMATS, MORE, READ, Rounding
 
-SLACK = 16 * float(np.finfo(float).eps)  # relative rounding booked on the values a band is made from
-
-
-@dataclass(frozen=True)
-class Activation:
-    """A scalar function, applied to every component: never decreasing, of slope at most 1.
-
-    Parameters
-    ----------
-    kind : {"relu", "tanh", "sigmoid", "clip"}
-        ``relu`` lets a share `low` of what is negative through (0 for the plain one), ``clip`` limits to
-        [low, high].
-    low, high : float
-
-    Raises
-    ------
-    ReachError
-        If the kind is unknown, a number not finite, or the function would decrease.
-    """
-
-    kind: str
-    low: float = 0.0
-    high: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        if self.kind not in _FUNCTIONS:
-            raise ReachError(f"an activation must be one of {', '.join(_FUNCTIONS)}, got {self.kind!r}")
-        if not (np.isfinite(self.low) and np.isfinite(self.high)):
-            raise ReachError(f"{self.kind} needs finite numbers, got {self.low!r} and {self.high!r}")
-        if self.kind == "relu" and not 0 <= self.low <= 1:
-            raise ReachError(f"the slope of a leaky relu must lie in [0, 1], got {self.low!r}")
-        if self.kind == "clip" and not self.low <= self.high:
-            raise ReachError(f"a clip needs low <= high, got {self.low!r} and {self.high!r}")
-
-    def __call__(self, y: Array) -> Array:
-        """Values, shape of y."""
-        return _FUNCTIONS[self.kind](self, np.asarray(y))
-
-    def slope(self, y: Array) -> Array:
-        """Derivative at y; at a kink one of the two."""
-        if self.kind == "relu":
-            return np.where(y < 0, self.low, 1.0)
-        if self.kind == "clip":
-            return np.where((y < self.low) | (y > self.high), 0.0, 1.0)
-        value = self(y)
-        return np.asarray(1 - value**2 if self.kind == "tanh" else value * (1 - value))
-
-    def band(self, lo: Array, hi: Array) -> tuple[Array, Array, Array]:
-        """Slope, offset and radius of a band over [lo, hi], elementwise; exact where f is affine there.
-
-        Parameters
-        ----------
-        lo, hi : ndarray
-            Of one shape, ``lo <= hi``.
-        """
-        top, bottom, width = self(hi), self(lo), hi - lo
-        slope = np.divide(top - bottom, width, out=np.zeros_like(width), where=width > 0)
-        slope = np.clip(slope, 0.0, 1.0)
-        places = np.stack([lo, hi, *(np.clip(y, lo, hi) for y in self._turns(slope))])
-        rest = self(places) - slope * places
-        most, least = rest.max(axis=0), rest.min(axis=0)
-        scale = np.maximum(np.abs(top), np.abs(bottom)) + np.maximum(np.abs(lo), np.abs(hi))
-        return slope, (most + least) / 2, (most - least) / 2 + SLACK * scale
-
-    def _turns(self, slope: Array) -> list[Array | float]:
-        """Where ``f(y) - slope y`` may turn: kinks, and where f has that slope."""
-        if self.kind == "relu":
-            return [0.0]
-        if self.kind == "clip":
-            return [self.low, self.high]
-        # 1 / cosh(y)^2 = slope for tanh; the sigmoid is (1 + tanh(y / 2)) / 2, and its slope at most 1/4.
-        stretch = 2.0 if self.kind == "sigmoid" else 1.0
-        y = stretch * np.arccosh(1 / np.sqrt(np.clip(slope * stretch**2, 1e-300, 1.0)))
-        return [y, -y]
-
-
-_FUNCTIONS: dict[str, Callable[[Activation, Array], Array]] = {
-    "relu": lambda f, y: np.where(y < 0, f.low * y, y),
-    "tanh": lambda _, y: np.tanh(y),
-    "sigmoid": lambda _, y: np.asarray(0.5 + 0.5 * np.tanh(0.5 * y)),
-    "clip": lambda f, y: np.clip(y, f.low, f.high),
-}
-
-
-@dataclass(frozen=True, eq=False)
-class Affine:
-    """A layer ``W x + b``.
-
-    Parameters
-    ----------
-    W : array_like, shape (m, n)
-    b : array_like, shape (m,)
-
-    Raises
-    ------
-    ReachError
-        If the shapes do not fit or a weight is not finite.
-    """
-
-    W: Array
-    b: Array
-
-    def __post_init__(self) -> None:
-        W, b = finite_fields(self, "W", "b")
-        if W.ndim != 2 or 0 in W.shape or b.shape != W.shape[:1]:
-            raise ReachError(f"a layer needs weights (m, n) and biases (m,), got {W.shape} and {b.shape}")
-
-    def __call__(self, x: Array) -> Array:
-        """Values for inputs of shape (..., n)."""
-        return np.asarray(x @ self.W.T + self.b)
+MOST_ENTRIES = 2**26  # most numbers in the generators of one enclosure: 512 MiB
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A chain of affine layers and activations.
+    """A chain of affine or elementwise layers and activations.
 
     Parameters
     ----------
-    layers : sequence of Affine or Activation
+    layers : sequence of Affine, Diagonal or Activation
         In the order in which they are applied.
+    precision : {"real", "float32", "float64"}
+        Arithmetic in which it is evaluated. Enclosures of "real" hold the values without rounding. Those of
+        a floating-point format hold what any runtime computes in it: inputs rounded to it, IEEE 754 rounding
+        to nearest, sums in any order, with or without fused multiply-add, and tanh and sigmoid to 8 unit
+        roundoffs.
 
     Raises
     ------
     ReachError
-        If there is no affine layer, or two of them do not fit together.
+        If there is no layer of weights, two of them do not fit together, or the precision is unknown.
     """
 
-    layers: tuple[Affine | Activation, ...]
+    layers: tuple[Affine | Diagonal | Activation, ...]
+    precision: str = "real"
 
     def __post_init__(self) -> None:
         layers = self.layers if isinstance(self.layers, list | tuple) else ()
-        if not all(isinstance(layer, Affine | Activation) for layer in layers):
-            raise ReachError("layers must each be an Affine or an Activation")
+        if not all(isinstance(layer, Affine | Diagonal | Activation) for layer in layers):
+            raise ReachError("layers must each be an Affine, a Diagonal or an Activation")
         object.__setattr__(self, "layers", tuple(layers))
-        if not self._affine:
+        if not self._weighted:
             raise ReachError("a network needs at least one affine layer")
-        for before, after in zip(self._affine, self._affine[1:], strict=False):
-            if after.W.shape[1] != before.W.shape[0]:
-                sizes = before.W.shape[0], after.W.shape[1]
+        for before, after in pairwise(self._weighted):
+            if after.shape[1] != before.shape[0]:
+                sizes = before.shape[0], after.shape[1]
                 raise ReachError(f"a layer of {sizes[0]} outputs is followed by one of {sizes[1]} inputs")
+        self.rounding  # noqa: B018  an unknown precision is refused here
 
     @cached_property
-    def _affine(self) -> list[Affine]:
-        return [layer for layer in self.layers if isinstance(layer, Affine)]
+    def _weighted(self) -> list[Affine | Diagonal]:
+        return [layer for layer in self.layers if not isinstance(layer, Activation)]
+
+    @cached_property
+    def rounding(self) -> Rounding | None:
+        """Bounds on the rounding of its evaluation; None in real arithmetic."""
+        return Rounding.of(self.precision)
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        return int(self._affine[0].W.shape[1])
+        return self._weighted[0].shape[1]
 
     @property
     def outputs(self) -> int:
         """Number of outputs."""
-        return int(self._affine[-1].W.shape[0])
+        return self._weighted[-1].shape[0]
 
     def __call__(self, x: ArrayLike) -> Array:
-        """Outputs, shape (..., outputs), for inputs of shape (..., inputs)."""
-        y = as_vector(x, self.inputs)
-        for layer in self.layers:
-            y = layer(y)
-        return np.asarray(y)
+        """Outputs, shape (..., outputs), for inputs of shape (..., inputs), computed in the precision.
+
+        Real arithmetic is computed in double precision.
+        """
+        y = as_vector(x, self.inputs).astype(FORMATS.get(self.precision, float), copy=False)
+        with np.errstate(over="ignore" if self.rounding else "warn"):
+            for layer in self.layers:
+                y = layer(y)
+        return np.asarray(y, dtype=float)
 
     def pullback(self, x: ArrayLike, weights: ArrayLike) -> Array:
         """Gradient of ``weights . network(x)`` by x, shape (..., inputs), for weights (..., outputs).
@@ -193,8 +96,27 @@ class Network:
             before.append(y)
             y = layer(y)
         for layer, y in zip(self.layers[::-1], before[::-1], strict=True):
-            back = back @ layer.W if isinstance(layer, Affine) else back * layer.slope(y)
+            back = back * layer.slope(y) if isinstance(layer, Activation) else layer.back(back)
         return np.asarray(back)
+
+    def steepest(self, M: Array) -> Array:
+        """Bound the entries of its derivative times a matrix (inputs, k), shape (outputs, k).
+
+        The part of the rounding that is proportional to a difference of inputs is included.
+        """
+        own = self.rounding
+
+        def grown(count: int) -> float:
+            return 1.0 if own is None else 1 + own.relative(count)
+
+        bent = own is not None  # before anything bends or rounds, products of signed weights hold
+        M = np.abs(M) * grown(READ) if bent else M
+        for layer in self.layers:
+            if isinstance(layer, Activation):
+                M, bent = np.abs(M) * layer.steepest * grown(2), True
+            else:
+                M = (layer.sizes(M) if bent else layer.times(M)) * grown(layer.terms + MORE)
+        return np.abs(M)
 
     @checked
     def enclose(self, inputs: Zonotope, error: ArrayLike = 0.0) -> Zonotope:
@@ -202,8 +124,8 @@ class Network:
 
         Every activation is replaced by an affine band over the range of its argument (zonotope
         propagation, Singh et al. 2018). The first generators correspond to those of the set of inputs, one to
-        one: for ``x = c + G a`` the output is ``c' + G'[:, :g] a + G'[:, g:] b``, all ``|b_i| <= 1``. What
-        rounding may do is booked.
+        one: for ``x = c + G a`` the output is ``c' + G'[:, :g] a + G'[:, g:] b``, all ``|b_i| <= 1``. The
+        rounding of this enclosure and, in a floating-point precision, that of the network are added.
 
         Parameters
         ----------
@@ -217,25 +139,34 @@ class Network:
         ReachError
             If the dimension does not fit.
         Unresolved
-            If the numbers lead beyond floating point.
+            If the numbers lead beyond floating point, or there would be too many of them.
         """
         require_single("a set of inputs", inputs)
         if inputs.dim != self.inputs:
             raise ReachError(f"the network has {self.inputs} inputs, the set has dimension {inputs.dim}")
-        c, G = inputs.c, inputs.G
+        c, G, own = inputs.c, inputs.G, self.rounding
         off = np.abs(per_row("error", error, inputs.dim))
+        if own is not None:
+            off = off + own.read(np.abs(c) + np.abs(G).sum(axis=1) + off)
         for layer in self.layers:
             extent = np.abs(c) + np.abs(G).sum(axis=1)
-            if isinstance(layer, Affine):
-                size = np.abs(layer.W)
-                rounding = gamma(len(c))
-                off = (size @ off + rounding * (size @ extent + np.abs(layer.b))) * (1 + rounding)
-                c, G = layer(c), layer.W @ G
-            else:
+            if isinstance(layer, Activation):
+                entries = len(c) * (G.shape[1] + len(c))
+                if entries > MOST_ENTRIES:
+                    told = f"its enclosure has {entries:,} numbers, more than {MOST_ENTRIES:,}"
+                    raise Unresolved(f"the network is too wide or too deep: {told}")
                 spread = (extent - np.abs(c)) * (1 + gamma(G.shape[1])) + off
-                slope, offset, radius = layer.band(c - spread, c + spread)
+                lo, hi = c - spread, c + spread
+                slope, offset, radius = layer.band(lo, hi)
                 # An interval's ends round as well; where the band is exact they do not matter.
                 radius = radius + slope * off
                 off = gamma(2) * (slope * extent + np.abs(offset))
+                if own is not None:
+                    off = off + own.bent(layer, np.maximum(np.abs(layer(lo)), np.abs(layer(hi))))
                 c, G = slope * c + offset, np.hstack([slope[:, None] * G, np.diag(radius)])
+            else:
+                rounding, size = gamma(layer.terms), layer.sizes(extent) + np.abs(layer.b)
+                more = 0.0 if own is None else own.summed(layer, extent + off)
+                off = (layer.sizes(off) + rounding * size) * (1 + rounding) + more
+                c, G = layer(c), layer.times(G)
         return Zonotope(c, np.hstack([G, np.diag(off * (1 + gamma(len(off))))]))

@@ -1,5 +1,7 @@
 """Networks from ONNX files: read as data, never executed (optional package ``onnx``)."""
 
+import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -8,29 +10,43 @@ import numpy as np
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
 from ..numerics.packages import unusable
-from .network import Activation, Affine, Network
+from .layers import Activation, Affine, Diagonal
+from .network import Network
 
 LARGEST = 64 * 2**20  # bytes of a file beyond which it is refused: a controller is small
 WIDEST = 4096  # most components of an input or a layer
+DEEPEST = 1000  # most layers
 
-SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout")  # they change no value
+REAL = {1: 4, 11: 8}  # bytes of a number of the types that are read: float and double
+SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout", "Cast")  # they change no value
 ACTIVATIONS = {"Relu": 0.0, "LeakyRelu": 0.01, "Tanh": 0.0, "Sigmoid": 0.0}  # ``alpha`` where it is left out
-OPERATORS = {*SAME, *ACTIVATIONS, "Gemm", "MatMul", "BatchNormalization", "Clip", "Cast"}
-OPERATORS |= {"Add", "Sub", "Mul", "Div"}
+ELEMENTWISE = ("Add", "Sub", "Mul", "Div", "BatchNormalization")
+OPERATORS = {*SAME, *ACTIVATIONS, *ELEMENTWISE, "Gemm", "MatMul", "Clip", "Constant"}
+UNLIMITED = float(np.finfo(float).max)  # limit of a Clip that gives none, by ONNX itself
+
+Layer = Affine | Diagonal | Activation
 
 
-def read_onnx(path: str | Path) -> Network:
+def read_onnx(path: str | Path, precision: str = "real") -> Network:
     """Read a feed-forward network.
 
     Understood are Gemm, MatMul, Add, Sub, Mul, Div (with constants), BatchNormalization, Relu, LeakyRelu,
     Tanh, Sigmoid, Clip, and what changes no value (Identity, Flatten, Reshape, Squeeze, Unsqueeze, Cast,
-    Dropout). The batch axis counts for nothing. Weights are as stored, arithmetic is in double precision.
+    Dropout of inference). The batch axis counts for nothing. Weights are as stored. Memory and time are
+    bounded by the size of the file.
+
+    Parameters
+    ----------
+    path : str or Path
+    precision : {"real", "float32", "float64"}
+        Arithmetic in which the network is evaluated, see `Network`.
 
     Raises
     ------
     ReachError
         If the package is missing, the file is none, too large, keeps weights elsewhere, branches, has an
-        operator that is not understood, or a weight that is not finite.
+        operator that is not understood, computes with other numbers than float or double, or has a weight
+        that is not finite.
     """
     if why := unusable("onnx"):
         raise ReachError(f"an ONNX file cannot be read: {why}")
@@ -42,10 +58,12 @@ def read_onnx(path: str | Path) -> Network:
     try:
         if path.stat().st_size > LARGEST:
             raise ReachError(f"has more than {LARGEST} bytes: not a controller")
-        model = onnx.load_model_from_string(path.read_bytes())
-        found = Network(tuple(_layers(onnx.shape_inference.infer_shapes(model).graph)))
+        data = path.read_bytes()
+        model = onnx.load_model_from_string(data)
+        _require_known(model)
+        layers = _layers(onnx.shape_inference.infer_shapes(model).graph, len(data))
         onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
-        return found
+        return Network(tuple(layers), precision)
     except OSError as error:
         raise ReachError(f"{path} cannot be read: {error.strerror}") from error
     except ReachError as error:
@@ -54,36 +72,64 @@ def read_onnx(path: str | Path) -> Network:
         raise ReachError(f"{path} is not an ONNX file: {str(error).splitlines()[0]}") from error
 
 
-def _layers(graph: Any) -> list[Affine | Activation]:
-    """One walk along the chain of operators, from the input to the output."""
-    from onnx import helper
+def _require_known(model: Any) -> None:
+    """Refuse other operators before shapes are inferred: that is cheap for the known ones only."""
+    if model.functions:
+        raise ReachError("operators that the file defines itself are not understood")
+    for node in model.graph.node:
+        if node.op_type not in OPERATORS or node.domain not in ("", "ai.onnx"):
+            raise ReachError(f"the operator {f'{node.domain}.{node.op_type}'.lstrip('.')} is not understood")
 
-    constants = {tensor.name: _constant(tensor, tensor.name) for tensor in graph.initializer}
-    given = [value for value in graph.input if value.name not in constants]
+
+def _layers(graph: Any, most: int) -> list[Layer]:
+    """One walk along the chain of operators, from the input to the output; `most` numbers in all layers."""
+    from onnx import TensorProto, helper
+
+    tensors = {tensor.name: tensor for tensor in graph.initializer}
+    given = [value for value in graph.input if value.name not in tensors]
     if len(given) != 1 or len(graph.output) != 1:
         raise ReachError(f"needs one input and one output, has {len(given)} and {len(graph.output)}")
-    known = [*graph.input, *graph.value_info, *graph.output]
+    known = [*given, *graph.value_info, *graph.output]
+    for value in known:
+        if value.type.tensor_type.elem_type not in REAL:
+            kind = TensorProto.DataType.Name(value.type.tensor_type.elem_type)
+            raise ReachError(
+                f"{value.name} is of type {kind}: only networks of FLOAT or DOUBLE are understood"
+            )
     dims = {value.name: [axis.dim_value for axis in value.type.tensor_type.shape.dim] for value in known}
-    at, shape, layers = given[0].name, dims[given[0].name], list[Affine | Activation]()
-    width = shape[-1] if shape else 0
+    at, shape, layers = given[0].name, dims[given[0].name], list[Layer]()
+    width, kind = shape[-1] if shape else 0, ""
     if not 1 <= width <= WIDEST or any(size > 1 for size in shape[:-1]):
         raise ReachError(f"the input must be a vector of known size, has shape {shape}")
+
+    @cache
+    def numbers(name: str) -> Array:
+        return _numbers(tensors[name], name)
+
     for node in graph.node:
         kind = node.op_type
         more = {item.name: helper.get_attribute_value(item) for item in node.attribute}
         if kind == "Constant":
             if "value" not in more:
                 raise ReachError("a constant that is not a tensor is not understood")
-            constants[node.output[0]] = _constant(more["value"], node.output[0])
+            tensors[node.output[0]] = more["value"]
+            continue
+        if list(node.input).count(at) != 1 or any(
+            name not in (at, "") and name not in tensors for name in node.input
+        ):
+            raise ReachError(f"{kind} takes more than constants and the output before it: no chain")
+        if kind in SAME:
+            _require_same(kind, more, [tensors.get(name) for name in node.input])
         else:
-            if kind not in OPERATORS or node.domain not in ("", "ai.onnx"):
-                raise ReachError(f"the operator {kind} is not understood")
-            inputs = [None if name == at or not name else constants.get(name, name) for name in node.input]
-            if list(node.input).count(at) != 1 or any(isinstance(value, str) for value in inputs):
-                raise ReachError(f"{kind} takes more than constants and the output before it: no chain")
-            layer = _layer(kind, inputs, more, width)
-            layers += [layer] if layer else []
-            width, at = len(layer.W) if isinstance(layer, Affine) else width, node.output[0]
+            inputs = [None if name in (at, "") else numbers(name) for name in node.input]
+            made = _made(kind, inputs, more, width)
+            layers += made
+            width = made[-1].shape[0] if not isinstance(made[-1], Activation) else width
+            most -= sum(value.size for value in inputs if value is not None)
+        if len(layers) > DEEPEST or most < 0:
+            told = f"at most {DEEPEST} layers, with no more numbers than the file has bytes, are read"
+            raise ReachError(f"the network is larger than its file: {told}")
+        at = node.output[0]
         sizes = dims.get(at) or [0]  # as the package infers them
         if sizes[-1] != width or any(size > 1 for size in sizes[:-1]):
             raise ReachError(f"{kind} must leave {width} components along the last axis")
@@ -92,57 +138,79 @@ def _layers(graph: Any) -> list[Affine | Activation]:
     return layers
 
 
-def _constant(tensor: Any, name: str) -> Array:
+def _numbers(tensor: Any, name: str) -> Array:
+    """Stored numbers of a tensor, of the shape that it declares."""
     from onnx import TensorProto, numpy_helper
 
     if tensor.data_location == TensorProto.EXTERNAL:
         raise ReachError(f"the weights {name} lie in another file")
+    if tensor.data_type not in REAL:
+        kind = TensorProto.DataType.Name(tensor.data_type)
+        raise ReachError(f"the weights {name} are of type {kind}: only FLOAT and DOUBLE are understood")
+    typed = tensor.float_data if tensor.data_type == TensorProto.FLOAT else tensor.double_data
+    stored = len(tensor.raw_data) / REAL[tensor.data_type] if tensor.raw_data else len(typed)
+    if any(size < 1 for size in tensor.dims) or math.prod(tensor.dims) != stored:
+        raise ReachError(f"the weights {name} declare shape {list(tensor.dims)} and store {stored:g} numbers")
     value = numpy_helper.to_array(tensor)
-    if value.dtype.kind not in "fiu" or not np.all(np.isfinite(value)):
+    if not np.all(np.isfinite(value)):
         raise ReachError(f"the weights {name} are not finite numbers")
     return np.asarray(value, dtype=float)
 
 
-def _layer(kind: str, inputs: list[Any], more: dict[str, Any], width: int) -> Affine | Activation | None:
-    """What one operator does to so many values; None if nothing."""
-    if kind == "Cast" and more.get("to") not in (1, 11):
+def _require_same(kind: str, more: dict[str, Any], tensors: list[Any]) -> None:
+    """Refuse a Cast to other numbers, and a Dropout of training."""
+    from onnx import numpy_helper
+
+    if kind == "Cast" and more.get("to") not in REAL:
         raise ReachError("a Cast must be to float or double: others change values")
-    if kind in (*SAME, "Cast"):
-        return None
+    training = len(tensors) > 2 and tensors[2] is not None and bool(np.any(numpy_helper.to_array(tensors[2])))
+    if kind == "Dropout" and (training or not more.get("is_test", 1)):
+        raise ReachError("Dropout must be that of inference: its training_mode must be false")
+
+
+def _made(kind: str, inputs: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
+    """Layers that one operator makes of so many values."""
     if kind in ACTIVATIONS:
-        return Activation(kind.lower().removeprefix("leaky"), more.get("alpha", ACTIVATIONS[kind]))
+        return [Activation(kind.lower().removeprefix("leaky"), more.get("alpha", ACTIVATIONS[kind]))]
     if kind == "Clip":
-        return _clip(inputs, more)
-    if kind in ("Gemm", "MatMul"):
-        W, b = _weights(kind, inputs, more)
-    else:
-        scale, b = _scaling(kind, inputs, more)
-        W = np.diag(_spread(scale, width))
-    if W.ndim != 2 or W.shape[1] != width or len(W) > WIDEST:
+        return [_clip(inputs, more)]
+    if kind == "BatchNormalization":
+        return _normalised(inputs, more, width)
+    if kind in ELEMENTWISE:
+        scale, b = _scaling(kind, inputs)
+        return [Diagonal(_spread(scale, width), _spread(b, width))]
+    W, b = _weights(kind, inputs, more)
+    if W.shape[1] != width or len(W) > WIDEST:
         raise ReachError(f"weights of shape {W.shape} follow {width} values, at most {WIDEST}")
-    return Affine(W, _spread(b, len(W)))
+    alpha, b = more.get("alpha", 1.0), _spread(b, len(W))
+    if alpha == 1:
+        return [Affine(W, b)]
+    return [Affine(W, _spread(0.0, len(W))), Diagonal(_spread(alpha, len(W)), b)]
 
 
 def _weights(kind: str, inputs: list[Any], more: dict[str, Any]) -> tuple[Array, Array]:
+    """Weights and biases of a product."""
     if len(inputs) < 2 or inputs[0] is not None or inputs[1] is None or inputs[1].ndim != 2:
         raise ReachError(f"{kind} must multiply by weights from the right")
     if more.get("transA", 0):
         raise ReachError("Gemm with a transposed input is not understood")
-    W = inputs[1] if more.get("transB", 0) else inputs[1].T
     b = inputs[2] if len(inputs) > 2 and inputs[2] is not None else np.zeros(1)
-    return more.get("alpha", 1.0) * W, more.get("beta", 1.0) * b
+    return inputs[1] if more.get("transB", 0) else inputs[1].T, more.get("beta", 1.0) * b
 
 
-def _scaling(kind: str, inputs: list[Any], more: dict[str, Any]) -> tuple[Any, Any]:
-    """``scale y + shift`` of an operator that takes every component for itself."""
-    if kind == "BatchNormalization":
-        if len(inputs) < 5 or more.get("training_mode", 0):
-            raise ReachError("BatchNormalization must be that of inference")
-        gain, shift, mean, variance = inputs[1:5]
-        if np.any(variance + more.get("epsilon", 1e-5) <= 0):
-            raise ReachError("BatchNormalization has a variance that is not positive")
-        scale = gain / np.sqrt(variance + more.get("epsilon", 1e-5))
-        return scale, shift - mean * scale
+def _normalised(inputs: list[Any], more: dict[str, Any], width: int) -> list[Layer]:
+    """Less the mean, then scaled and shifted: what each step rounds to is relative to its own terms."""
+    if len(inputs) < 5 or inputs[0] is not None or more.get("training_mode", 0):
+        raise ReachError("BatchNormalization must be that of inference")
+    gain, shift, mean, variance = (_spread(value, width) for value in inputs[1:5])
+    if np.any(variance + more.get("epsilon", 1e-5) <= 0):
+        raise ReachError("BatchNormalization has a variance that is not positive")
+    scale = gain / np.sqrt(variance + more.get("epsilon", 1e-5))
+    return [Diagonal(_spread(1.0, width), -mean), Diagonal(scale, shift)]
+
+
+def _scaling(kind: str, inputs: list[Any]) -> tuple[Any, Any]:
+    """``scale y + b`` of an operator that takes every component for itself."""
     first = inputs[0] is None
     value = inputs[1] if first else inputs[0]
     if kind == "Div" and (not first or np.any(value == 0)):
@@ -155,11 +223,10 @@ def _scaling(kind: str, inputs: list[Any], more: dict[str, Any]) -> tuple[Any, A
 
 
 def _clip(inputs: list[Any], more: dict[str, Any]) -> Activation:
-    given: list[Any] = [more.get("min"), more.get("max")]
+    """Limits of a Clip; one that is not given is the largest number."""
+    given: list[Any] = [more.get("min", -UNLIMITED), more.get("max", UNLIMITED)]
     for at, value in enumerate(inputs[1:3]):
         given[at] = given[at] if value is None else value
-    if given[0] is None or given[1] is None:
-        raise ReachError("Clip must have both limits")
     low, high = (np.reshape(np.asarray(limit, dtype=float), -1) for limit in given)
     if low.size != 1 or high.size != 1:
         raise ReachError("Clip must have one number for each limit")
@@ -167,7 +234,7 @@ def _clip(inputs: list[Any], more: dict[str, Any]) -> Activation:
 
 
 def _spread(value: Any, width: int) -> Array:
-    """One constant for all components, or one each along the last axis."""
+    """One constant for all components, kept once, or one each along the last axis."""
     given = np.asarray(value, dtype=float)
     if given.size not in (1, width):
         raise ReachError(f"constants of shape {given.shape} follow {width} values")

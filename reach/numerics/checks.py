@@ -217,7 +217,7 @@ def as_factor(value: float, name: str = "a factor", least: float = -np.inf) -> f
     if number.ndim != 0 or not np.isfinite(number):
         raise ReachError(f"{name} must be one finite number, got {value!r}")
     if number < least:
-        raise ReachError(f"{name} must be >= {least:g}, got {number:g}")
+        raise ReachError(f"{name} must be >= {least:g}, got {float(number)!r}")
     return float(number)
 
 

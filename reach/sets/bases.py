@@ -30,7 +30,7 @@ class Bases:
 
     def __init__(self, A: Array, b: Array) -> None:
         self.A, self.b, n = A, b, A.shape[1]
-        self.columns = np.abs(A).max(axis=0)
+        self.columns = np.abs(A).max(axis=0, initial=0.0)
         self.columns = np.where(self.columns > 0, self.columns, 1.0)
         self.norms = np.linalg.norm(A / self.columns, axis=1)
         self.rows = A / self.columns / self.norms[:, None]

@@ -14,7 +14,7 @@ from .distance import Answer
 from .ellipsoid import Ellipsoid
 from .intersection import Intersection
 from .interval import Interval
-from .lazy import AffineImage, inverse
+from .lazy import AffineImage, MinkowskiSum, inverse
 from .norms import largest_norm
 from .polytope import HPolytope
 from .zonotope import FLAT, Zonotope, combination_count, facet_normals
@@ -24,6 +24,7 @@ Settle = Callable[[NDArray[np.intp]], list[bool | None]]
 
 MOST = 20_000  # facets of an outer zonotope, or branches over an inner one, looked at by default
 TOUCHING = "the sets touch to within rounding"
+UNBOUNDED = "a set without proved bounds, under a map or in a sum, is not decided"
 
 
 def in_intersection(outer: Intersection, inner: Any, method: Method, most: int) -> Answer:
@@ -48,8 +49,12 @@ def in_image(outer: AffineImage, inner: Any, method: Method, most: int) -> Answe
 
     M, v, n = outer.M, outer.v, outer.dim
     W = inverse(M)
+    if outer.is_empty:
+        if not outer.proved_empty:
+            return Answer(None, -np.inf, reason=TOUCHING)
+        return Answer(False, -np.inf, _beyond(inner, np.eye(n)[0], 0.0))
     if not np.all(np.isfinite(inner.extent)):
-        return Answer(None, -np.inf, reason="an unbounded set in an affine image is not decided")
+        return Answer(None, -np.inf, reason=UNBOUNDED)
     reach = inner.extent * (1 + gamma(n)) + np.abs(v)
     F = np.abs(np.eye(n) - W @ M) + gamma(n) * (np.abs(W) @ np.abs(M) + np.eye(n))
     size = np.abs(W) @ reach * (1 + gamma(n))
@@ -122,7 +127,7 @@ def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any
         return Answer(False, margin, point, rows[worst])
     for i, held in zip(left, settle(left), strict=False):
         if held is None:
-            return Answer(None, margin, reason=TOUCHING)
+            return Answer(None, margin, reason=TOUCHING if np.isfinite(margin) else UNBOUNDED)
         if not held:
             return Answer(False, margin, inner.support_vector(rows[i]), rows[i])
     return Answer(True, 0.0)
@@ -130,9 +135,16 @@ def _by_rows(rows: Array, least: Array, largest: Array, units: Array, inner: Any
 
 def _beyond(inner: Any, row: Array, offset: float) -> Array:
     """A point of the inner set with ``row . x > offset``; not infinitely far where the set is unbounded."""
-    if isinstance(inner, HPolytope) and not inner.is_bounded:
-        nearest = max(offset, -float(inner.support(-row)))
-        inner = inner.intersect_halfspace(row, nearest + max(1.0, abs(nearest)))
+    if getattr(inner, "is_bounded", True):
+        return np.asarray(inner.support_vector(row))
+    if isinstance(inner, AffineImage):
+        back = _beyond(inner.base, np.asarray(row @ inner.M), offset - float(np.dot(row, inner.v)))
+        return np.asarray(inner.M @ back + inner.v)
+    if isinstance(inner, MinkowskiSum):
+        known = sum(-float(part.support(-row)) for part in inner.parts if np.isfinite(part.support(-row)))
+        return np.asarray(sum(_beyond(part, row, offset - min(known, 0.0)) for part in inner.parts))
+    nearest = max(offset, -float(inner.support(-row)))
+    inner = inner.intersect_halfspace(row, nearest + max(1.0, abs(nearest)))
     return np.asarray(inner.support_vector(row))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +19,38 @@ if TYPE_CHECKING:
     from .polytope import HPolytope
 
 
+class OfSets(SetOperators):
+    """What is made of other sets: empty as soon as one of them is, unbounded where one may be."""
+
+    @property
+    @abstractmethod
+    def made_of(self) -> tuple[Any, ...]:
+        """The other sets."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether one of the sets is empty."""
+        return any(getattr(part, "is_empty", False) for part in self.made_of)
+
+    @property
+    def proved_empty(self) -> bool:
+        """Whether one of the sets is proved to be empty."""
+        return any(getattr(part, "is_empty", False) and part.proved_empty for part in self.made_of)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether a box around the set was proved."""
+        return bool(np.all(np.isfinite(self.extent)))
+
+    def _with_rounding(self, values: Array, D: Array, way: int, terms: int) -> Array:
+        """Values with their rounding booked; infinite ones stay, and those of unbounded sets are unproved."""
+        with np.errstate(invalid="ignore"):
+            booked = values + way * gamma(terms) * weighed(D, self.extent)
+        return np.asarray(np.where(np.isposinf(values), np.inf, booked))
+
+
 @dataclass(frozen=True, eq=False)
-class AffineImage(SetOperators):
+class AffineImage(OfSets):
     """``{M x + v : x in base}``, kept unevaluated.
 
     Parameters
@@ -46,6 +77,11 @@ class AffineImage(SetOperators):
         return len(self.M)
 
     @property
+    def made_of(self) -> tuple[Any, ...]:
+        """The base."""
+        return (self.base,)
+
+    @property
     def center(self) -> Array:
         """Image of the base set's centre, shape (m,)."""
         return np.asarray(self.M @ self.base.center + self.v)
@@ -55,7 +91,7 @@ class AffineImage(SetOperators):
 
     def _booked(self, D: Array, way: int) -> Array:
         inner = self.base.support_up(D @ self.M) if way > 0 else self.base.support_down(D @ self.M)
-        return np.asarray(inner + D @ self.v + way * gamma(2 * self.dim) * weighed(D, self.extent))
+        return self._with_rounding(inner + D @ self.v, D, way, 2 * self.dim)
 
     def _furthest(self, D: Array) -> Array:
         return np.asarray(self.base.support_vector(D @ self.M) @ self.M.T + self.v)
@@ -109,7 +145,7 @@ def inverse(M: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class OfParts(SetOperators):
+class OfParts(OfSets):
     """What is made of single sets of one dimension, kept unevaluated."""
 
     parts: tuple[Any, ...]
@@ -121,6 +157,11 @@ class OfParts(SetOperators):
         for part in self.parts:
             require_same_dim(self.parts[0], part)
             require_single(f"a part of a lazy {type(self).__name__}", part)
+
+    @property
+    def made_of(self) -> tuple[Any, ...]:
+        """The parts."""
+        return self.parts
 
     @property
     def dim(self) -> int:
@@ -152,7 +193,7 @@ class MinkowskiSum(OfParts):
 
     def _booked(self, D: Array, way: int) -> Array:
         values = (part.support_up(D) if way > 0 else part.support_down(D) for part in self.parts)
-        return np.asarray(sum(values) + way * gamma(len(self.parts)) * weighed(D, self.extent))
+        return self._with_rounding(np.asarray(sum(values)), D, way, len(self.parts))
 
     def _furthest(self, D: Array) -> Array:
         return np.asarray(sum(part.support_vector(D) for part in self.parts))

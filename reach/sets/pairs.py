@@ -62,8 +62,10 @@ def contains(outer: Any, inner: Any, method: Method = "auto", most: int = MOST) 
         require_single("a set asked about", one)
     if getattr(inner, "is_empty", False):
         return Answer(True, np.inf) if inner.proved_empty else Answer(None, 0.0, reason=inside.TOUCHING)
-    if isinstance(inner, HPolytope) and not inner.is_bounded and isinstance(outer, Generated):
-        outer = outer.interval_hull().to_polytope()  # what has no bounds leaves the hull too
+    if isinstance(outer, Generated) and not getattr(inner, "is_bounded", True):
+        # What has no bounds leaves the hull too.
+        found = inside.in_polytope(outer.interval_hull().to_polytope(), inner, method, most)
+        return found if found.holds is False else Answer(None, -np.inf, reason=inside.UNBOUNDED)
     for kind, answer in CONTAINS.items():
         if isinstance(outer, kind):
             return answer(outer, inner, method, most)

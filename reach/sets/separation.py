@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from ..numerics.checks import Array
 from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, integers
+from .containment import UNBOUNDED
 from .convex import weighed
 from .distance import Answer, nearest, unit_sizes
 from .intersection import Intersection
@@ -30,11 +31,13 @@ def separate(X: Any, Y: Any) -> Answer:
     if first is not None and second is not None:
         return _by_program(X, Y, first, second, units)
     for P, other, way in ((X, Y, 1.0), (Y, X, -1.0)):
-        if isinstance(P, HPolytope) and not P.is_bounded:
+        if isinstance(P, HPolytope) and not P.is_bounded and getattr(other, "is_bounded", True):
             box = other.interval_hull()
             found, within = separate(P, box), P & box
             found = found if found or within.is_empty else separate(within, other)
             return found if found.direction is None else replace(found, direction=way * found.direction)
+    if not all(getattr(one, "is_bounded", True) for one in (X, Y)):
+        return Answer(None, 0.0, reason=UNBOUNDED)
     near = nearest(X, Y, units)
     room = -float(X.support_up(near.direction) + Y.support_up(-near.direction))
     return _answer(X, Y, near.direction, room, near.x, near.y, units)
@@ -44,7 +47,7 @@ def _frame(X: Any, Y: Any) -> tuple[Array, Array, Array]:
     """Where polytopes are to be looked at, and sizes in which a distance of the two sets is measured."""
     known = [one.interval_hull() for one in (X, Y) if getattr(one, "is_bounded", True)]
     if not known:
-        sizes = np.maximum(X.frame[1], Y.frame[1])
+        sizes = np.maximum(_own_frame(X)[1], _own_frame(Y)[1])
         return np.zeros(X.dim), sizes, sizes
     half = unit_sizes(np.max([hull.half_widths for hull in known], axis=0))
     lo, hi = np.min([hull.lo for hull in known], axis=0), np.max([hull.hi for hull in known], axis=0)
@@ -69,9 +72,10 @@ def _stands(X: Any, point: Array, grain: Array) -> bool:
     """Whether a point is at most so far, axis by axis, from what the set's own description allows."""
     if isinstance(X, HPolytope):
         return bool(np.all(X.A @ point - X.b <= np.abs(X.A) @ grain))
-    parts = getattr(X, "parts", None)
-    if parts is not None and hasattr(X, "is_empty"):
-        return all(_stands(part, point, grain) for part in parts)
+    if isinstance(X, Intersection):
+        return all(_stands(part, point, grain) for part in X.parts)
+    if not getattr(X, "is_bounded", True):
+        return False  # nothing that is asked again shows it
     hull = X.interval_hull()
     return not (np.any(point < hull.lo - grain) or np.any(point > hull.hi + grain))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -65,10 +64,17 @@ class RowBounds:
         return replace(self, **nodes | {"bow": bow, "bend": bend, "parts": 1})
 
 
-def in_time(deadline: float) -> None:
-    """Be `Unresolved` where a time (of `perf_counter`) has passed."""
-    if perf_counter() > deadline:
-        raise Unresolved("time ran out")
+@dataclass
+class Effort:
+    """Count of what is computed, the same on every machine, and how much of it is allowed."""
+
+    left: float = np.inf
+
+    def spend(self, numbers: float) -> None:
+        """Take numbers from what is left; `Unresolved` once there is none."""
+        self.left -= numbers
+        if self.left < 0:
+            raise Unresolved("the effort allowed (max_effort) is spent: allow more, or a coarser tolerance")
 
 
 def collect(

@@ -22,7 +22,7 @@ from ..numerics.errors import ReachError
 from ..numerics.exponentials import exponential
 from ..sets.convex import ConvexSet
 from .adjoint import attained_support, driven_support, extent
-from .bounds import RowBounds, in_time
+from .bounds import Effort, RowBounds
 from .rows import ROUNDING
 
 Bound = ArrayLike | Callable[[float, float], ArrayLike] | None
@@ -236,7 +236,7 @@ class Sweep:
         slide = most @ driven + Y @ (most @ force_most + rate) / 2
         self.local = h**2 / 4 * slide[..., 0]
 
-    def run(self, D: Array, deadline: float) -> RowBounds:
+    def run(self, D: Array, effort: Effort) -> RowBounds:
         """Bounds along rows D, which are kept; rows along the axes and against them bound the states."""
         K, n, h, r = len(self.P), self.n, self.h, len(D)
         axes = np.vstack([np.eye(n), -np.eye(n)])
@@ -254,7 +254,7 @@ class Sweep:
             return np.maximum(np.abs(bounds[-2 * n : -n]), np.abs(bounds[-n:]))
 
         for k in range(K):
-            in_time(deadline)
+            effort.spend((k + 1) * rows.size)
             boxes[k] = self.missed[k] @ size + self.rest[k]
             curved = rows @ self.curve[k]
             along = curved @ maps[k]

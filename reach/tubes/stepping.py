@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
 
@@ -13,7 +13,7 @@ from ..numerics.checks import Array, per_row, require_positive
 from ..numerics.errors import ReachError, ReachWarning, Unresolved
 from ..sets.convex import ConvexSet
 from .adjoint import Adjoint, Block, Overflow, augmented
-from .bounds import RowBounds, collect, in_time
+from .bounds import Effort, RowBounds, collect
 from .known_input import known_response
 from .ltv import LTVSystem, Sweep
 from .rows import ROUNDING
@@ -36,13 +36,13 @@ FINEST = 2.0**-40  # shortest step of the automatic choice, as a share of the ho
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """How a horizon is stepped through, see `reach.support_tube`; `deadline` is a time of `perf_counter`."""
+    """How a horizon is stepped through, see `reach.support_tube`."""
 
     step: float | None = None
     tolerance: ArrayLike | None = None
     limit: ArrayLike | None = None
     keep: bool = False
-    deadline: float = np.inf
+    effort: Effort = field(default_factory=Effort)
 
 
 def row_bounds(
@@ -58,7 +58,7 @@ def row_bounds(
     if isinstance(system, LTVSystem):
         if step is None:
             raise ReachError("a system that varies in time needs a step")
-        return Sweep(system, initial, horizon, step).run(D, steps.deadline)
+        return Sweep(system, initial, horizon, step).run(D, steps.effort)
     around, start = augmented(system, initial)
     D = np.hstack([D, np.zeros((len(D), around.dim - system.dim))])
     adjoint = Adjoint(around, start)
@@ -75,7 +75,7 @@ def row_bounds(
     ceiling = np.full(len(D), -np.inf) if steps.limit is None else per_row("limit", steps.limit, len(D))
     if adjoint.input_pieces > 1 or system.nominal is not None:
         return _halved(adjoint, D, horizon, goal, ceiling, steps)
-    blocks = _adaptive(adjoint, D, horizon, goal, ceiling, steps.deadline)
+    blocks = _adaptive(adjoint, D, horizon, goal, ceiling, steps.effort)
     return collect(adjoint, D, horizon, blocks, steps.keep)
 
 
@@ -121,7 +121,7 @@ def _regular(adjoint: Adjoint, D: Array, horizon: float, step: float, parts: int
     def blocks() -> Iterator[tuple[float, Block]]:
         rows = D * adjoint.rows.scale
         for k in range(0, count, size):
-            in_time(steps.deadline)
+            steps.effort.spend(min(size, count - k) * rows.size)
             block = adjoint.block(rows, h, min(size, count - k))
             yield h, block
             rows = block.rows[-1]
@@ -155,7 +155,7 @@ def _halved(
 
 
 def _adaptive(
-    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, deadline: float
+    adjoint: Adjoint, D: Array, horizon: float, goal: Array | None, ceiling: Array, effort: Effort
 ) -> Iterator[tuple[float, Block]]:
     """Blocks whose steps are a half, a quarter, ... of the horizon, as short as the tolerance asks.
 
@@ -169,12 +169,12 @@ def _adaptive(
     reached, spent, sums, met = np.zeros((4, len(D)))
     known = _foreseen(adjoint, rows, horizon) if goal is None else met
     while done < 1:
-        in_time(deadline)
         h = 2.0**-level
         # A block ends at a multiple of its full length, so that longer steps may follow.
         count = BLOCK - int(done / h) % BLOCK if h * BLOCK < 1 else int((1 - done) / h)
         if steps + count > MAX_STEPS:
             raise Unresolved(f"the tolerance needs more than {MAX_STEPS:,} steps")
+        effort.spend(count * rows.size)
         try:
             block = adjoint.block(rows, h * horizon, count)
         except Overflow:

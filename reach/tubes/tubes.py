@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +12,7 @@ from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
 from ..sets.zonotope import Zonotope
 from .adjoint import augmented, is_symmetric
+from .bounds import Effort
 from .ltv import LTVSystem
 from .rows import ROUNDING
 from .stepping import Steps, row_bounds, warn_if_wide
@@ -80,7 +80,7 @@ def support_tube(
     step: float | None = None,
     tolerance: float | ArrayLike | None = None,
     limit: ArrayLike | None = None,
-    max_seconds: float = np.inf,
+    max_effort: float = np.inf,
 ) -> SupportTube:
     """Bound chosen directions over the reachable sets, continuously in time.
 
@@ -102,21 +102,28 @@ def support_tube(
         the largest value met.
     limit : array_like, shape (r,), optional
         With a tolerance: a bound between nodes that stays below this is tight enough.
-    max_seconds : float, optional
-        Wall time after which to give up.
+    max_effort : float, optional
+        Most numbers computed, steps times directions times states, before it gives up.
 
     Raises
     ------
     ReachError
         If a number is not finite, shapes do not fit, or the bounds on derivatives do not hold.
     Unresolved
-        If the tolerance cannot be met, in the time given, or a bound is beyond floating point.
+        If the tolerance cannot be met, or not with the effort allowed, or a bound is beyond floating point.
     """
-    deadline = perf_counter() + max_seconds
+    steps = Steps(step, tolerance, limit, effort=Effort(max_effort))
+    return tube_of(system, initial, horizon, directions, steps)
+
+
+def tube_of(
+    system: LinearSystem | LTVSystem, initial: ConvexSet, horizon: float, directions: ArrayLike, steps: Steps
+) -> SupportTube:
+    """Compute a `support_tube` with effort that may be shared with others."""
     D = as_directions(directions, system.dim)
-    run = row_bounds(system, initial, D, horizon, Steps(step, tolerance, limit, deadline=deadline))
+    run = row_bounds(system, initial, D, horizon, steps)
     above, below, between, coarse = run.above, run.below, run.between, run.coarse()
-    if step is not None and not system.discrete:
+    if steps.step is not None and not system.discrete:
         warn_if_wide(between.max(axis=0), below.max(axis=0), np.abs(above).max(axis=0))
     upper, attained = above[:: run.parts], below[:: run.parts]
     return SupportTube(coarse.times, D, upper, attained, between, coarse.bow + coarse.bend)

@@ -3,7 +3,6 @@
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,11 @@ from ..numerics.checks import Array
 from ..numerics.errors import Unresolved
 from ..sets.convex import ConvexSet
 from ..sets.polytope import HPolytope
+from ..tubes.bounds import Effort
+from ..tubes.stepping import Steps
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import Trajectory, worst_case
-from ..tubes.tubes import SupportTube, support_tube
+from ..tubes.tubes import SupportTube, tube_of
 from .specification import Verdict
 
 REPLAY = 1e-9
@@ -31,7 +32,7 @@ class Motions:
     system: LinearSystem
     initial: ConvexSet
     window: tuple[float, float]
-    deadline: float  # a time of `perf_counter`
+    effort: Effort  # of all tubes and trajectories together
 
     def sizes(self, rows: Array, limits: Array) -> Array:
         """Sizes in which rows (r, n) are measured, shape (r,): of their limits and over the initial set."""
@@ -50,8 +51,7 @@ class Motions:
         return np.asarray(np.maximum(most[:n], most[n:]).clip(min=0))
 
     def _support_tube(self, C: Array, **how: Any) -> SupportTube:
-        seconds = self.deadline - perf_counter()
-        return support_tube(self.system, self.initial, self.window[1], C, max_seconds=seconds, **how)
+        return tube_of(self.system, self.initial, self.window[1], C, Steps(effort=self.effort, **how))
 
     def tube(self, C: Array, tolerance: Array, limits: Array) -> SupportTube:
         """A tube as sharp as a tolerance asks; between nodes what stays below its limit is sharp enough."""

@@ -21,12 +21,13 @@ from ..sets.convex import ConvexSet
 from ..sets.distance import nearest, unit_sizes
 from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
-from ..tubes.bounds import in_time
+from ..tubes.bounds import Effort
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case
 from .invariance import FIRST, LAST, REPLAY, SHARPER, Motions, verify_always
 from .specification import Always, Never, Verdict
 
+EFFORT = 1e9  # numbers computed by default, minutes of one core: systems of 6 states rarely need a thousandth
 MOST_DIRECTIONS = 64
 MOST_STEPS = 20_000  # steps of a trajectory into the region
 TOUCHING = 1e-8  # distance, in sizes of the sets, at which two points count as one
@@ -42,11 +43,11 @@ def verify(
     spec: Always | Never,
     horizon: float,
     *,
-    max_seconds: float = 60.0,
+    max_effort: float = EFFORT,
 ) -> Verdict:
     """Decide whether every trajectory meets a specification, in continuous time.
 
-    Bounds are made sharper until they prove it, until a trajectory breaks it, or until time or
+    Bounds are made sharper until they prove it, until a trajectory breaks it, or until effort or
     precision runs out. For `Always` and for `Never` of one halfspace there is nothing between: the
     bound and the trajectory close in on each other.
 
@@ -57,8 +58,9 @@ def verify(
     spec : Always or Never
     horizon : float
         May be 0: then the initial set is asked.
-    max_seconds : float
-        Wall time after which the answer is "unknown".
+    max_effort : float
+        Most numbers computed, steps times directions times states, after which the answer is "unknown". It is
+        counted, so the answer is the same on every machine.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def verify(
     window = _window(system, spec, horizon)
     require_single("the initial set", initial)
     begun, region = perf_counter(), spec.region
-    motions = Motions(system, initial, window, begun + max_seconds)
+    motions = Motions(system, initial, window, Effort(max_effort))
     if len(region.b) == 0:
         found = _without_limits(motions, spec)
     elif isinstance(spec, Always):
@@ -125,10 +127,10 @@ class Reached:
 
     def support_vector(self, directions: ArrayLike) -> Array:
         """The values of the rows that go furthest in one direction, shape (r,)."""
-        in_time(self.motions.deadline)
         d = np.asarray(directions, dtype=float) @ self.rows
         motions = self.motions
         self.found.append(worst_case(motions.system, motions.initial, self.time, d, step=self.step))
+        motions.effort.spend(self.found[-1].states.size)
         return np.asarray(self.rows @ self.found[-1].states[-1])
 
     @property

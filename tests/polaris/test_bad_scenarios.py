@@ -197,6 +197,16 @@ BROKEN = {
     "recoverable unknown": ({"recoverable.kind": "cube"}, "recoverable.kind", "'polytope'"),
     "solver unknown": ({"planner.solver": "cplex"}, "planner.solver", "'facets', 'highs' or 'gurobi'"),
     "gap of one": ({"planner.gap": 1.0}, "planner.gap", "< 1"),
+    "certainty": (
+        {"experimental": [{"kind": "black_box", "name": "box", "confidence": 1.0}]},
+        "experimental[0].confidence",
+        "must be <= 0.999999999",
+    ),
+    "nearly certain": (
+        {"experimental": [{"kind": "black_box", "name": "box", "confidence": 0.9999999999}]},
+        "experimental[0].confidence",
+        "must be <= 0.999999999",
+    ),
     "no time": ({"planner.time_limit_s": 0}, "planner.time_limit_s", "> 0"),
     "goal inside out": ({"goal.inner_semi_minor_m": 90.0}, "goal.inner_semi_minor_m", "must be below"),
     "goal between the polygons": (

@@ -262,6 +262,12 @@ def test_no_attempt_counts_flights_of_another(monkeypatch):
     assert all(a[1] <= b[0] for a, b in zip(ends, ends[1:], strict=False))
 
 
+@pytest.mark.parametrize("asked", [{"confidence": 1.0}, {"probability": 0.0}, {"probability": 1.0}])
+def test_certainty_is_refused_with_the_open_interval(asked):
+    with pytest.raises(ScenarioError, match="must be > 0 and < 1"):
+        synthesize_sampled(None, safety(), [box()], **asked)
+
+
 @pytest.mark.slow
 def test_the_page_shows_what_becomes_of_a_fault():
     """A frequent one is seen: the sets of the first step hold it, or the box does not fly that step."""

@@ -24,7 +24,8 @@ from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.neural import NeuralController
 from polaris.synthesis.policy import Policy
 from polaris.synthesis.synthesize import synthesize
-from reach.networks.network import Activation, Affine, Network
+from reach.networks.layers import Activation, Affine
+from reach.networks.network import Network
 
 from ..kept import CONTINUOUS, printed
 from .conftest import synthesised

@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+import tracemalloc
 from dataclasses import replace
 from functools import cache
 from hashlib import sha256
@@ -15,9 +16,10 @@ pytest.importorskip("flint")
 
 from flint import arb, arb_mat
 
+from polaris.certificate.assumptions import ARITHMETIC
 from polaris.certificate.balls import matrix
 from polaris.certificate.bodies import Whereabouts
-from polaris.certificate.checker import verify
+from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import canonical, digest
 from polaris.certificate.networks import Policy as CheckedPolicy
 from polaris.certificate.networks import band, value
@@ -30,6 +32,7 @@ from polaris.model.tolerances import ROUNDING
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
+from polaris.runs.certificate import layer_item
 from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario, scenario_folder
@@ -39,10 +42,12 @@ from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.neural import NeuralController
 from polaris.synthesis.policy import Policy
 from polaris.synthesis.synthesize import synthesize
-from reach.networks.network import Activation, Affine, Network
+from reach.networks.layers import Activation, Affine, Diagonal
+from reach.networks.network import Network
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
+from ..reach.single_precision import ORDERS, evaluated
 from .forging import repeat
 from .tiny import TINY
 
@@ -57,6 +62,7 @@ KINDS = {
     "tanh": Activation("tanh"),
     "sigmoid": Activation("sigmoid"),
     "clip": Activation("clip", -0.4, 0.7),
+    "steep": Activation("relu", 2.5),
 }
 READS = (("error",), ("state", "time"), ("reference_input", "error", "time"), ("error", "state"), ("time",))
 
@@ -169,7 +175,7 @@ def test_commands_lie_in_what_is_said_of_them():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bands_of_the_checker_hold_the_activation(kind):
-    rng, layer = np.random.default_rng(1), Layer(kind, low=KINDS[kind].low, high=KINDS[kind].high)
+    rng, layer = np.random.default_rng(1), Layer(**layer_item(KINDS[kind]))
     for width in (0.0, 1e-12, 0.1, 2.0, 40.0):
         for _ in range(20):
             lo = 3 * rng.normal()
@@ -178,28 +184,48 @@ def test_bands_of_the_checker_hold_the_activation(kind):
                 assert abs(value(layer, arb(y)) - slope * arb(y) - middle) <= radius + 1e-12
 
 
+def checked_policy(controller, error=0.0):
+    """The checker's own account of a network, in a system that stands still."""
+    policy, limit = controller.policy, controller.system.u_max
+    law = Law(
+        *("net", "neural", None, None, None, list(policy.inputs)),
+        *(policy.input_scale.tolist(), policy.output_scale.tolist(), layers_of(policy.network)),
+        precision=policy.network.precision,
+    )
+    plant = {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))}
+    plant = type("Plant", (), plant | {"estimate": (error,) * 4 if error else ()})
+    return CheckedPolicy(law, plant, Whereabouts(plant, {}, arb(0), {}))
+
+
+PARTS = {"error": np.zeros(4), "state": np.full(4, 0.3), "time": np.array([2.0])}
+PARTS |= {"reference_input": np.array([0.1, -0.2])}
+
+
+def layers_of(network):
+    found = [layer_item(layer) for layer in network.layers]
+    return [
+        Layer(**{k: v.tolist() if hasattr(v, "tolist") else v for k, v in item.items()}) for item in found
+    ]
+
+
+def in_precision(controller, precision):
+    """A controller whose network has an elementwise layer as well, evaluated in a precision."""
+    layers = controller.policy.network.layers
+    size = layers[0].shape[0]
+    more = Diagonal(np.linspace(0.5, 1.5, size), np.full(size, 0.1))
+    network = Network((layers[0], more, *layers[1:]), precision)
+    return replace(controller, policy=replace(controller.policy, network=network))
+
+
 @pytest.mark.parametrize("error", [0.0, 0.03])
 def test_the_checker_encloses_what_a_network_commands(error):
     for seed in range(6):
         controller, rng = random_controller(seed)
+        controller = in_precision(controller, "real")
         policy, limit = controller.policy, controller.system.u_max
-        law = Law(
-            *("net", "neural", None, None, None, list(policy.inputs)),
-            *(policy.input_scale.tolist(), policy.output_scale.tolist(), layers_of(policy.network)),
-        )
+        checked, known = checked_policy(controller, error), policy.stack(PARTS)
         G = 0.1 * rng.normal(size=(4, 5))
         d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
-        plant = {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))}
-        plant = type("Plant", (), plant | {"estimate": (error,) * 4 if error else ()})
-        checked = CheckedPolicy(law, plant, Whereabouts(plant, {}, arb(0), {}))
-        known = policy.stack(
-            {
-                "error": np.zeros(4),
-                "state": np.full(4, 0.3),
-                "time": np.array([2.0]),
-                "reference_input": np.array([0.1, -0.2]),
-            }
-        )
         found = checked.command(d, matrix([[x] for x in known]), arb_mat(len(known), 0))
         for signs in rng.choice([-1.0, 1.0], (60, 5)):
             e = G @ signs
@@ -215,13 +241,27 @@ def test_the_checker_encloses_what_a_network_commands(error):
                 assert abs(u[i]) <= found.most[i] + 1e-12
 
 
-def layers_of(network):
-    return [
-        Layer("affine", layer.W.tolist(), layer.b.tolist())
-        if isinstance(layer, Affine)
-        else Layer(layer.kind, low=layer.low, high=layer.high)
-        for layer in network.layers
-    ]
+def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
+    """A point in: what is open is rounding alone."""
+    left = 0
+    for seed in range(12):
+        rounded = in_precision(random_controller(seed)[0], "float32")
+        policy, limit = rounded.policy, rounded.system.u_max
+        known, d = policy.stack(PARTS), CheckedZonotope(arb_mat(4, 1), arb_mat(4, 0))
+        given = d, matrix([[x] for x in known]), arb_mat(len(known), 0)
+        checked = checked_policy(rounded).command(*given)
+        point = Zonotope.point(np.zeros(4))
+        hull = rounded.loop.command(point, known)
+        room = [float(sum((abs(v) for v in row), arb(0)).mid()) for row in checked.V.tolist()]
+        middle = np.array([float(x.mid()) for x in checked.c.entries()])
+        assert np.all(np.array(room) <= hull.half_widths) and np.abs(middle - hull.c).max() < 1e-12
+        read = np.concatenate([PARTS[name] for name in policy.inputs])
+        for order in ORDERS:
+            out = evaluated(policy.network, read, np.float32, order, policy.input_scale)
+            u = np.clip((out.astype(np.float32) * policy.output_scale.astype(np.float32)), -limit, limit)
+            assert np.all(np.abs(u - middle) <= room)
+            left += np.any(np.abs(u - middle) > 1e-12)
+    assert left > 40
 
 
 # -- runs -------------------------------------------------------------------------------------------
@@ -289,6 +329,60 @@ def test_a_run_with_errors_verifies_and_holds_under_attack(tmp_path):
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert folder.summary["synthesis"]["experimental_share"] > 0.3
     assert falsify(synthesize(folder.scenario), 400).failure is None
+
+
+def arithmetic(lines):
+    return [line for line in lines if line.startswith("network ")]
+
+
+def test_a_run_says_in_which_arithmetic_its_network_is_evaluated(made, tmp_path):
+    found = read_run(made).summary["guarantee"]["assumptions"]
+    assert (
+        arithmetic(found) == [f"network net: {ARITHMETIC['real']}"]
+        and "real arithmetic" in ARITHMETIC["real"]
+    )
+    assert arithmetic(verify(made).trusted) == arithmetic(found)
+    single = run(scene(tmp_path, precision="float32"), tmp_path / "run")
+    verdict = verify(single.path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert arithmetic(verdict.trusted) == [f"network net: {ARITHMETIC['float32']}"]
+    for words in ("single precision (float32)", "sums in any order", "4.8e-07"):
+        assert words in ARITHMETIC["float32"]
+    assert falsify(synthesize(single.scenario), 200).failure is None
+
+
+def cancelling(folder):
+    """A file of a network that adds and takes away a large number, which single precision does not forget."""
+    from tests.reach.test_onnx import model, node
+
+    gain = np.array([[0.5, 0.0, 1.0, 0.0], [0.0, 0.5, 0.0, 1.0]])
+    weights = {"W": gain.T, "b": np.full(2, 1e4), "c": np.full(2, -1e4)}
+    nodes = [node("Gemm", "x W b", "h"), node("Relu", "h", "r"), node("Add", "r c", "y")]
+    path = folder / "cancelling.onnx"
+    path.write_bytes(model(nodes, weights, inputs=4).SerializeToString())
+    return path
+
+
+def test_a_run_that_forgets_the_rounding_of_its_network_is_rejected(tmp_path, monkeypatch):
+    pytest.importorskip("onnx")
+    path = scene(tmp_path, cancelling(tmp_path), precision="float32")
+    honest = run(path, tmp_path / "honest")
+    assert verify(honest.path).outcome == "VERIFIED", verify(honest.path).text()
+    assert honest.summary["synthesis"]["experimental_share"] > 0.1
+
+    def claims_real(data):
+        del law_of(data)["precision"]
+        line = f"network net: {ARITHMETIC['float32']}"
+        data["assumptions"][data["assumptions"].index(line)] = f"network net: {ARITHMETIC['real']}"
+
+    verdict = forged(honest.path, tmp_path / "claimed", claims_real)
+    assert verdict.outcome == "REJECTED" and verdict.claim == "controllers", verdict.text()
+    assert "precision" in verdict.text()
+    loop = NeuralController.loop.func
+    exact = property(lambda law: replace(loop(law), network=Network(loop(law).network.layers)))
+    monkeypatch.setattr(NeuralController, "loop", exact)
+    verdict = verify(run(path, tmp_path / "forgetful").path)
+    assert verdict.outcome == "REJECTED" and verdict.claim == "enclosures", verdict.text()
 
 
 @pytest.mark.usefixtures("few")
@@ -373,6 +467,7 @@ def _reads(data):
 
 def _any_thrust(data):
     data["controllers"][1] = {"name": "net", "kind": "any_thrust"}
+    data["assumptions"] = [line for line in data["assumptions"] if not line.startswith("network ")]
 
 
 FORGERIES = (_weight, _bias, _activation, _fewer, _scale, _reads, _any_thrust)
@@ -424,10 +519,35 @@ def test_the_checker_reads_files_as_the_package_does(tmp_path):
 
     for nodes, more in CHAINS.values():
         path = saved(tmp_path, nodes, WEIGHTS | more)
-        assert read_layers(path.read_bytes(), 3) == layers_of(read_onnx(path))
+        assert read_layers(path.read_bytes(), 3) == layers_of(read_onnx(path)), nodes
     for nodes, more, _ in WRONG.values():
         with pytest.raises(Exception):  # noqa: B017 - `check_file` takes all alike
             read_layers(saved(tmp_path, nodes, WEIGHTS | more).read_bytes(), 3)
+
+
+def test_the_checker_reads_elementwise_operators_at_the_cost_of_their_file():
+    pytest.importorskip("onnx")
+    from tests.reach.test_onnx import chain
+
+    data = chain(["Add", "Mul", "Sub", "Div"] * 75).SerializeToString()
+    tracemalloc.start()
+    layers = read_layers(data, 4)
+    assert tracemalloc.get_traced_memory()[1] < 50e6  # a dense matrix of this width is 134 MB as doubles
+    tracemalloc.stop()
+    assert len(layers) == 301 and layers[1] == Layer("diagonal", scale=[1.0], b=[1.5])
+    with pytest.raises(ValueError, match="1000 layers"):
+        read_layers(chain(["Relu"] * 1001, 4).SerializeToString(), 4)
+
+
+def test_a_network_too_wide_to_follow_is_not_decided(made):
+    data = json.loads((made / "certificate.json").read_text(encoding="utf-8"))
+    zero, width = (0.0).hex(), 4000
+    wide = {"kind": "affine", "W": [[zero] * 4] * width, "b": [zero] * width}
+    back = {"kind": "affine", "W": [[zero] * width] * 2, "b": [zero] * 2}
+    law_of(data)["layers"] = [wide, {"kind": "tanh", "low": zero, "high": zero}, back]
+    data["digest"] = digest(data)
+    verdict = verify_document(data)
+    assert verdict.outcome == "UNKNOWN" and "too long to follow" in verdict.text()
 
 
 # -- who else flies it ------------------------------------------------------------------------------

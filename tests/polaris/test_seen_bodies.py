@@ -34,7 +34,8 @@ from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.neural import NeuralController
 from polaris.synthesis.policy import OF_BODY, Policy
 from polaris.synthesis.synthesize import synthesize
-from reach.networks.network import Affine, Network
+from reach.networks.layers import Affine
+from reach.networks.network import Network
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 

@@ -134,9 +134,13 @@ NETWORK = (
 )
 
 
-@pytest.mark.parametrize("fault", [LATE, pytest.param(LOST, marks=pytest.mark.slow)])
-def test_networks_fly_where_a_fault_may_be_isolated_late(fault):
-    given = [*SOFT, NETWORK, fault, "recoverable.recourse=none"]
+@pytest.mark.parametrize(
+    ("fault", "precision"),
+    [(LATE, "real"), (LATE, "float32"), pytest.param(LOST, "real", marks=pytest.mark.slow)],
+)
+def test_networks_fly_where_a_fault_may_be_isolated_late(fault, precision):
+    network = NETWORK.replace('name="hasty"', f'name="hasty",precision="{precision}"')
+    given = [*SOFT, network, fault, "recoverable.recourse=none"]
     schedule = synthesize(load_scenario(TINY).with_assignments(given))
     system, law = schedule.safety.problem.system, schedule.controllers[1]
     (transient,) = system.transients

@@ -64,6 +64,7 @@ SETS = {
 CALLS = {
     "Activation": (reach.Activation, ("clip", -1.0, 1.0)),
     "Affine": (reach.Affine, (np.eye(2), [0.0, 0.0])),
+    "Diagonal": (reach.Diagonal, ([1.0, 2.0], [0.0, 0.0])),
     "Network": (reach.Network, (POLICY.layers,)),
     "Network.__call__": (POLICY, ([0.0, 1.0],)),
     "Network.enclose": (POLICY.enclose, (ZONOTOPE, 0.1)),
@@ -145,10 +146,10 @@ CALLS = {
     "support_tube": (
         reach.support_tube,
         (SYSTEM, BOX, 0.5, np.eye(2)),
-        {"tolerance": 0.1, "limit": [1.0, 1.0], "max_seconds": 5.0},
+        {"tolerance": 0.1, "limit": [1.0, 1.0], "max_effort": 1e6},
     ),
     "support_tube, steps": (reach.support_tube, (SYSTEM, BOX, 0.5, np.eye(2)), {"step": 0.1}),
-    "verify": (reach.verify, (SYSTEM, BOX, Always(POLYTOPE), 0.2), {"max_seconds": 2.0}),
+    "verify": (reach.verify, (SYSTEM, BOX, Always(POLYTOPE), 0.2), {"max_effort": 1e6}),
     "worst_case": (reach.worst_case, (SYSTEM, BOX, 0.5, [1.0, 0.0]), {"step": 0.1}),
     "worst_case, tolerance": (reach.worst_case, (SYSTEM, BOX, 0.5, [1.0, 0.0]), {"tolerance": 0.1}),
     "zonotope_tube": (reach.zonotope_tube, (SYSTEM, BOX, 0.5), {"tolerance": 0.1, "frame": np.eye(2)}),

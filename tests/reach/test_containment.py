@@ -10,6 +10,7 @@ from reach.numerics.rounding import cross, integers
 from reach.sets.distance import Answer
 from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.interval import Interval
+from reach.sets.lazy import AffineImage, MinkowskiSum
 from reach.sets.norms import largest_norm
 from reach.sets.pairs import contains, disjoint
 from reach.sets.polytope import HPolytope
@@ -228,3 +229,68 @@ def test_polytopes_apart_by_exact_multipliers_say_how_far():
     X = HPolytope([[1.0], [-1.0]], [0.125, 0.125])
     answer = disjoint(X, X + [0.375])
     assert answer and answer.margin == pytest.approx(0.125, rel=1e-6)
+
+
+SQUARE = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+BOUNDED = {
+    "zonotope": Zonotope([0.0, 0.0], [[1.0, 0.0, 0.3], [0.0, 1.0, 0.2]]),
+    "flat": Zonotope([0.0, 0.0], [[1.0], [0.0]]),
+    "interval": Interval([-1.0, -1.0], [1.0, 1.0]),
+    "ellipsoid": Ellipsoid(np.zeros(2), np.eye(2)),
+    "polytope": HPolytope(SQUARE, np.ones(4)),
+}
+UNBOUNDED = {
+    "halfspace": HPolytope([[1.0, 0.0]], [0.5]),
+    "strip": HPolytope(SQUARE[:2], [0.5, 0.5]),
+    "everything": HPolytope(np.zeros((0, 2)), []),
+}
+EMPTY = {
+    "nothing": HPolytope(SQUARE, [-1.0, -1.0, 1.0, 1.0]),
+    "no strip": HPolytope(SQUARE[:2], [-1.0, -1.0]),
+}
+TURN = np.array([[1.0, 0.2], [0.0, 1.0]])
+
+
+def made_of(sets):
+    """Sets, what a map makes of them, and their sums with a ball."""
+    found = dict(sets)
+    for name, one in sets.items():
+        found[f"image of {name}"] = AffineImage(TURN, one, np.ones(2))
+        found[f"sum with {name}"] = MinkowskiSum((one, Ellipsoid(np.zeros(2), 0.1 * np.eye(2))))
+    return found
+
+
+@pytest.mark.parametrize("inner", made_of(UNBOUNDED))
+@pytest.mark.parametrize("outer", BOUNDED)
+def test_a_bounded_set_never_contains_an_unbounded_one(outer, inner):
+    outer, inner = BOUNDED[outer], made_of(UNBOUNDED)[inner]
+    answer = contains(outer, inner)
+    assert answer.holds is False and not outer.contains(answer.witness)
+    assert answer.direction @ answer.witness > outer.support(answer.direction)
+    meets = disjoint(outer, inner)
+    assert not meets.holds and (meets.holds is False or meets.reason)
+
+
+@pytest.mark.parametrize("inner", made_of(EMPTY))
+@pytest.mark.parametrize("outer", made_of(BOUNDED | UNBOUNDED | EMPTY))
+def test_what_is_empty_lies_in_everything_and_meets_nothing(outer, inner):
+    outer, inner = made_of(BOUNDED | UNBOUNDED | EMPTY)[outer], made_of(EMPTY)[inner]
+    assert disjoint(outer, inner).holds and disjoint(inner, outer).holds
+    if not isinstance(outer, MinkowskiSum):
+        assert contains(outer, inner).holds
+
+
+@pytest.mark.parametrize("inner", made_of(BOUNDED | UNBOUNDED))
+@pytest.mark.parametrize("outer", [*EMPTY, *(f"image of {name}" for name in EMPTY)])
+def test_an_empty_set_contains_nothing_else(outer, inner):
+    answer = contains(made_of(EMPTY)[outer], made_of(BOUNDED | UNBOUNDED)[inner])
+    if answer.holds is None:
+        assert "proved bounds" in answer.reason and inner == "sum with strip"
+    else:
+        assert answer.holds is False and np.all(np.isfinite(answer.witness))
+
+
+def test_the_whole_space_holds_everything():
+    everything = UNBOUNDED["everything"]
+    assert all(contains(everything, one).holds for one in (BOUNDED | UNBOUNDED).values())
+    assert all(disjoint(everything, one).holds is False for one in (BOUNDED | UNBOUNDED).values())

@@ -1,18 +1,24 @@
 """Networks: enclosures against sampled truth, bands against dense grids, loops against flights."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from reach.networks.layers import Activation, Affine, Diagonal
 from reach.networks.loop import NetworkLoop
-from reach.networks.network import Activation, Affine, Network
-from reach.numerics.errors import ReachError
+from reach.networks.network import Network
+from reach.numerics.errors import ReachError, Unresolved
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
+
+from .single_precision import ORDERS, evaluated
 
 ACTIVATIONS = [
     Activation("relu"),
     Activation("relu", 0.1),
+    Activation("relu", 3.0),
     Activation("tanh"),
     Activation("sigmoid"),
     Activation("clip", -0.5, 1.0),
@@ -147,3 +153,106 @@ def test_periods_agree_with_matrix_exponentials():
 def test_what_is_no_network_is_told(make, words):
     with pytest.raises(ReachError, match=words):
         make()
+
+
+# -- rounding on board ------------------------------------------------------------------------------
+
+
+def with_precision(net, precision):
+    return Network(net.layers, precision)
+
+
+def escapes(net, hull, x, order, dtype=np.float32):
+    """By how much a floating-point evaluation leaves the enclosure of its inputs."""
+    out = evaluated(net, x, dtype, order)
+    return float(np.max(np.abs(out - hull.c) - np.abs(hull.G).sum(axis=1)))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_single_precision_stays_in_the_hull_that_books_it_and_leaves_the_one_that_does_not(order):
+    rng, left = np.random.default_rng(5), 0
+    for k in range(60):
+        activation = ACTIVATIONS[k % len(ACTIVATIONS)]
+        net = random_network(rng, 4, [int(rng.integers(2, 65))] * int(rng.integers(1, 4)), 2, activation, 1.5)
+        if k % 3 == 0:  # gains that nearly cancel
+            big = Diagonal(np.full(2, 1e3), -1e3 * net(np.ones(4)))
+            net = Network((*net.layers, big))
+        x = np.ones(4) + 1e-3 * rng.normal(size=4)
+        point = Zonotope.point(x)
+        booked = with_precision(net, "float32").enclose(point)
+        assert escapes(net, booked, x, order) <= 0
+        left += escapes(net, net.enclose(point), x, order) > 0
+        size = np.abs(net.enclose(point).c) + (1e3 if k % 3 == 0 else 1)
+        assert np.all(booked.half_widths <= 2e-3 * size)
+    assert left > 50
+
+
+def test_corners_of_sets_stay_in_the_booked_hull():
+    rng = np.random.default_rng(6)
+    for k in range(20):
+        net = random_network(rng, 4, [24, 24], 2, ACTIVATIONS[k % len(ACTIVATIONS)])
+        inputs = Zonotope(rng.normal(size=4), 1e-4 * rng.normal(size=(4, 5)))
+        found = with_precision(net, "float32").enclose(inputs)
+        a = np.sign(rng.uniform(-1, 1, (500, 5)))
+        out = evaluated(net, inputs.c + a @ inputs.G.T, np.float32, ORDERS[k % len(ORDERS)])
+        left = np.abs(out - found.c - a @ found.G[:, :5].T)
+        assert np.all(left <= np.abs(found.G[:, 5:]).sum(axis=1))
+
+
+def test_numbers_near_zero_are_booked_whether_they_are_flushed_or_not():
+    net = Network((Affine(np.full((3, 40), 3e-20), np.zeros(3)), Affine(np.full((1, 3), 1e18), np.zeros(1))))
+    x = np.full(40, 3e-19)
+    booked = with_precision(net, "float32").enclose(Zonotope.point(x))
+    for order in ORDERS:
+        assert escapes(net, booked, x, order) <= 0
+    assert escapes(net, net.enclose(Zonotope.point(x)), x, "flushed") > 0
+
+
+def test_double_precision_is_booked_alike():
+    rng = np.random.default_rng(7)
+    for k in range(12):
+        net = random_network(rng, 4, [32, 32], 2, ACTIVATIONS[k % len(ACTIVATIONS)])
+        x = rng.normal(size=4)
+        booked = with_precision(net, "float64").enclose(Zonotope.point(x))
+        assert all(escapes(net, booked, x, order, np.float64) <= 0 for order in ORDERS)
+        assert np.all(
+            with_precision(net, "float32").enclose(Zonotope.point(x)).half_widths > booked.half_widths
+        )
+
+
+def test_a_network_computes_in_its_precision():
+    net = random_network(np.random.default_rng(8), 4, [16], 2, ACTIVATIONS[2])
+    x = np.array([0.1, 0.2, 0.3, 0.4])
+    assert np.array_equal(with_precision(net, "float32")(x), evaluated(net, x))
+    assert not np.array_equal(with_precision(net, "float32")(x), net(x))
+
+
+def test_sums_that_may_overflow_and_unknown_precisions_are_refused():
+    layers = (Affine(np.full((4, 4), 1e20), np.zeros(4)), Affine(np.full((1, 4), 1e20), np.zeros(1)))
+    inputs = Zonotope.box(np.zeros(4), np.ones(4))
+    Network(layers).enclose(inputs)
+    with pytest.raises(Unresolved, match="beyond its floating-point format"):
+        Network(layers, "float32").enclose(inputs)
+    with pytest.raises(ReachError, match="precision must be one of real, float32, float64, got 'half'"):
+        Network(layers, "half")
+
+
+def test_a_loop_books_the_precision_of_its_network():
+    loop = a_loop(0)
+    states = Zonotope.box(np.zeros(2), [0.1, 0.1])
+    rounded = replace(loop, network=with_precision(loop.network, "float32"))
+    wider = rounded.command(states).half_widths - loop.command(states).half_widths
+    assert np.all(wider > 1e-8)
+
+
+def test_steepest_bounds_differences_of_outputs():
+    rng = np.random.default_rng(9)
+    for k in range(12):
+        net = with_precision(
+            random_network(rng, 4, [16, 16], 2, ACTIVATIONS[k % len(ACTIVATIONS)]), "float32"
+        )
+        most, exact = net.steepest(np.eye(4)), Network(net.layers).steepest(np.eye(4))
+        assert np.all(most > exact)
+        x, z = rng.normal(size=(200, 4)), 0.5 * rng.normal(size=(200, 4))
+        moved = np.abs(Network(net.layers)(x + z) - Network(net.layers)(x))
+        assert np.all(moved <= np.abs(z) @ exact.T + 1e-12)

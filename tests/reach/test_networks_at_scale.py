@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from reach.networks.network import Activation, Affine, Network
+from reach.networks.layers import Activation, Affine
+from reach.networks.network import Network
 from reach.sets.zonotope import Zonotope
 
 KINDS = [

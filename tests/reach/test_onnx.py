@@ -1,5 +1,7 @@
 """ONNX files: what is read computes what the file says; what is not understood is one clear error."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,15 @@ onnx = pytest.importorskip("onnx")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 from onnx.reference import ReferenceEvaluator  # noqa: E402
 
+from reach.networks import network  # noqa: E402
 from reach.networks.onnx_file import read_onnx  # noqa: E402
 from reach.numerics.errors import ReachError  # noqa: E402
+from reach.sets.zonotope import Zonotope  # noqa: E402
 
 
 def constant(name, value):
+    if isinstance(value, np.ndarray) and value.dtype != float:
+        return numpy_helper.from_array(value, name)
     whole = isinstance(value, list) and all(isinstance(part, int) for part in value)
     return numpy_helper.from_array(np.asarray(value, dtype=np.int64 if whole else np.float32), name)
 
@@ -41,6 +47,7 @@ RNG = np.random.default_rng(3)
 W1, b1, W2, b2 = RNG.normal(size=(3, 5)), RNG.normal(size=5), RNG.normal(size=(2, 5)), RNG.normal(size=2)
 LAST = node("Gemm", "h W2 b2", "y", transB=1, alpha=0.5, beta=2.0)
 WEIGHTS = {"W1": W1, "b1": b1, "W2": W2, "b2": b2}
+FIRST = node("Gemm", "x W1 b1", "a")
 CHAINS = {
     **{
         kind: (
@@ -50,9 +57,17 @@ CHAINS = {
         for kind, more in {"Relu": {}, "LeakyRelu": {"alpha": 0.3}, "Tanh": {}, "Sigmoid": {}}.items()
     },
     "Clip": (
-        [node("Gemm", "x W1 b1", "a"), node("Clip", "a low high", "h"), LAST],
+        [FIRST, node("Clip", "a low high", "h"), LAST],
         {"low": np.float32(-0.5), "high": np.float32(0.7)},
     ),
+    "a clip from below": ([FIRST, node("Clip", "a low", "h"), LAST], {"low": np.float32(-0.5)}),
+    "a clip from above": (
+        [FIRST, helper.make_node("Clip", ["a", "", "high"], ["h"]), LAST],
+        {"high": np.float32(0.7)},
+    ),
+    "a steep relu": ([FIRST, node("LeakyRelu", "a", "h", alpha=1.5), LAST], {}),
+    "dropout": ([FIRST, node("Dropout", "a share off", "h"), LAST], {"share": 0.5, "off": np.array(False)}),
+    "dropout by default": ([FIRST, node("Dropout", "a", "h"), LAST], {}),
     "scaled": (
         [
             node("Sub", "x mean", "c"),
@@ -88,6 +103,7 @@ def test_it_computes_what_the_file_says(name, tmp_path):
 
 
 FIRST = node("Gemm", "x W1 b1", "h")
+CLIPPED = node("Clip", "h low high", "t")
 SECOND = node("Gemm", "t W2 b2", "y", transB=1)
 WRONG = {
     "an operator": ([node("Softmax", "x", "h"), LAST], {}, "Softmax is not understood"),
@@ -96,7 +112,6 @@ WRONG = {
     "shapes": ([node("MatMul", "x W2", "y")], {}, "follow 3 values"),
     "nan": ([FIRST, LAST], {"W1": np.full((3, 5), np.nan)}, "not finite"),
     "an end elsewhere": ([FIRST], {}, "not the end"),
-    "a clip without limits": ([FIRST, node("Clip", "h", "c"), LAST], {}, "both limits"),
     "infinity": ([FIRST, LAST], {"b1": np.full(5, np.inf)}, "not finite"),
     "a bias of another size": ([node("Gemm", "x W1 b2", "h"), LAST], {}, "follow 5 values"),
     "nothing": ([node("Identity", "x", "y")], {}, "along the last axis"),
@@ -105,20 +120,23 @@ WRONG = {
 
 BETWEEN = {
     "a column": (node("Add", "h column", "t"), {"column": np.ones((5, 1))}, "last axis"),
-    "an integer": (node("Cast", "h", "t", to=6), {}, "Cast"),
-    "half precision": (node("Cast", "h", "t", to=10), {}, "Cast"),
+    "an integer": (node("Cast", "h", "t", to=6), {}, "t is of type INT32: only networks of FLOAT or DOUBLE"),
+    "half precision": (node("Cast", "h", "t", to=10), {}, "type FLOAT16"),
+    "whole weights": (node("Mul", "h whole", "t"), {"whole": np.arange(5)}, "type INT64"),
+    "half weights": (node("Mul", "h half", "t"), {"half": np.ones(5, dtype=np.float16)}, "type FLOAT16"),
+    "dropout of training": (
+        node("Dropout", "h share on", "t"),
+        {"share": 0.5, "on": np.array(True)},
+        "training_mode",
+    ),
     "a foreign operator": (node("Relu", "h", "t", domain="some.where"), {}, "some.where"),
     "a column by a reshape": (node("Reshape", "h shape", "t"), {"shape": [5, 1]}, "last axis"),
     "a column by flattening": (node("Flatten", "h", "t", axis=2), {}, "last axis"),
     "a column by an axis": (node("Unsqueeze", "h axes", "t"), {"axes": [-1]}, "last axis"),
     "squeezed": (node("Squeeze", "h axes", "t"), {"axes": [1]}, "last axis"),
-    "a steep relu": (node("LeakyRelu", "h", "t", alpha=1.5), {}, "leaky"),
-    "a clip upside down": (node("Clip", "h one none", "t"), {"one": 1.0, "none": 0.0}, "low <= high"),
-    "a clip by vectors": (
-        node("Clip", "h low high", "t"),
-        {"low": [0.0] * 5, "high": [1.0] * 5},
-        "one number",
-    ),
+    "a falling relu": (node("LeakyRelu", "h", "t", alpha=-0.5), {}, "leaky"),
+    "a clip upside down": (CLIPPED, {"low": 1.0, "high": 0.0}, "low <= high"),
+    "a clip by vectors": (CLIPPED, {"low": [0.0] * 5, "high": [1.0] * 5}, "one number"),
     "a norm of another size": (node("BatchNormalization", "h W W W W", "t"), {"W": np.ones(4)}, "follow 5"),
     "a variance below 0": (node("BatchNormalization", "h W W W W", "t"), {"W": -np.ones(5)}, "variance"),
     "too many": (node("Gemm", "h wide", "t"), {"wide": np.zeros((5, 4097))}, "at most 4096"),
@@ -185,7 +203,12 @@ def test_a_tensor_cut_short_is_one_error(tmp_path):
     made.graph.initializer[0].raw_data = made.graph.initializer[0].raw_data[:-4]
     path = tmp_path / "policy.onnx"
     path.write_bytes(made.SerializeToString())
-    with pytest.raises(ReachError, match="not an ONNX file"):
+    with pytest.raises(ReachError, match=r"declare shape \[3, 5\] and store 14 numbers"):
+        read_onnx(path)
+    made = model([FIRST, LAST], WEIGHTS)
+    made.graph.initializer[0].dims[:] = [2**31, 2**31]
+    path.write_bytes(made.SerializeToString())
+    with pytest.raises(ReachError, match="policy.onnx"):
         read_onnx(path)
 
 
@@ -195,4 +218,52 @@ def test_weights_in_another_file_are_refused(tmp_path):
     path = tmp_path / "policy.onnx"
     path.write_bytes(made.SerializeToString())
     with pytest.raises(ReachError, match="another file"):
+        read_onnx(path)
+
+
+def chain(kinds, width=4096):
+    """A file of a few weights, then operators that each take a scalar."""
+    names = ["h", *(f"v{i}" for i in range(len(kinds) - 1)), "y"]
+    nodes = [node("Gemm", "x W b", "h", transB=1)]
+    for i, kind in enumerate(kinds):
+        scalar = " k" if kind in ("Add", "Sub", "Mul", "Div") else ""
+        nodes.append(node(kind, names[i] + scalar, names[i + 1]))
+    return model(nodes, {"W": np.zeros((width, 4)), "b": np.zeros(width), "k": 1.5}, inputs=4, outputs=width)
+
+
+def test_elementwise_operators_cost_what_they_store(tmp_path):
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(chain(["Add", "Mul", "Sub", "Div"] * 75).SerializeToString())
+    tracemalloc.start()
+    net = read_onnx(path)
+    assert np.all(np.isfinite(net(np.ones(4)))) and len(net.layers) == 301
+    assert tracemalloc.get_traced_memory()[1] < 20e6  # a dense matrix of this width is 134 MB
+    tracemalloc.stop()
+
+
+def test_networks_larger_than_their_files_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(chain(["Relu"] * 1001, 4).SerializeToString())
+    with pytest.raises(ReachError, match="at most 1000 layers"):
+        read_onnx(path)
+    square = np.zeros((200, 200))
+    steps = [node("MatMul", f"v{i} S", f"v{i + 1}") for i in range(20)]
+    tied = [node("Gemm", "x W b", "v0", transB=1), *steps, node("Identity", "v20", "y")]
+    weights = {"W": np.zeros((200, 4)), "b": np.zeros(200), "S": square}
+    path.write_bytes(model(tied, weights, inputs=4, outputs=200).SerializeToString())
+    with pytest.raises(ReachError, match="no more numbers than the file has bytes"):
+        read_onnx(path)
+    monkeypatch.setattr(network, "MOST_ENTRIES", 10**6)
+    path.write_bytes(chain(["Tanh"] * 20, 256).SerializeToString())
+    with pytest.raises(ReachError, match="too wide or too deep"):
+        read_onnx(path).enclose(Zonotope.box(np.zeros(4), np.ones(4)))
+
+
+def test_operators_that_a_file_defines_are_not_followed(tmp_path):
+    made = model([FIRST, LAST], WEIGHTS)
+    call = [helper.make_node("Relu", ["a"], ["b"])]
+    made.functions.append(helper.make_function("", "Gemm", ["a"], ["b"], call, [helper.make_opsetid("", 17)]))
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(made.SerializeToString())
+    with pytest.raises(ReachError, match="defines itself"):
         read_onnx(path)

@@ -31,7 +31,8 @@ from polaris.scenario.scenario import bundled_files, load_scenario  # noqa: E402
 from polaris.synthesis.neural import NeuralController  # noqa: E402
 from polaris.synthesis.policy import Policy  # noqa: E402
 from polaris.synthesis.synthesize import synthesize  # noqa: E402
-from reach.networks.network import Affine, Network  # noqa: E402
+from reach.networks.layers import Affine  # noqa: E402
+from reach.networks.network import Network  # noqa: E402
 
 from ..kept import scheduled  # noqa: E402
 from ..polaris.random_scenarios import random_scenario  # noqa: E402
