@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 from typer import Argument, Option
 
-from .shell import REFUTED, Assignments, Json, print_json, verb
+from .shell import REFUTED, Assignments, Force, Json, print_json, verb
 
 if TYPE_CHECKING:
     from ..simulation.falsification.search import Falsification
@@ -45,6 +45,7 @@ def falsify_command(
     seed: int = Option(0, min=0, help="Same seed, same search."),
     out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
     assignments: Assignments = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> int | None:
     """Search for a run that breaks what a schedule claims; save it as a case."""
@@ -53,16 +54,16 @@ def falsify_command(
     from ..simulation.falsification.search import falsify
 
     if out is not None:
-        check_file(out, endings=(".json",))
+        check_file(out, endings=(".json",), force=force)
     scenario, schedule = load_target(target, assignments or ())
-    check_file(out or f"{scenario.name}.case.json")
+    check_file(out or f"{scenario.name}.case.json", force=force)
     found = falsify(schedule, runs, seed)
     if as_json:
         print_json(found.summary())
     else:
         _show_falsification(scenario.name, found)
     if found.failure is not None:
-        path = write_case(out or f"{scenario.name}.case.json", scenario, found)
+        path = write_case(out or f"{scenario.name}.case.json", scenario, found, force=force)
         typer.echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
     return REFUTED if found.failure is not None else None
 

@@ -5,7 +5,7 @@ from typing import Any, Literal
 import typer
 from typer import Argument, Option
 
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Force, Json, Name, Quiet, drawing, finish, verb
 
 
 @verb("run")
@@ -103,6 +103,7 @@ def plot(
 def report(
     folder: str = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare."),
     out: str | None = Option(None, metavar="FILE.html", help="Default report.html in the folder."),
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Write an interactive report: one HTML file that needs no network."""
@@ -110,6 +111,6 @@ def report(
     from .console import ShownStages
 
     with ShownStages(quiet).stage("report"):
-        path = write_report(folder, out)
+        path = write_report(folder, out, force=force)
     if not quiet:
         typer.echo(str(path))

@@ -74,6 +74,7 @@ Figures = Annotated[
     bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there and is not a result's.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 

@@ -8,7 +8,7 @@ import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Json, Quiet, print_json, verb
+from .shell import Force, Json, Quiet, print_json, verb
 
 
 @dataclass
@@ -89,6 +89,7 @@ def export_command(
     nominal: bool = Option(
         False, "--nominal", help="Other satellites as balls about where they are nominally, not as polytopes."
     ),
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
@@ -98,7 +99,7 @@ def export_command(
     from ..traces.export import export_run
     from ..traces.reading import write_trace
 
-    check_file(trace, "trace", (".json",))
+    check_file(trace, "trace", (".json",), force)
     compared = read_run(run).kind.name == "comparison"
     if controller is not None and (compared or method is not None):
         rule = "must be left out for a comparison, which has methods"
@@ -107,7 +108,7 @@ def export_command(
         raise ScenarioError("--method", method, f"{run} must be a comparison folder")
     pilot = method or ("schedule" if compared else controller or "polaris")
     found = export_run(run, pilot, label, nominal=nominal)
-    path = write_trace(trace, found.trace)
+    path = write_trace(trace, found.trace, force=force)
     if not quiet:
         agent = next(iter(found.trace.agents.values()))
         typer.echo(

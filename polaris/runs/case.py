@@ -53,17 +53,26 @@ def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleSce
     return folder.scenario, schedule
 
 
-def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsification) -> Path:
+def write_case(
+    path: str | Path, scenario: ScheduleScenario, found: Falsification, *, force: bool = False
+) -> Path:
     """Save the counterexample of a search.
 
     Parameters
     ----------
     path : path
-        A JSON file, replaced if it is there.
+        A JSON file.
     scenario : ScheduleScenario
         What was synthesised, overrides included.
     found : Falsification
         With a failure.
+    force : bool
+        Whether a file that is there is replaced.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no failure, or a file is there already, or it cannot be written.
     """
     if found.case is None or found.failure is None:
         raise ScenarioError("case", None, "there is none: the search found no violation")
@@ -83,7 +92,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "abort": found.abort,
     }
     target = Path(path)
-    write_whole(target, json_text(data))
+    write_whole(target, json_text(data), force=force)
     return target
 
 

@@ -39,6 +39,11 @@ class RunKind:
     fly: Callable[[Any, Stages], Any] | None = None
     summary: str = "summary.json"
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All files that it is known by."""
+        return (*self.files, self.summary)
+
 
 @dataclass(frozen=True, eq=False)
 class RunFolder:
@@ -98,8 +103,21 @@ def write_folder(
     stages: Stages | None = None,
 ) -> RunFolder:
     """Write what a kind's ``fly`` found, replacing an older run folder once everything is written."""
+    return save_folder(check_target(out, kind.names), kind, scenario, found, draw=draw, stages=stages)
+
+
+def save_folder(
+    target: Path,
+    kind: RunKind,
+    scenario: Scenario,
+    found: Any,
+    *,
+    draw: Draw | None = None,
+    stages: Stages | None = None,
+) -> RunFolder:
+    """Write a folder whose place has been checked: what the user put there since is kept beside it."""
     assert kind.write is not None
-    target, stages, clock = check_target(out), stages or Stages(), Stages()
+    stages, clock = stages or Stages(), Stages()
     clock.seconds |= stages.seconds
     with replacing(target) as folder:
         stages.note("files")

@@ -14,7 +14,7 @@ from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
-from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, save_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
@@ -79,13 +79,14 @@ def run(
     target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
         return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
-    place, kind = check_target(target), KINDS[scenario.kind]
+    kind = KINDS[scenario.kind]
+    place = check_target(target, kind.names)
     assert kind.fly is not None
     if black_boxes and not isinstance(scenario, ScheduleScenario):
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
     found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
-        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
+        return save_folder(place, kind, scenario, found, draw=draw, stages=stages)
 
 
 def _run_many(

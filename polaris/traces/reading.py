@@ -184,14 +184,16 @@ def trace_data(trace: Trace) -> dict[str, Any]:
     }
 
 
-def write_trace(path: str | Path, trace: Trace) -> Path:
-    """Write a trace, replacing an older file once everything is written.
+def write_trace(path: str | Path, trace: Trace, *, force: bool = False) -> Path:
+    """Write a trace: whole, or not at all.
 
     Parameters
     ----------
     path : path
         The JSON file; its folder must be there.
     trace : Trace
+    force : bool
+        Whether a file that is there is replaced.
 
     Returns
     -------
@@ -201,18 +203,17 @@ def write_trace(path: str | Path, trace: Trace) -> Path:
     Raises
     ------
     ScenarioError
-        If `path` is a folder, or cannot be written.
+        If `path` is a folder, is there already, is part of a result, or cannot be written.
     """
     of_kind("trace", trace, Trace, "polaris.read_trace")
-    target = Path(path)
-    check_file(target, "trace", (".json",))
+    target = check_file(path, "trace", (".json",), force)
     try:
         with uncollected():
             text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
         data = text.encode("utf-8")
     except ValueError as error:
         raise ScenarioError("trace", str(path), f"cannot be written: {error}") from error
-    with replacing_file(target, "trace") as beside:
+    with replacing_file(target, "trace", force) as beside:
         beside.write_bytes(data)
     return target
 

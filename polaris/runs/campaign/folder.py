@@ -21,14 +21,13 @@ import numpy as np
 from ...model.errors import NotCertified, ScenarioError
 from ...model.version import version
 from ..arrays import read_arrays
-from ..atomic import check_file, check_target, replacing, replacing_file, write_whole
+from ..atomic import CAMPAIGN as MANIFEST
+from ..atomic import adding, check_target, refuse_taken, replacing, try_writing
 from ..folder import provenance, read_json
-from ..ownership import RESULTS, tidy_all
-from ..tables import json_text
+from ..ownership import Owned, read_list, tidy
+from ..tables import json_text, write_text
 from .batch import Batch, Columns, Results, Task, joined
 from .plan import CampaignPlan
-
-MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class CampaignFolder:
         """Write ``summary.json``, once all parts are there."""
         plan = self.plan
         results = Results(plan.cases, plan.runs, plan.seed, plan.batch, self.failures(), self.read)
-        write_whole(self.path / "summary.json", json_text(plan.kind.summarise(results, worst)))
+        self._add("summary.json", json_text(plan.kind.summarise(results, worst)))
 
     def part(self, task: Task) -> Path:
         """Where a batch goes: ``runs/case-0000-batch-00000.parquet`` and so on."""
@@ -74,8 +73,8 @@ class CampaignFolder:
             columns[key] = np.repeat(np.array(str(value) if kind is str else value, dtype=kind), count)
         columns["batch"] = np.full(count, task.batch, dtype=np.int32)
         who = self._who(task) | {"schedule": batch.schedule}
-        with replacing_file(self.part(task)) as beside:
-            FORMATS[self.table].write(beside, columns | batch.columns, json.dumps(who))
+        with adding(self.path, "runs", "kept") as beside:
+            FORMATS[self.table].write(beside / self.part(task).name, columns | batch.columns, json.dumps(who))
 
     def check(self, task: Task) -> str | None:
         """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again."""
@@ -121,7 +120,13 @@ class CampaignFolder:
             "exit_code": batch.code,
             "campaign": self.plan.digest,
         }
-        write_whole(self._failure(case), json_text(told))
+        self._add(f"failed/{self._failure(case).name}", json_text(told))
+
+    def _add(self, name: str, text: str) -> None:
+        """Write a text file; one of the user that has its name is kept with ``.kept``."""
+        inside, _, last = name.rpartition("/")
+        with adding(self.path, inside, "kept") as beside:
+            write_text(beside / last, text)
 
     def _failure(self, case: int) -> Path:
         return self.path / "failed" / f"case-{case:04d}.json"
@@ -134,17 +139,19 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
     """
     path = Path(out).resolve()
     table = usable(plan.kind.formats)
-    known = _manifest(path) if (path / MANIFEST).is_file() else None
-    if known is None or fresh:
-        check_target(out, campaign=known is not None)
-        if known is None and (path / "summary.json").is_file():
-            raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
-        with replacing(path, RESULTS) as beside:
+    listed = (read_list(path) if path.is_dir() else None) or {}
+    if listed and MANIFEST not in listed:
+        raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
+    if fresh or not listed:
+        check_target(out, (MANIFEST, "summary.json"), campaign=True)
+        with replacing(path) as beside:
             for name in ("runs", "failed"):
                 (beside / name).mkdir()
-            _write_manifest(beside, plan, table)
+            write_text(beside / MANIFEST, _manifest_text(plan, table))
         return CampaignFolder(path, plan, table)
-    check_file(path / "summary.json")
+    refuse_taken(path, (MANIFEST, "summary.json"))
+    try_writing(path, "summary.json", out)
+    known = _manifest(path)
     if known.get("digest") != plan.digest:
         data = plan.data()
         names = [name for name in data if name != "runs" and known.get(name) != data[name]]
@@ -155,14 +162,12 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
         raise ScenarioError("--runs", plan.runs, rule)
     folder = CampaignFolder(path, plan, usable([known.get("table", table)]))
-    for name in ("runs", "failed"):
-        (path / name).mkdir(exist_ok=True)
     if known["runs"] < plan.runs:
-        _write_manifest(path, plan, folder.table)
-    for half in (path, path / "runs", path / "failed"):
-        tidy_all(half)
+        folder._add(MANIFEST, _manifest_text(plan, folder.table))
+    tidy(path)
     for case, told in folder.failures().items():
-        if told["exit_code"] == NotCertified.exit_code:
+        name = folder._failure(case).relative_to(path).as_posix()
+        if told["exit_code"] == NotCertified.exit_code and name in Owned(path):
             folder._failure(case).unlink()
     return folder
 
@@ -200,9 +205,8 @@ def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder
     return CampaignFolder(folder, plan, usable([table]))
 
 
-def _write_manifest(folder: Path, plan: CampaignPlan, table: str) -> None:
-    data = {**plan.data(), "digest": plan.digest, "table": table, **provenance()}
-    write_whole(folder / MANIFEST, json_text(data))
+def _manifest_text(plan: CampaignPlan, table: str) -> str:
+    return json_text({**plan.data(), "digest": plan.digest, "table": table, **provenance()})
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
