@@ -9,11 +9,10 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Assignments, BlackBoxes, Force, Json, Quiet, drawing, finish, print_json, verb
+from .shell import Assignments, BlackBoxes, Force, Json, Quiet, drawing, echo, finish, print_json, verb
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
@@ -138,7 +137,7 @@ def replay_command(
     else:
         show_run(found.row)
     if out is not None:
-        typer.echo(f"Written: {found.write(out, force=force)}", err=True)
+        echo(f"Written: {found.write(out, force=force)}", err=True)
 
 
 def _plan(scenarios: Sequence[ScheduleScenario], options: Options, stages: Stages) -> CampaignPlan:
@@ -201,9 +200,9 @@ def _finish(folder: CampaignFolder, options: Options) -> int:
         show_campaign(summary, str(folder.path))
         if summary["flown"]:
             command = f"polaris campaign-replay {shlex.quote(str(folder.path))} --worst 1 --out worst.csv"
-            typer.echo(f"The closest approach in detail: {command}")
+            echo(f"The closest approach in detail: {command}")
     if summary["flown"]:
         return 0
     first = summary["cases"][0]
-    typer.echo(f"error: no case has a schedule; {first['label']}: {first['failure']}", err=True)
+    echo(f"error: no case has a schedule; {first['label']}: {first['failure']}", err=True)
     return int(first["exit_code"])

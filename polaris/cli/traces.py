@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
-import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Force, Json, Quiet, print_json, verb
+from .shell import Force, Json, Quiet, echo, print_json, verb
 
 
 @dataclass
@@ -111,9 +110,9 @@ def export_command(
     path = write_trace(trace, found.trace, force=force)
     if not quiet:
         agent = next(iter(found.trace.agents.values()))
-        typer.echo(
+        echo(
             f"{path}: run {label!r} of {pilot}, {counted(len(agent.times), 'sample')} over"
             f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
         )
         for note in found.notes:
-            typer.echo(f"note: {note}")
+            echo(f"note: {note}")

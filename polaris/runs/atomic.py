@@ -116,7 +116,9 @@ def _check_taken(target: Path, field: str, force: bool) -> None:
         rule = f"is a part of the results in {target.parent}, which would be lost; give another name"
         raise ScenarioError(field, str(target), rule)
     if os.path.lexists(target) and not force:
-        raise ScenarioError(field, str(target), "is there already; give another name, or --force to replace it")
+        raise ScenarioError(
+            field, str(target), "is there already; give another name, or --force to replace it"
+        )
 
 
 def _check_existing(target: Path, out: str | Path, names: tuple[str, ...], campaign: bool) -> None:
@@ -146,10 +148,14 @@ def refuse_taken(folder: Path, names: Iterable[str]) -> None:
     owned = Owned(folder)
     for name in names:
         if os.path.lexists(folder / name) and name not in owned:
-            rule = "was changed since Polaris wrote it" if name in owned.listed else "was not written by Polaris"
+            rule = (
+                "was changed since Polaris wrote it" if name in owned.listed else "was not written by Polaris"
+            )
             if linked(folder, name):
                 rule = "is a symbolic link or in a linked folder, and Polaris does not write through links"
-            raise ScenarioError("--out", str(folder), f"{name} in it {rule}; move it away, or give another place")
+            raise ScenarioError(
+                "--out", str(folder), f"{name} in it {rule}; move it away, or give another place"
+            )
 
 
 def try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") -> None:

@@ -1,7 +1,5 @@
 """What is attacked, and counterexamples as files: all that is needed to fly one again, exact to the bit."""
 
-import json
-import tomllib
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -10,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..model.errors import ScenarioError
+from ..model.files import load_json
 from ..model.system import Array
+from ..scenario.reading import parse_toml
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
@@ -112,7 +112,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         If the file is no case, or its scenario no longer gives the schedule it was found on.
     """
     data = _read(Path(path))
-    scenario = ScheduleScenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
+    scenario = ScheduleScenario.from_dict(parse_toml(data["scenario"], str(path)), Path(path).name)
     whole = schedule = synthesize(scenario)
     if digest(schedule) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
@@ -146,7 +146,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = load_json(path)
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
     wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing", "violation"}

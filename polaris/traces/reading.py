@@ -10,9 +10,12 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from reach.numerics.files import read_regular
+
 from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
+from ..model.files import parse_json
 from ..runs.atomic import check_file, replacing_file
 from ..runs.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
@@ -55,12 +58,10 @@ def uncollected() -> Iterator[None]:
 def _parsed(path: str | Path) -> Any:
     """What the file says, as plain data."""
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+        text = read_regular(path).decode("utf-8-sig")
+        return parse_json(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except OSError as error:
         raise ScenarioError("trace", str(path), f"cannot be read: {error.strerror or error}") from error
-    except RecursionError as error:
-        raise ScenarioError("trace", str(path), "must not nest this deep") from error
     except Odd as error:
         raise ScenarioError("trace", str(path), str(error)) from error
     except ValueError as error:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
+from ..numerics.files import read_regular
 from .network import Activation, Affine, Network
 
 LARGEST = 64 * 2**20  # bytes of a file beyond which it is refused: a controller is small
@@ -40,9 +41,7 @@ def read_onnx(path: str | Path) -> Network:
         raise ReachError(f"the path of a file is needed, got {type(path).__name__}")
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST:
-            raise ReachError(f"has more than {LARGEST} bytes: not a controller")
-        model = onnx.load_model_from_string(path.read_bytes())
+        model = onnx.load_model_from_string(read_regular(path, LARGEST))
         found = Network(tuple(_layers(onnx.shape_inference.infer_shapes(model).graph)))
         onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
         return found

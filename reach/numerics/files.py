@@ -3,13 +3,13 @@
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 LARGEST = 2**28  # most bytes of a file that is read whole, if the reader states no other limit
 
 
-def open_regular(path: str | Path, most: int = LARGEST) -> BinaryIO:
+def open_regular(path: str | Path, most: int = LARGEST) -> BufferedReader:
     """Open a regular file for reading.
 
     Opening does not wait for the other end of a pipe, and devices are refused before they are read.
@@ -27,7 +27,8 @@ def open_regular(path: str | Path, most: int = LARGEST) -> BinaryIO:
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "is not a regular file", str(path))
+            kind = "a directory" if stat.S_ISDIR(status.st_mode) else "not a regular file"
+            raise OSError(errno.EINVAL, f"is {kind}", str(path))
         if status.st_size > most:
             raise OSError(errno.EFBIG, f"has {status.st_size} bytes; must have at most {most}", str(path))
         return os.fdopen(descriptor, "rb")

@@ -132,7 +132,9 @@ def test_links_are_kept_and_never_followed(tmp_path):
     assert contents(outside) == {"data": b"precious"}
 
 
-NAMES = st.sampled_from(["a", "b", "figures/a", "figures/b", "run/a", "c/d/e", "report.html", "x.kept", "b/c"])
+NAMES = st.sampled_from(
+    ["a", "b", "figures/a", "figures/b", "run/a", "c/d/e", "report.html", "x.kept", "b/c"]
+)
 
 
 def together(*sets):
@@ -309,7 +311,10 @@ def test_what_a_killed_run_left_is_cleared_away(tmp_path):
     left = left_by_a_dead_process(target)
     mine = tmp_path / f".run.new-{ownership.host()}-{os.getpid()}-0123abcd"  # at work right now
     other = tmp_path / ".run.new-elsewhere-1-0123abcd"  # of another machine
-    alike = [left.with_name(f"{left.name[:-8]}{n:08}".replace("new", word)) for n, word in enumerate(("new", "old"))]
+    alike = [
+        left.with_name(f"{left.name[:-8]}{n:08}".replace("new", word))
+        for n, word in enumerate(("new", "old"))
+    ]
     for folder in (mine, other, *alike):
         folder.mkdir()
         (folder / "data").write_bytes(b"of somebody who likes such names")

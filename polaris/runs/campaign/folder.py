@@ -10,7 +10,8 @@ summary.json    statistics of the kind of run
 
 import json
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,9 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from reach.numerics.files import open_regular
+
 from ...model.errors import NotCertified, ScenarioError
+from ...model.files import parse_json
 from ...model.version import version
-from ..arrays import read_arrays
+from ..arrays import LARGEST, read_arrays
 from ..atomic import CAMPAIGN as MANIFEST
 from ..atomic import adding, check_target, refuse_taken, replacing, try_writing
 from ..folder import provenance, read_json
@@ -80,7 +84,7 @@ class CampaignFolder:
         """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again."""
         try:
             text, rows = FORMATS[self.table].check(self.part(task))
-            told = json.loads(text)
+            told = parse_json(text)
             schedule = str(told.pop("schedule"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
@@ -236,21 +240,30 @@ class Parquet:
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:
         """Some columns, or all of them."""
-        import pyarrow.parquet as pq
-
-        table = pq.read_table(path, columns=None if names is None else list(names))
+        with self._opened(path) as file:
+            table = file.read(columns=None if names is None else list(names))
         return {name: table[name].to_numpy() for name in table.column_names}
 
     def check(self, path: Path) -> tuple[str, int]:
         """The text and the number of rows, once all of it has been read against its checksums."""
+        with self._opened(path) as file:
+            table = file.read()
+        return (table.schema.metadata or {})[KEY.encode()].decode(), table.num_rows
+
+    @contextmanager
+    def _opened(self, path: Path) -> Iterator[Any]:
+        """Open a file whose columns are not larger than they may be; what is damaged is a `ValueError`."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         try:
-            table = pq.ParquetFile(path, page_checksum_verification=True).read()
+            with open_regular(path, LARGEST) as stream:
+                file = pq.ParquetFile(stream, page_checksum_verification=True)
+                if file.metadata.num_rows * file.metadata.num_columns > LARGEST // 8:
+                    raise ValueError(f"{path.name}: its columns take more than {LARGEST} bytes")
+                yield file
         except pa.ArrowException as error:
             raise ValueError(str(error)) from error
-        return (table.schema.metadata or {})[KEY.encode()].decode(), table.num_rows
 
 
 class Npz:

@@ -2,7 +2,6 @@
 
 import hashlib
 import threading
-import tomllib
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -14,6 +13,7 @@ import numpy as np
 
 from ...model.distances import signed_distances
 from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError, SynthesisInfeasible
+from ...model.files import parse_toml
 from ...model.satellite import true_states
 from ...model.system import Array
 from ...scenario.scenario import ScheduleScenario
@@ -92,7 +92,7 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # told below
-            scenario = ScheduleScenario.from_dict(tomllib.loads(text))
+            scenario = ScheduleScenario.from_dict(parse_toml(text))
             schedule = with_boxes(scenario, boxes.asks).schedule if boxes else synthesize(scenario)
     except PolarisError as error:
         return error
