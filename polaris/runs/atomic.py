@@ -1,7 +1,7 @@
 """Folders and files that appear whole or not at all, and replace only what Polaris wrote.
 
-Everything is written into a hidden folder beside its place, named by host and process, and renamed into place. What
-the list of a folder (`polaris.runs.ownership`) does not have with its hash is the user's, and is kept.
+They are written into a hidden folder beside their place, named by host and process, and renamed. What the
+list of a folder (`polaris.runs.ownership`) does not have with its hash is the user's, and is kept.
 """
 
 import errno
@@ -85,7 +85,7 @@ def check_file(
 ) -> Path:
     """Return the path of a file, once it is clear that it may be written, by trying.
 
-    Outside of folders with a list nothing tells whose a file is: one that is there is replaced by `force` only.
+    Nothing tells whose a single file is, so one that is there is replaced by `force` only.
 
     Raises
     ------
@@ -193,8 +193,8 @@ def _beside(folder: Path, name: str, field: str, target: Path) -> Iterator[Path]
 def replacing(target: Path) -> Iterator[Path]:
     """Make a folder beside `target` that takes its place if all goes well, and is removed if not.
 
-    Only what Polaris wrote goes; all else is linked into the new folder, with ``.kept`` where its name is needed.
-    If the process is killed in between, the older folder is whole, and put back next time.
+    Only what Polaris wrote goes; all else is linked into the new folder, with ``.kept`` added where its name
+    is needed. If the process is killed in between, the older folder is whole, and put back next time.
     """
     tidy(target.parent, target.name)
     aside = target.with_name(beside_name(target.name, "old"))
@@ -242,8 +242,8 @@ def adding(
     inside : str
         Folder in it to which the files go.
     taken : str
-        What becomes of a file in the way that Polaris did not write, or that was changed: the command is refused
-        and names it, or it is moved up into `folder` with ``.kept`` added to its name, or replaced.
+        What becomes of a file in the way that Polaris did not write as it is: the command is refused and
+        names it, or it is moved up into `folder` with ``.kept`` added to its name, or replaced.
     """
     folder = folder.resolve()
     holder, place = list_holder(folder), folder / inside

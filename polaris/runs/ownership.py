@@ -1,8 +1,8 @@
 """Lists of the files that Polaris wrote into folders, each with its hash: all other files are the user's.
 
-The list of a folder has one line of JSON per file: its path, its SHA-256, and a link that hashes the line with the
-lines before it. Lines are only ever appended. A file is Polaris's if a line of the list has its path and its hash.
-A list whose links do not fit was edited or made by something else, and the folder is then not Polaris's.
+A list has a line of JSON per file: its path, its SHA-256, and a link, which is a hash of this and all
+earlier lines. Lines are only ever appended. A file is Polaris's if a line of the list has its path and its
+hash. A list whose links do not fit was edited or made by something else: its folder is not Polaris's.
 """
 
 import filecmp
@@ -52,7 +52,7 @@ def read_list(folder: Path) -> dict[str, set[str]] | None:
     files: dict[str, set[str]] = {}
     try:
         header, *lines, _ = read_regular(folder / MANIFEST, LARGEST_LIST).decode().split("\n")
-        if header != HEADER:
+        if header != HEADER or (folder / MANIFEST).is_symlink():
             raise ValueError("another format")
         before = ""
         for line in lines:
@@ -79,7 +79,7 @@ def extend_list(folder: Path, name: str, digest: str) -> None:
         *_, last, torn = file.read().split(b"\n")
         try:
             before = "" if last + b"\n" == header else str(json.loads(last)[2])
-            if header.decode() != HEADER + "\n":
+            if header.decode() != HEADER + "\n" or (folder / MANIFEST).is_symlink():
                 raise ValueError("another format")
         except (ValueError, LookupError, TypeError) as error:
             raise ScenarioError("folder", str(folder), EDITED) from error
@@ -100,7 +100,7 @@ def write_list(folder: Path) -> None:
 
 
 def list_holder(folder: Path) -> Path:
-    """Return the folder whose list has the files of a folder: its own, or the one above of which it is a part."""
+    """Return the folder with the list of a folder's files: itself, or that above of which it is a part."""
     if not os.path.lexists(folder / MANIFEST):
         with suppress(ScenarioError):
             if any(name.startswith(f"{folder.name}/") for name in read_list(folder.parent) or ()):
@@ -131,7 +131,7 @@ class Owned:
 
 
 def spare(root: Path, name: str, like: Path) -> Path:
-    """Return where a file is kept: its own path, with ``.kept`` added to each part that is taken by another."""
+    """Return where a file is kept: its path, with ``.kept`` added to each part that another file has."""
     place, (*above, last) = root, name.split("/")
     for part in above:
         place = next(path for path in _names(place / part) if not os.path.lexists(path) or _is_folder(path))

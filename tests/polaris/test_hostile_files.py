@@ -1,4 +1,4 @@
-"""Files that are no files, never end, nest without end or hold more than they show; names that are commands."""
+"""Files that are none, never end, nest without end or hold more than they show; names that are commands."""
 
 import json
 import os
@@ -7,6 +7,7 @@ import shutil
 import signal
 import zipfile
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,8 +24,8 @@ from polaris.model.files import MOST_DOTS, parse_json, parse_toml
 from polaris.report import write_report
 from polaris.rta.online.decision_log import read_log
 from polaris.runs import arrays
-from polaris.runs.campaign import make_cases, read_campaign
 from polaris.runs.campaign import folder as campaign_folder
+from polaris.runs.campaign import make_cases
 from polaris.runs.folder import read_json
 from polaris.runs.tables import json_text
 from polaris.scenario.scenario import load_scenario
@@ -48,7 +49,7 @@ def bounded(memory=2**30):
     def stop(number, frame):
         raise AssertionError("it waits")
 
-    pages = int(open("/proc/self/statm", encoding="ascii").read().split()[0])
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + memory, before[1]))
     known = signal.signal(signal.SIGALRM, stop)

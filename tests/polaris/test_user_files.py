@@ -1,4 +1,4 @@
-"""Files of the user: no verb deletes or overwrites one that Polaris did not write, or that was changed since."""
+"""Files of the user: no verb deletes or overwrites one that Polaris did not write as it is."""
 
 import json
 import os

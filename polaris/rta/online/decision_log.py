@@ -22,7 +22,6 @@ from ...model.files import parse_json, read_text
 from ...model.foreign import Unreadable, settled
 from .estimate import Measurement
 
-
 LARGEST = 2**30  # largest file of a log that is read [bytes]; a decision takes about 400
 
 
@@ -36,10 +35,10 @@ class DecisionLog:
     flush_every : int
         Lines after which they are handed to the operating system.
     max_bytes : int, optional
-        Size [bytes] that no file exceeds by more than a line: the log goes on in ``target.1``, ``target.2`` and so
-        on. One file by default, however large it becomes.
+        Largest size of a file [bytes]: before the line that would exceed it the log goes on in ``target.1``,
+        ``target.2`` and so on. One file by default, however large it becomes.
     max_files : int, optional
-        Number of files, at least 2, that are kept of those: the oldest is deleted, unless it was changed. All by
+        Number of these files that are kept, at least 2: the oldest is deleted, unless it was changed. All by
         default. A log without its oldest decisions cannot be replayed.
 
     Raises
@@ -83,7 +82,7 @@ class DecisionLog:
             If it cannot be written; ValueError also where the stream is closed.
         """
         line = json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n"
-        if self._most is not None and 0 < self._size and self._size + len(line) > self._most:
+        if self._most is not None and self._size > 0 and self._size + len(line) > self._most:
             self._go_on()
         self._stream.write(line)
         self._size += len(line)
