@@ -146,15 +146,16 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        data = load_json(path)
+        data: Any = load_json(path)
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
     wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing", "violation"}
-    if not isinstance(data, dict) or data.get("format") != FORMAT or not wanted <= set(data):
+    known = isinstance(data, dict) and data.get("format") == FORMAT and wanted <= set(data)
+    if not known or not isinstance(data["scenario"], str):
         raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
     if data.get("version") != VERSION:
         raise ScenarioError("case", data.get("version"), f"must be of version {VERSION}")
-    return data
+    return dict(data)
 
 
 def _packed(rows: Array) -> list[list[Any]]:

@@ -365,7 +365,7 @@ for name in ("rename", "mkdir", "unlink", "rmdir", "write_text"):
 for name in ("link", "unlink", "replace"):
     setattr(os, name, count(getattr(os, name)))
 ownership.extend_list = atomic.extend_list = count(ownership.extend_list)
-with atomic.replacing(Path("run")) as beside:
+with getattr(atomic, sys.argv[3])(Path("run")) as beside:
     for name in ("a", "b"):
         (beside / name).write_bytes(word.encode())
 print(calls)
@@ -379,7 +379,7 @@ def test_killed_at_any_moment_a_folder_is_whole(tmp_path):
     (target / "notes").write_bytes(b"mine")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     while True:
-        command = [sys.executable, "-c", KILLED, "new", str(step)]
+        command = [sys.executable, "-c", KILLED, "new", str(step), "replacing"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
         tidy(tmp_path)
         found = contents(target)
@@ -391,6 +391,26 @@ def test_killed_at_any_moment_a_folder_is_whole(tmp_path):
         assert done.returncode == -signal.SIGKILL, done.stderr
         write(target, {"a": b"old", "b": b"old"})
         step += 1
+    assert step > 6
+
+
+def test_killed_at_any_moment_files_that_are_added_are_whole_and_listed(tmp_path):
+    """Each is the older or the newer one, and the next command replaces it without a complaint."""
+    target, step, code = write(tmp_path / "run", {"a": b"old", "b": b"old"}), 1, None
+    (target / "notes").write_bytes(b"mine")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    while code != 0:
+        command = [sys.executable, "-c", KILLED, "new", str(step), "adding"]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
+        code, step = done.returncode, step + 1
+        assert code in (0, -signal.SIGKILL), done.stderr
+        found = contents(target)
+        assert found["notes"] == b"mine" and {found["a"], found["b"]} <= {b"old", b"new"}
+        for word in (b"newer", b"old"):
+            with replacing.adding(target) as beside:
+                for name in ("a", "b"):
+                    (beside / name).write_bytes(word)
+            assert set(contents(target)) == {"a", "b", "notes", ownership.MANIFEST}, step
     assert step > 6
 
 
