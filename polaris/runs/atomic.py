@@ -116,9 +116,8 @@ def _check_taken(target: Path, field: str, force: bool) -> None:
         rule = f"is a part of the results in {target.parent}, which would be lost; give another name"
         raise ScenarioError(field, str(target), rule)
     if os.path.lexists(target) and not force:
-        raise ScenarioError(
-            field, str(target), "is there already; give another name, or --force to replace it"
-        )
+        rule = "is there already; give another name, or --force to replace it"
+        raise ScenarioError(field, str(target), rule)
 
 
 def _check_existing(target: Path, out: str | Path, names: tuple[str, ...], campaign: bool) -> None:
@@ -129,12 +128,12 @@ def _check_existing(target: Path, out: str | Path, names: tuple[str, ...], campa
         refuse("is a file; must be a folder")
     if os.path.ismount(target):
         refuse("is where a file system is mounted, which cannot be replaced; give a folder in it")
-    owned = Owned(target)
-    if any(target.iterdir()) and read_list(target) is None:
+    listed = read_list(target)
+    if any(target.iterdir()) and listed is None:
         refuse("is a folder with other contents; it will not be replaced")
-    if CAMPAIGN in owned.listed and not campaign:
+    if CAMPAIGN in (listed or ()) and not campaign:
         refuse("holds a campaign; it will not be replaced")
-    refuse_taken(target, sorted({*names, *owned.listed}))
+    refuse_taken(target, sorted({*names, *(listed or ())}))
     if not os.access(target, os.R_OK | os.W_OK | os.X_OK):
         refuse("is a folder that cannot be written to")
     above = target.parent.stat()
@@ -148,14 +147,11 @@ def refuse_taken(folder: Path, names: Iterable[str]) -> None:
     owned = Owned(folder)
     for name in names:
         if os.path.lexists(folder / name) and name not in owned:
-            rule = (
-                "was changed since Polaris wrote it" if name in owned.listed else "was not written by Polaris"
-            )
+            why = "was changed since Polaris wrote it" if name in owned.listed else "is not Polaris's"
             if linked(folder, name):
-                rule = "is a symbolic link or in a linked folder, and Polaris does not write through links"
-            raise ScenarioError(
-                "--out", str(folder), f"{name} in it {rule}; move it away, or give another place"
-            )
+                why = "is a symbolic link or in a linked folder, and Polaris does not write through links"
+            rule = f"{name} in it {why}; move it away, or give another place"
+            raise ScenarioError("--out", str(folder), rule)
 
 
 def try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") -> None:

@@ -21,6 +21,11 @@ from reach.numerics.files import open_regular, read_regular
 
 from ..model.errors import ScenarioError
 
+try:
+    import fcntl
+except ImportError:  # elsewhere than on POSIX
+    fcntl = None  # type: ignore[assignment]
+
 MANIFEST = ".polaris.jsonl"  # name of the list
 HEADER = json.dumps({"format": "polaris folder", "format_version": 2, "lines": "path, SHA-256, link"})
 EDITED = f"{MANIFEST} in it is not as Polaris wrote it, so nothing in it is replaced; give another folder"
@@ -74,6 +79,8 @@ def start_list(folder: Path) -> None:
 def extend_list(folder: Path, name: str, digest: str) -> None:
     """Append a file to the list of a folder; raise `ScenarioError` if the list is not Polaris's."""
     with (folder / MANIFEST).open("r+b") as file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)  # two commands may add to one folder
         header, size = file.readline(), file.seek(0, os.SEEK_END)
         file.seek(max(size - 2**16, 0))
         *_, last, torn = file.read().split(b"\n")

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -217,6 +218,14 @@ def test_an_edited_list_is_nobodys(tmp_path, lines):
         with pytest.raises(ScenarioError, match="not as Polaris wrote it"), replace(target) as beside:
             (beside / "a").write_bytes(b"2")
     assert contents(tmp_path) == before
+
+
+def test_commands_that_add_at_once_leave_a_list_that_fits(tmp_path):
+    target = write(tmp_path / "run", {"a": b"1"})
+    names = [f"{k}" for k in range(200)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda name: ownership.extend_list(target, name, "0"), names))
+    assert set(ownership.read_list(target)) == {"a", *names}
 
 
 def test_a_line_that_a_full_disk_cut_off_is_left_out(tmp_path):

@@ -105,7 +105,7 @@ def folder_in_the_way(target, name):
 def file_in_the_way(target, name):
     write(target, {"manifest.json" if name == "manifest.json" else "older.json": b"{}"})
     put(target / ("summary.json" if name == "manifest.json" else name))
-    return "in it was not written by Polaris"
+    return "in it is not Polaris's"
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_figures_are_not_drawn_through_a_link_or_over_a_picture_of_the_user(tmp_
     put(folder / "figures" / "scene.png")
     put(folder / "figures" / "mine.png")
     done = polaris("plot", folder, "-q")
-    assert done.exit_code == 2 and "figures/scene.png in it was not written by Polaris" in done.stderr
+    assert done.exit_code == 2 and "figures/scene.png in it is not Polaris's" in done.stderr
     assert {path.name for path in (folder / "figures").iterdir()} == {"scene.png", "mine.png"}
     (folder / "figures" / "scene.png").unlink()
     assert polaris("plot", folder, "-q").exit_code == polaris("plot", folder, "-q").exit_code == 0
