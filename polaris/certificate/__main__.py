@@ -23,7 +23,8 @@ def main(arguments: list[str]) -> int:
     except OSError as error:
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
-    print(verdict.text())
+    # No terminal obeys a name in it.
+    print("".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in verdict.text()))
     return verdict.exit_code
 
 

@@ -11,9 +11,12 @@ table of keys and their shapes, in which keys that may be missing end in a quest
 import hashlib
 import json
 import math
+import os
 import re
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -244,8 +247,7 @@ LARGEST_HASHED = 16 * 2**30  # largest file that is hashed [bytes]
 
 def contents(path: Path, most: int = LARGEST_READ) -> bytes:
     """The bytes of a regular file, or of what a link to one leads to."""
-    _regular(path, most)
-    with path.open("rb") as file:
+    with _opened(path, most) as file:
         data = file.read(most + 1)  # it may have grown since
     if len(data) > most:
         raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")
@@ -259,13 +261,20 @@ def found(path: Path) -> bool:
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file, piece by piece."""
-    _regular(path, LARGEST_HASHED)
-    with path.open("rb") as file:
+    with _opened(path, LARGEST_HASHED) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _regular(path: Path, most: int) -> None:
-    if found(path) and not path.is_file():
+def _opened(path: Path, most: int) -> BufferedReader:
+    """Open a regular file of a bounded size, without waiting for the other end of a pipe."""
+    wait = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    if path.is_symlink() and not path.exists():
         raise Rejected("artefacts", f"{ascii(path.name)} is no regular file")
-    if path.stat().st_size > most:
-        raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")
+    descriptor = os.open(path, os.O_RDONLY | wait)
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode) and status.st_size <= most:
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if not stat.S_ISREG(status.st_mode):
+        raise Rejected("artefacts", f"{ascii(path.name)} is no regular file")
+    raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")

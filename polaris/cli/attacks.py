@@ -7,10 +7,9 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
 from typer import Argument, Option
 
-from .shell import REFUTED, Assignments, Json, print_json, verb
+from .shell import REFUTED, Assignments, Force, Json, echo, print_json, verb
 
 if TYPE_CHECKING:
     from ..simulation.falsification.search import Falsification
@@ -45,6 +44,7 @@ def falsify_command(
     seed: int = Option(0, min=0, help="Same seed, same search."),
     out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
     assignments: Assignments = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> int | None:
     """Search for a run that breaks what a schedule claims; save it as a case."""
@@ -53,17 +53,17 @@ def falsify_command(
     from ..simulation.falsification.search import falsify
 
     if out is not None:
-        check_file(out, endings=(".json",))
+        check_file(out, endings=(".json",), force=force)
     scenario, schedule = load_target(target, assignments or ())
-    check_file(out or f"{scenario.name}.case.json")
+    check_file(out or f"{scenario.name}.case.json", force=force)
     found = falsify(schedule, runs, seed)
     if as_json:
         print_json(found.summary())
     else:
         _show_falsification(scenario.name, found)
     if found.failure is not None:
-        path = write_case(out or f"{scenario.name}.case.json", scenario, found)
-        typer.echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
+        path = write_case(out or f"{scenario.name}.case.json", scenario, found, force=force)
+        echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
     return REFUTED if found.failure is not None else None
 
 
@@ -75,7 +75,7 @@ def replay_command(
     from ..runs.case import replay
 
     failure, scenario = replay(case)
-    typer.echo(f"{scenario.name}: {failure or 'this case violates nothing'}")
+    echo(f"{scenario.name}: {failure or 'this case violates nothing'}")
     return REFUTED if failure is not None else None
 
 
@@ -100,32 +100,32 @@ def _show_falsification(name: str, found: Falsification) -> None:
     from ..synthesis.recoverable import directed
 
     told = found.summary()
-    typer.echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")
-    typer.echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
+    echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")
+    echo(f"{'limit':24} {'least margin':>13} {'proven':>11} {'proven/least':>13} {'at':>9}")
     for row in told["limits"]:
         proven = directed(row["proven"], ".4g") if math.isfinite(row["proven"]) else "nothing"
         share = f"{row['proven_share']:.0%}" if math.isfinite(row["proven_share"]) else "-"
-        typer.echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
+        echo(f"{row['limit']:24} {row['least']:13.4g} {proven:>11} {share:>13} {row['time_s']:7g} s")
     proven = directed(told["delta_v_proven_m_s"], ".4g", up=True)
-    typer.echo(f"velocity change until T: {told['delta_v_m_s']:.4g} m/s at most, {proven} m/s proven")
-    typer.echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")
+    echo(f"velocity change until T: {told['delta_v_m_s']:.4g} m/s at most, {proven} m/s proven")
+    echo("No violation." if found.failure is None else f"VIOLATED: {found.failure}")
 
 
 def _show_model_error(found: ModelError) -> None:
     """Print the parts of the bound, what is declared, and where it is largest."""
     told = found.summary()
     worst = told["worst"]
-    typer.echo(f"{told['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
+    echo(f"{told['scenario']}: what the linear model leaves out where the schedule flies [m/s^2]")
     for name, value in told["parts_m_s2"].items():
-        typer.echo(f"  {name.replace('_', ' '):16} {value:9.3g}")
-    typer.echo(f"  {'bound':16} {told['bound_m_s2']:9.3g}   (sampled: {told['sampled_share']:.0%} of it)")
+        echo(f"  {name.replace('_', ' '):16} {value:9.3g}")
+    echo(f"  {'bound':16} {told['bound_m_s2']:9.3g}   (sampled: {told['sampled_share']:.0%} of it)")
     covers = "covers it" if found.covered else "TOO SMALL"
-    typer.echo(f"  {'declared':16} {told['declared_m_s2']:9.3g}   {covers}")
-    typer.echo(
+    echo(f"  {'declared':16} {told['declared_m_s2']:9.3g}   {covers}")
+    echo(
         f"Largest at t = {worst['time_s']:g} s under {worst['controller']}: within"
         f" {worst['distance_m']:.0f} m of the target, {worst['radial_m']:.0f} m in height,"
         f" {worst['speed_m_s']:.2f} m/s."
     )
     for name, time in told["satellites_covered_until_s"].items():
         until = "as long as it is perceived" if time is None else f"until t = {time:g} s"
-        typer.echo(f"The motion declared for {name} covers its own model error {until}.")
+        echo(f"The motion declared for {name} covers its own model error {until}.")

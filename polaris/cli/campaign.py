@@ -9,11 +9,10 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Assignments, BlackBoxes, Json, Quiet, drawing, finish, print_json, verb
+from .shell import Assignments, BlackBoxes, Force, Json, Quiet, drawing, echo, finish, print_json, verb
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
@@ -111,6 +110,7 @@ def replay_command(
     ),
     mode: str | None = Option(None, help="Who flies; default the first that flew."),
     out: str | None = Option(None, metavar="FILE", help="Trajectory, as .csv or .npz."),
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Fly one run of a campaign again, bit for bit, and write its trajectory."""
@@ -120,7 +120,7 @@ def replay_command(
     from .show.schedule import show_run
 
     if out is not None:
-        check_trajectory(out)
+        check_trajectory(out, force)
     folder = read_campaign(campaign)
     if worst is not None:
         if batch is not None or run is not None:
@@ -137,7 +137,7 @@ def replay_command(
     else:
         show_run(found.row)
     if out is not None:
-        typer.echo(f"Written: {found.write(out)}", err=True)
+        echo(f"Written: {found.write(out, force=force)}", err=True)
 
 
 def _plan(scenarios: Sequence[ScheduleScenario], options: Options, stages: Stages) -> CampaignPlan:
@@ -200,9 +200,9 @@ def _finish(folder: CampaignFolder, options: Options) -> int:
         show_campaign(summary, str(folder.path))
         if summary["flown"]:
             command = f"polaris campaign-replay {shlex.quote(str(folder.path))} --worst 1 --out worst.csv"
-            typer.echo(f"The closest approach in detail: {command}")
+            echo(f"The closest approach in detail: {command}")
     if summary["flown"]:
         return 0
     first = summary["cases"][0]
-    typer.echo(f"error: no case has a schedule; {first['label']}: {first['failure']}", err=True)
+    echo(f"error: no case has a schedule; {first['label']}: {first['failure']}", err=True)
     return int(first["exit_code"])

@@ -4,12 +4,11 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
-import typer
 from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ClockWarning, ScenarioError
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, echo, finish, verb
 
 
 class _Compare(TyperCommand):
@@ -63,13 +62,14 @@ def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None
         from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid
         from ..runs.atomic import check_target
-        from ..runs.comparison import write_comparison
+        from ..runs.comparison import COMPARISON, write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
         from ..simulation.sampled import with_boxes
         from ..synthesis.synthesize import synthesize
 
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
-        target = check_target(options.out if options.out is not None else f"runs/{loaded.name}-comparison")
+        out = options.out if options.out is not None else f"runs/{loaded.name}-comparison"
+        target = check_target(out, COMPARISON.names)
         given, tuning = options.estimate_error, _tuning(options.tune)
         half = None if given is None else np.squeeze(_numbers("--estimate-error", given))
         named = None if options.methods is None else options.methods.replace(" ", "").split(",")
@@ -160,7 +160,7 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
         )
     unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] == "none"]
     if unproven:  # even if asked to be quiet
-        typer.echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
+        echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         told = f"the planner's wall clock ended its search early ({', '.join(cut)})"

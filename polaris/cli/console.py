@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
+from ..model.errors import escape_controls
 from ..runs.stages import Stages
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+
 
 PATIENCE = 1.0  # seconds a stage may take before it is shown
 WINDOW = 3600.0
@@ -46,7 +48,7 @@ class ShownStages(Stages):
                 bar.stop()
             self._bar = None
         if not self.quiet and self.seconds[name] > PATIENCE:
-            self.console.print(Text(f"{name}: {self.seconds[name]:.1f} s"))
+            self.console.print(Text(escape_controls(f"{name}: {self.seconds[name]:.1f} s")))
 
     def _make_bar(self, name: str) -> Progress:
         from rich import progress
@@ -65,4 +67,5 @@ class ShownStages(Stages):
     def note(self, text: str, done: int = 0, total: int | None = None) -> None:
         """Say what the stage is doing, and how far it is if that is known."""
         if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], description=text, completed=done, total=total)
+            self._bar.update(self._bar.task_ids[0], completed=done, total=total)
+            self._bar.update(self._bar.task_ids[0], description=escape_controls(text))

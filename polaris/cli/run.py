@@ -2,10 +2,9 @@
 
 from typing import Any, Literal
 
-import typer
 from typer import Argument, Option
 
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Force, Json, Name, Quiet, drawing, echo, finish, verb
 
 
 @verb("run")
@@ -47,10 +46,10 @@ def run(
     if folder.kind.name == "schedule":
         claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
         if claim == "statistical":
-            typer.echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
+            echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
         if claim == "none":  # even if asked to be quiet
             warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
-            typer.echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
+            echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
     finish(folder, figures, as_json, quiet)
 
 
@@ -60,7 +59,7 @@ def check(file: Name, assignments: Assignments = None) -> None:
     from ..scenario.scenario import load_scenario
 
     scenario = load_scenario(file, assignments or ())
-    typer.echo(f"{scenario.name} is valid: {scenario.outline()}")
+    echo(f"{scenario.name} is valid: {scenario.outline()}")
     _tell_doubts(scenario)
 
 
@@ -68,7 +67,7 @@ def _tell_doubts(scenario: Any, err: bool = False) -> None:
     from ..scenario.doubts import doubts
 
     for doubt in doubts(scenario):
-        typer.echo(f"note: {doubt}", err=err)
+        echo(f"note: {doubt}", err=err)
 
 
 @verb("scenarios")
@@ -80,7 +79,7 @@ def scenarios() -> None:
     bundled = bundled_files()
     width = max(map(len, bundled), default=0)
     for name, path in bundled.items():
-        typer.echo(f"{name:{width}}  {read_document(path)[0]['title']}")
+        echo(f"{name:{width}}  {read_document(path)[0]['title']}")
 
 
 @verb("plot")
@@ -96,13 +95,14 @@ def plot(
     with ShownStages(quiet).stage("figures"):
         drawn = draw_run(read_run(folder))
     if not quiet:
-        typer.echo("\n".join(str(path) for path in drawn))
+        echo("\n".join(str(path) for path in drawn))
 
 
 @verb("report")
 def report(
     folder: str = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare."),
     out: str | None = Option(None, metavar="FILE.html", help="Default report.html in the folder."),
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Write an interactive report: one HTML file that needs no network."""
@@ -110,6 +110,6 @@ def report(
     from .console import ShownStages
 
     with ShownStages(quiet).stage("report"):
-        path = write_report(folder, out)
+        path = write_report(folder, out, force=force)
     if not quiet:
-        typer.echo(str(path))
+        echo(str(path))

@@ -21,7 +21,7 @@ import typer
 from reach.numerics import packages
 from reach.numerics.errors import ReachError
 
-from ..model.errors import ClockWarning, PolarisError, ScenarioError, failed
+from ..model.errors import ClockWarning, PolarisError, ScenarioError, escape_controls, failed
 
 if TYPE_CHECKING:
     from ..runs.folder import RunFolder
@@ -75,6 +75,7 @@ Figures = Annotated[
     bool, typer.Option("--figures/--no-figures", help="Draw the figures; `polaris plot` can do so later.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there and is not a result's.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -110,7 +111,7 @@ def _version(wanted: bool) -> None:
     if wanted:
         from ..model.version import version
 
-        typer.echo(f"polaris {version()}")
+        echo(f"polaris {version()}")
         raise typer.Exit
 
 
@@ -181,6 +182,11 @@ def drawing(figures: bool) -> Any:
     return draw_run
 
 
+def echo(text: str, err: bool = False) -> None:
+    """Print lines to standard output, or to standard error; no terminal obeys a name in them."""
+    typer.echo(escape_controls(text), err=err)
+
+
 def print_json(data: object) -> None:
     """Print a result as JSON."""
     from ..runs.tables import json_text
@@ -205,7 +211,7 @@ def finish(folder: RunFolder, figures: bool, as_json: bool, quiet: bool) -> None
         }
         show[folder.kind.name](folder.summary, str(folder.path))
         if not figures:
-            typer.echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
+            echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
 
 
 # -- how it ends ------------------------------------------------------------------------------------
@@ -262,7 +268,7 @@ def _warning() -> Iterator[None]:
             yield
         finally:
             for text in told:
-                typer.echo(f"warning: {text}", err=True)
+                echo(f"warning: {text}", err=True)
 
 
 def _terminated(number: int, frame: Any) -> NoReturn:
@@ -271,5 +277,5 @@ def _terminated(number: int, frame: Any) -> NoReturn:
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    echo(f"error: {' '.join(message.split())}", err=True)
     raise typer.Exit(code) from None

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
-import typer
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Json, Quiet, print_json, verb
+from .shell import Force, Json, Quiet, echo, print_json, verb
 
 
 @dataclass
@@ -89,6 +88,7 @@ def export_command(
     nominal: bool = Option(
         False, "--nominal", help="Other satellites as balls about where they are nominally, not as polytopes."
     ),
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
@@ -98,7 +98,7 @@ def export_command(
     from ..traces.export import export_run
     from ..traces.reading import write_trace
 
-    check_file(trace, "trace", (".json",))
+    check_file(trace, "trace", (".json",), force)
     compared = read_run(run).kind.name == "comparison"
     if controller is not None and (compared or method is not None):
         rule = "must be left out for a comparison, which has methods"
@@ -107,12 +107,12 @@ def export_command(
         raise ScenarioError("--method", method, f"{run} must be a comparison folder")
     pilot = method or ("schedule" if compared else controller or "polaris")
     found = export_run(run, pilot, label, nominal=nominal)
-    path = write_trace(trace, found.trace)
+    path = write_trace(trace, found.trace, force=force)
     if not quiet:
         agent = next(iter(found.trace.agents.values()))
-        typer.echo(
+        echo(
             f"{path}: run {label!r} of {pilot}, {counted(len(agent.times), 'sample')} over"
             f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
         )
         for note in found.notes:
-            typer.echo(f"note: {note}")
+            echo(f"note: {note}")

@@ -1,10 +1,27 @@
 """The one family of errors. Each carries the exit code the command line ends with."""
 
+import re
+
+_CONTROLS = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufff9-\ufffb]"
+)
+
+
+def escape_controls(text: str) -> str:
+    r"""Return a text in which control characters, but for line ends and tabs, are written as in ``\u001b``.
+
+    Names from files may hold them: a terminal obeys them, and some reverse or hide what is shown.
+    """
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
 
 class PolarisError(Exception):
     """Root of every error this package raises on purpose."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return escape_controls(super().__str__())
 
 
 class ScenarioError(PolarisError):

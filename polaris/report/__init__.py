@@ -3,16 +3,17 @@
 from pathlib import Path
 
 from ..model.errors import ScenarioError
-from ..runs.atomic import check_file, write_whole
+from ..runs.atomic import adding, check_file, write_whole
 from ..runs.folder import RunFolder, readable
 from ..runs.points import TRADEOFF
 from ..runs.run import read_run
+from ..runs.tables import write_text
 from .html.page import Page, page_html
 
 __all__ = ["report_page", "write_report"]
 
 
-def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
+def write_report(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:
     """Write the report of a run folder or of a comparison.
 
     Parameters
@@ -20,7 +21,9 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     folder : path
         A run folder, one of the inspection problem, or a comparison.
     out : path, optional
-        The file, replaced once everything is written; default ``report.html`` in the folder.
+        The file; default ``report.html`` in the folder, where an older report is replaced.
+    force : bool
+        Whether another file that is there is replaced.
 
     Returns
     -------
@@ -30,16 +33,19 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     Raises
     ------
     ScenarioError
-        If the folder is none of these or damaged, or the file cannot be written.
+        If the folder is none of these or damaged, a file of the user is there, or it cannot be written.
     """
     run = read_run(folder)
     if run.kind is TRADEOFF:
         rule = "is a trade-off, which is a table and a figure; give one of the run folders in it"
         raise ScenarioError("report", str(folder), rule)
-    target = run.path / "report.html" if out is None else Path(out)
-    check_file(target, endings=(".html", ".htm"))
-    write_whole(target, page_html(report_page(run)))
-    return target
+    if out is not None:
+        target = check_file(out, endings=(".html", ".htm"), force=force)
+        write_whole(target, page_html(report_page(run)), force=force)
+        return target
+    with adding(run.path, taken="replaced" if force else "refused") as beside:
+        write_text(beside / "report.html", page_html(report_page(run)))
+    return run.path / "report.html"
 
 
 def report_page(run: RunFolder) -> Page:

@@ -1,5 +1,7 @@
 """The arrays of a run folder: recoverable sets, tubes, simulated runs. Plain arrays, no pickle."""
 
+import math
+import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -7,12 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.numerics.files import open_regular
 from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
 from ..simulation.baselines import Flights
 from ..synthesis.schedule import Schedule
 from .picture import SlicePicture, TubePicture
+
+LARGEST = 2**30  # most bytes of the arrays of a file, compressed or not
 
 SLICES = {"slice_t_s": "times", "slice_place_m": "places", "slice_outline_m": "outlines"}
 """Attribute of slices by the name of its array."""
@@ -114,9 +119,37 @@ def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str =
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of a file; nothing in it is ever unpickled."""
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    """Return all arrays of a file, once their declared sizes are known; nothing in it is ever unpickled.
+
+    Raises
+    ------
+    OSError, ValueError, zipfile.BadZipFile
+        If it is no regular file, damaged, or its arrays take more than `LARGEST` bytes.
+    """
+    with open_regular(path, LARGEST) as file:
+        with zipfile.ZipFile(file) as parts:
+            for part in parts.infolist():
+                _check_header(parts, part)
+            size = sum(part.file_size for part in parts.infolist())
+        if size > LARGEST:
+            raise ValueError(f"{path.name}: its arrays take {size} bytes; must be at most {LARGEST}")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+
+
+def _check_header(parts: zipfile.ZipFile, part: zipfile.ZipInfo) -> None:
+    """Raise a ValueError unless an array has the size that the archive declares for it."""
+    with parts.open(part) as file:
+        version = np.lib.format.read_magic(file)  # it and what follows read no more than a header
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, _, dtype = read(file)
+        if math.prod(shape) * dtype.itemsize + file.tell() != part.file_size:
+            raise ValueError(
+                f"{part.filename}: its shape {shape} does not fit its size, {part.file_size} bytes"
+            )
 
 
 def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:

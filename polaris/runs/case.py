@@ -1,7 +1,5 @@
 """What is attacked, and counterexamples as files: all that is needed to fly one again, exact to the bit."""
 
-import json
-import tomllib
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -10,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..model.errors import ScenarioError
+from ..model.files import load_json
 from ..model.system import Array
+from ..scenario.reading import parse_toml
 from ..scenario.scenario import ScheduleScenario, load_scenario
 from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
@@ -53,17 +53,26 @@ def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleSce
     return folder.scenario, schedule
 
 
-def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsification) -> Path:
+def write_case(
+    path: str | Path, scenario: ScheduleScenario, found: Falsification, *, force: bool = False
+) -> Path:
     """Save the counterexample of a search.
 
     Parameters
     ----------
     path : path
-        A JSON file, replaced if it is there.
+        A JSON file.
     scenario : ScheduleScenario
         What was synthesised, overrides included.
     found : Falsification
         With a failure.
+    force : bool
+        Whether a file that is there is replaced.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no failure, or a file is there already, or it cannot be written.
     """
     if found.case is None or found.failure is None:
         raise ScenarioError("case", None, "there is none: the search found no violation")
@@ -83,7 +92,7 @@ def write_case(path: str | Path, scenario: ScheduleScenario, found: Falsificatio
         "abort": found.abort,
     }
     target = Path(path)
-    write_whole(target, json_text(data))
+    write_whole(target, json_text(data), force=force)
     return target
 
 
@@ -103,7 +112,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
         If the file is no case, or its scenario no longer gives the schedule it was found on.
     """
     data = _read(Path(path))
-    scenario = ScheduleScenario.from_dict(tomllib.loads(data["scenario"]), Path(path).name)
+    scenario = ScheduleScenario.from_dict(parse_toml(data["scenario"], str(path)), Path(path).name)
     whole = schedule = synthesize(scenario)
     if digest(schedule) != data["schedule"]:
         rule = "belongs to another schedule than its scenario gives here (other versions of the solver?)"
@@ -137,15 +146,16 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data: Any = load_json(path)
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
     wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing", "violation"}
-    if not isinstance(data, dict) or data.get("format") != FORMAT or not wanted <= set(data):
+    known = isinstance(data, dict) and data.get("format") == FORMAT and wanted <= set(data)
+    if not known or not isinstance(data["scenario"], str):
         raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")
     if data.get("version") != VERSION:
         raise ScenarioError("case", data.get("version"), f"must be of version {VERSION}")
-    return data
+    return dict(data)
 
 
 def _packed(rows: Array) -> list[list[Any]]:

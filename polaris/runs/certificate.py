@@ -3,7 +3,6 @@
 ``gains.json`` repeats of it what a replay needs.
 """
 
-import hashlib
 from collections.abc import Iterable
 from dataclasses import asdict
 from itertools import groupby
@@ -34,6 +33,7 @@ from ..synthesis.get_safety import Safety
 from ..synthesis.neural import NeuralController
 from ..synthesis.passive import Drift, clear
 from ..synthesis.schedule import Schedule
+from .ownership import sha256
 from .tables import errors_of, json_text, strict, write_text
 
 
@@ -53,7 +53,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "format": FORMAT,
         "schema_version": VERSION,
         "scenario": {"name": name},
-        "artefacts": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
+        "artefacts": {path.name: sha256(path) for path in files},
         **_flown(schedule),
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": _sets(schedule, covered),

@@ -3,7 +3,7 @@
 The same scenario and seed give the same bytes, but for ``created`` and wall times in the summary.
 """
 
-import json
+import csv
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model.errors import ScenarioError
+from ..model.files import load_json
 from ..model.version import versions
 from ..scenario.scenario import Scenario
 from .atomic import check_target, replacing
@@ -38,6 +39,11 @@ class RunKind:
     read: Callable[[Path, Any], Any]
     fly: Callable[[Any, Stages], Any] | None = None
     summary: str = "summary.json"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All files that it is known by."""
+        return (*self.files, self.summary)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +104,21 @@ def write_folder(
     stages: Stages | None = None,
 ) -> RunFolder:
     """Write what a kind's ``fly`` found, replacing an older run folder once everything is written."""
+    return save_folder(check_target(out, kind.names), kind, scenario, found, draw=draw, stages=stages)
+
+
+def save_folder(
+    target: Path,
+    kind: RunKind,
+    scenario: Scenario,
+    found: Any,
+    *,
+    draw: Draw | None = None,
+    stages: Stages | None = None,
+) -> RunFolder:
+    """Write a folder whose place has been checked: what the user put there since is kept beside it."""
     assert kind.write is not None
-    target, stages, clock = check_target(out), stages or Stages(), Stages()
+    stages, clock = stages or Stages(), Stages()
     clock.seconds |= stages.seconds
     with replacing(target) as folder:
         stages.note("files")
@@ -146,9 +165,7 @@ def provenance() -> dict[str, Any]:
 def read_json(path: Path) -> dict[str, Any]:
     """Read an object from a JSON file."""
     with readable(path):
-        if path.exists() and not path.is_file():
-            raise ValueError("not a regular file")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = load_json(path)
         if not isinstance(data, dict):
             raise ValueError("not an object")
     return data
@@ -159,7 +176,16 @@ def readable(path: Path) -> Iterator[None]:
     """Turn whatever a damaged file causes into one message."""
     try:
         yield
-    except (OSError, ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile, EOFError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        IndexError,
+        TypeError,
+        RecursionError,
+        csv.Error,
+        zipfile.BadZipFile,
+    ) as error:
         if isinstance(error, ScenarioError):
             raise
         told = " ".join(str(error).split()) or type(error).__name__

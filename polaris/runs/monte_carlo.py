@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from ..model.errors import failed
 from ..model.system import Array
 from ..scenario.scenario import MonteCarloScenario
-from .atomic import replacing_file, write_whole
+from .atomic import adding
 from .campaign.drive import run_campaign
 from .campaign.folder import CampaignFolder, read_campaign
 from .campaign.inspections import BLOCK, InspectionRuns, case_of, initial_states, outcomes
 from .campaign.plan import CampaignPlan
 from .campaign.workers import Workers
 from .folder import SCENARIO, RunKind
-from .tables import write_csv
+from .tables import write_csv, write_text
 
 FAILURE_COLUMNS = ("study", "run", "what", "deputies", "time_s", "value")
 
@@ -42,14 +42,14 @@ def run_monte_carlo(
     folder = run_campaign(plan, out, executor=executor, fresh=fresh, progress=progress)
     for failure in folder.failures().values():
         raise failed(failure["message"], failure["exit_code"])
-    write_whole(folder.path / SCENARIO, scenario.copy_text())
     rows = [
         {"study": name, "time_s": one.pop("time"), **one, "deputies": " ".join(map(str, one["deputies"]))}
         for name, outcome in outcomes(folder.plan.cases[0], folder.read(0)).items()
         for one in outcome.failures()
     ]
-    with replacing_file(folder.path / "failures.csv") as beside:
-        write_csv(beside, rows, FAILURE_COLUMNS)
+    with adding(folder.path, taken="kept") as beside:
+        write_text(beside / SCENARIO, scenario.copy_text())
+        write_csv(beside / "failures.csv", rows, FAILURE_COLUMNS)
     return folder
 
 

@@ -1,23 +1,22 @@
 """Run a scenario of any kind into a folder, and open a folder of any kind."""
 
-import hashlib
-import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 from ..model.errors import ScenarioError
+from ..model.files import parse_toml, read_text
 from ..scenario.scenario import MonteCarloScenario, Scenario, ScheduleScenario, load_scenario, loaded
 from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
-from .folder import SCENARIO, Draw, RunFolder, RunKind, write_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, save_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
+from .ownership import sha256
 from .points import TRADEOFF
 from .schedule import SCHEDULE
 from .stages import Stages
@@ -79,13 +78,14 @@ def run(
     target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
         return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
-    place, kind = check_target(target), KINDS[scenario.kind]
+    kind = KINDS[scenario.kind]
+    place = check_target(target, kind.names)
     assert kind.fly is not None
     if black_boxes and not isinstance(scenario, ScheduleScenario):
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
     found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
-        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
+        return save_folder(place, kind, scenario, found, draw=draw, stages=stages)
 
 
 def _run_many(
@@ -121,7 +121,7 @@ def read_run(path: str | Path) -> RunFolder:
         return RunFolder(folder, read_run(folder / "run").scenario, kind)
     for name, known in _hashes(folder / "certificate.json").items():
         known_file = name in kind.files or ((folder / name).is_file() and name.endswith(".onnx"))
-        if known_file and hashlib.sha256((folder / name).read_bytes()).hexdigest() != known:
+        if known_file and sha256(folder / name) != known:
             rule = "is not what was written with the other files (edited, or damaged); run the scenario again"
             raise ScenarioError("run folder", str(folder / name), rule)
     return RunFolder(folder, load_scenario(folder / SCENARIO), kind)
@@ -133,15 +133,12 @@ def _kind_of(folder: Path) -> RunKind:
         if (folder / kind.summary).is_file():
             return kind
     try:
-        told = tomllib.loads((folder / SCENARIO).read_text(encoding="utf-8")).get("kind")
+        told = parse_toml(read_text(folder / SCENARIO)).get("kind")
     except (OSError, ValueError):
         return SCHEDULE
     return KINDS.get(told, SCHEDULE) if isinstance(told, str) else SCHEDULE
 
 
 def _hashes(path: Path) -> dict[str, Any]:
-    """Hashes by file name as a certificate has them; none without one that can be read."""
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8"))["artefacts"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
+    """Return hashes by file name as a certificate has them; none without a certificate."""
+    return dict(read_json(path)["artefacts"]) if path.exists() else {}

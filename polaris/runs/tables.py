@@ -1,6 +1,7 @@
 """The readable files of a run folder, tables (CSV) and strict JSON; what a run claims besides, in words."""
 
 import csv
+import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ..model.errors import escape_controls
+from ..model.files import read_text
 from ..model.system import LinearSystem
 from ..model.timing import Observer, Timing
 from ..planning.reference import Reference
@@ -31,8 +34,8 @@ def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:
 
 
 def json_text(data: Any) -> str:
-    """Strict JSON, readable, the same bytes for the same data."""
-    return json.dumps(strict(data), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    """Strict JSON, readable, the same bytes for the same data, control characters escaped."""
+    return escape_controls(json.dumps(strict(data), indent=2, allow_nan=False, ensure_ascii=False)) + "\n"
 
 
 def write_text(path: Path, text: str) -> None:
@@ -114,8 +117,7 @@ def write_reference(path: Path, reference: Reference) -> None:
 
 def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     """Read what `write_reference` wrote, bit for bit."""
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.reader(file))[1:]
+    rows = list(csv.reader(io.StringIO(read_text(path), newline="")))[1:]
     if len(rows) < 2:
         raise ValueError("too few rows")
     chi = np.array([[float(item) for item in row[1 : 1 + system.n]] for row in rows])

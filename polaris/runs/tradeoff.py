@@ -23,7 +23,7 @@ from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
 from .folder import SCENARIO, Draw, RunFolder, read_json, write_folder
-from .ownership import MANIFEST, listed, tidy_all, write_manifest
+from .ownership import MANIFEST, read_list, start_list, tidy
 from .points import INFEASIBLE, TRADEOFF, Row, infeasible_row, non_dominated, row_of
 from .run import read_run, run
 from .schedule import SCHEDULE
@@ -141,14 +141,14 @@ def _row(target: Path, name: str, field: str, value: float | None) -> Row:
 
 def _take_up(out: str | Path) -> Path:
     """Make the folder, or take up one of an earlier trade-off; `ScenarioError` if there is something else."""
-    target = check_target(out)
-    files = listed(target)
+    target = check_target(out, TRADEOFF.names)
+    files = read_list(target) if target.exists() else None
     if files and TRADEOFF.summary not in files:
         raise ScenarioError("--out", str(out), "holds other results; a trade-off needs a folder of its own")
     target.mkdir(parents=True, exist_ok=True)
     if files is None:
-        write_manifest(target)  # of nothing yet: it says whose folder this is
-    tidy_all(target)
+        start_list(target)  # of nothing yet: it says whose folder this is
+    tidy(target)
     return target
 
 

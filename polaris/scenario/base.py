@@ -3,7 +3,6 @@
 import copy
 import json
 import re
-import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 from ..model.errors import ScenarioError
+from ..model.files import parse_toml
 from .fields import ScenarioPart
 from .reading import NOTHING, did_you_mean, join_path, printable, validate, write_toml
 
@@ -214,8 +214,8 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     if not equals or not key.strip():
         raise ScenarioError("--set", printable(text), "must be key=value")
     try:
-        parsed = tomllib.loads(f"value = {value.strip()}")
-    except (ValueError, RecursionError):
+        parsed = parse_toml(f"value = {value.strip()}")
+    except ValueError:
         parsed = {}
     return key.strip(), parsed["value"] if set(parsed) == {"value"} else value.strip()
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,6 +11,9 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from reach.numerics.files import read_regular
+
+from ..model import files
 from ..model.checks import counted, exact
 from ..model.errors import ScenarioError
 from .fields import LARGEST, NAME_PATTERN
@@ -64,16 +66,11 @@ def read_document(path: Path) -> tuple[dict[str, Any], str]:
     """
     shown = printable(str(path))
     try:
-        if not path.is_file():
-            other = "must be a file, this is a directory" if path.is_dir() else "must be a regular file"
-            raise ScenarioError("file", shown, other if path.exists() else "there is no such file")
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ScenarioError("file", shown, f"cannot be read: {printable(reason)}") from error
-    if len(data) > MAX_BYTES:
-        raise ScenarioError("file", shown, f"must have at most {MAX_BYTES} bytes")
+        data = read_regular(path, MAX_BYTES)
+    except FileNotFoundError as error:
+        raise ScenarioError("file", shown, "there is no such file") from error
+    except OSError as error:
+        raise ScenarioError("file", shown, f"cannot be read: {error.strerror}") from error
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -87,9 +84,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], str]:
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Parse TOML text, with one error for everything that is not TOML."""
     try:
-        return tomllib.loads(text)
-    except RecursionError as error:
-        raise ScenarioError("file", where, "must be TOML with fewer nested brackets") from error
+        return files.parse_toml(text)
     except ValueError as error:  # TOMLDecodeError, and what int() and datetime() refuse
         raise ScenarioError("file", where, f"must be TOML: {printable(str(error))}") from error
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from reach.numerics.files import read_regular
 from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
@@ -185,7 +186,7 @@ class ScheduleScenario(Scenario):
         """TOML with the whole paths of networks; their digests are noted, as the text stands for them."""
         if not self.files():
             return self.to_toml()
-        digests = (hashlib.sha256(file.read_bytes()).hexdigest() for file in self.files())
+        digests = (hashlib.sha256(read_regular(file)).hexdigest() for file in self.files())
         return self._moved(lambda file: str(file.resolve())) + "".join(f"# {each}\n" for each in digests)
 
     def _copied(self) -> str:

@@ -10,9 +10,12 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from reach.numerics.files import read_regular
+
 from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
+from ..model.files import parse_json
 from ..runs.atomic import check_file, replacing_file
 from ..runs.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
@@ -55,12 +58,10 @@ def uncollected() -> Iterator[None]:
 def _parsed(path: str | Path) -> Any:
     """What the file says, as plain data."""
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
+        text = read_regular(path).decode("utf-8-sig")
+        return parse_json(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except OSError as error:
         raise ScenarioError("trace", str(path), f"cannot be read: {error.strerror or error}") from error
-    except RecursionError as error:
-        raise ScenarioError("trace", str(path), "must not nest this deep") from error
     except Odd as error:
         raise ScenarioError("trace", str(path), str(error)) from error
     except ValueError as error:
@@ -184,14 +185,16 @@ def trace_data(trace: Trace) -> dict[str, Any]:
     }
 
 
-def write_trace(path: str | Path, trace: Trace) -> Path:
-    """Write a trace, replacing an older file once everything is written.
+def write_trace(path: str | Path, trace: Trace, *, force: bool = False) -> Path:
+    """Write a trace: whole, or not at all.
 
     Parameters
     ----------
     path : path
         The JSON file; its folder must be there.
     trace : Trace
+    force : bool
+        Whether a file that is there is replaced.
 
     Returns
     -------
@@ -201,18 +204,17 @@ def write_trace(path: str | Path, trace: Trace) -> Path:
     Raises
     ------
     ScenarioError
-        If `path` is a folder, or cannot be written.
+        If `path` is a folder, is there already, is part of a result, or cannot be written.
     """
     of_kind("trace", trace, Trace, "polaris.read_trace")
-    target = Path(path)
-    check_file(target, "trace", (".json",))
+    target = check_file(path, "trace", (".json",), force)
     try:
         with uncollected():
             text = json.dumps(trace_data(trace), allow_nan=False, ensure_ascii=False) + "\n"
         data = text.encode("utf-8")
     except ValueError as error:
         raise ScenarioError("trace", str(path), f"cannot be written: {error}") from error
-    with replacing_file(target, "trace") as beside:
+    with replacing_file(target, "trace", force) as beside:
         beside.write_bytes(data)
     return target
 

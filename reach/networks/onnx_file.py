@@ -9,6 +9,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..numerics.errors import ReachError
+from ..numerics.files import read_regular
 from ..numerics.packages import unusable
 from .layers import Activation, Affine, Diagonal
 from .network import Network
@@ -56,9 +57,7 @@ def read_onnx(path: str | Path, precision: str = "real") -> Network:
         raise ReachError(f"the path of a file is needed, got {type(path).__name__}")
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST:
-            raise ReachError(f"has more than {LARGEST} bytes: not a controller")
-        data = path.read_bytes()
+        data = read_regular(path, LARGEST)
         model = onnx.load_model_from_string(data)
         _require_known(model)
         layers = _layers(onnx.shape_inference.infer_shapes(model).graph, len(data))

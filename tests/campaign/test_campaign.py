@@ -144,7 +144,7 @@ def test_few_tasks_are_handed_out_at_a_time(tmp_path):
 def test_finished_parts_are_not_flown_again(flown, copied, monkeypatch):
     out = copied
     (out / "runs" / "case-0001-batch-00002.parquet").unlink()
-    left = left_by_a_dead_process(out / "runs" / "case-0000-batch-00000.parquet")
+    left = left_by_a_dead_process(out / "runs")
     seen = counting(monkeypatch)
     fly(out)
     assert seen == [(1, 2)] and table(out) == table(flown.path) and not left.exists()
@@ -177,9 +177,11 @@ def corrupt(path, kind):
 def test_damaged_parts_are_flown_again(flown, copied, monkeypatch, kind):
     out = copied
     corrupt(out / "runs" / "case-0000-batch-00003.parquet", kind)
+    damaged = (out / "runs" / "case-0000-batch-00003.parquet").read_bytes()
     seen = counting(monkeypatch)
     fly(out)
     assert seen == [(0, 3)] and table(out) == table(flown.path)
+    assert (out / "case-0000-batch-00003.parquet.kept").read_bytes() == damaged, "whoever changed it"
 
 
 def test_a_part_of_elsewhere_is_flown_again(flown, copied, tmp_path, monkeypatch):
@@ -403,7 +405,7 @@ def test_a_full_disk_names_the_path_keeps_the_parts_and_goes_on(flown, tmp_path,
         real(table, path, **options)
 
     monkeypatch.setattr(pq, "write_table", write)
-    told = r"case-.*\.parquet.*No space left on device.*Free some space.* runs are kept in .*goes on"
+    told = r"c/runs.*No space left on device.*Free some space.* runs are kept in .*goes on"
     with pytest.raises(PolarisError, match=told):
         fly(out)
     assert table(out).items() < table(flown.path).items()
@@ -416,11 +418,11 @@ def test_replacing_a_campaign_leaves_what_it_did_not_write(tmp_path):
     out = run(make_cases([TINY]), 3, tmp_path / "c").path
     (out / "notes.txt").write_text("mine", encoding="utf-8")
     (out / "runs" / "plot.py").write_text("mine too", encoding="utf-8")
-    (out / "runs" / "case-0007-batch-00000.parquet").write_bytes(b"of the older campaign")
+    (out / "runs" / "case-0007-batch-00000.parquet").write_bytes(b"somebody's copy")
     run(make_cases([TINY]), 2, out, seed=1, fresh=True)
     left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    parts = {"runs/case-0000-batch-00000.parquet"}
-    assert left == {"manifest.json", "summary.json", ".polaris.json", "notes.txt", "runs/plot.py"} | parts
+    parts = {f"runs/case-000{case}-batch-00000.parquet" for case in (0, 7)}
+    assert left == {"manifest.json", "summary.json", MANIFEST, "notes.txt", "runs/plot.py"} | parts
 
 
 def test_schedules_that_differ_between_workers_are_an_error(tmp_path, monkeypatch):

@@ -161,7 +161,7 @@ def test_floats_are_exact(run):
 
 def test_it_carries_the_hash_of_every_artefact(run):
     data = json.loads((run / "certificate.json").read_text())
-    files = {path.name for path in run.iterdir()} - {"certificate.json", "summary.json", ".polaris.json"}
+    files = {path.name for path in run.iterdir()} - {"certificate.json", "summary.json", ".polaris.jsonl"}
     assert set(data["artefacts"]) == files
 
 

@@ -112,7 +112,7 @@ def test_python_runs_what_the_command_runs(invoke, tmp_path):
     written = polaris.run(TINY, "called", overrides=["planner.gap=0.01"])
     assert not (written.path / "figures").exists() and written.picture().modes.size
     for path in (path for path in (tmp_path / "typed").iterdir() if path.is_file()):
-        if path.name not in ("summary.json", ".polaris.json"):
+        if path.name not in ("summary.json", ".polaris.jsonl"):
             assert path.read_bytes() == (written.path / path.name).read_bytes(), path.name
     assert polaris.draw_run(polaris.read_run(written.path)) == [written.path / "figures" / "scene.pdf"]
 

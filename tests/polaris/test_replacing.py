@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
@@ -38,9 +40,9 @@ def contents(folder):
     }
 
 
-def write(target, files, also=()):
+def write(target, files):
     """A folder of ours with these files."""
-    with replacing.replacing(target, also) as beside:
+    with replacing.replacing(target) as beside:
         for name, text in files.items():
             (beside / name).parent.mkdir(parents=True, exist_ok=True)
             (beside / name).write_bytes(text)
@@ -71,7 +73,8 @@ def test_a_newer_run_replaces_what_polaris_wrote_and_nothing_else(tmp_path, monk
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (target / name).write_bytes(text)
     (target / "empty").mkdir()
-    (target / "report.html").write_bytes(b"of the older run")
+    with replacing.adding(target) as beside:
+        (beside / "report.html").write_bytes(b"of the older run")
     other = scenario.with_assignments(["simulation.seed=5"])
     write_run(target, other, schedule, flown())
     found = contents(target)
@@ -130,15 +133,24 @@ def test_links_are_kept_and_never_followed(tmp_path):
     assert contents(outside) == {"data": b"precious"}
 
 
-NAMES = st.sampled_from(["a", "b", "figures/a", "figures/b", "run/a", "c/d/e", "report.html", "x.kept"])
+NAMES = st.sampled_from(
+    ["a", "b", "figures/a", "figures/b", "run/a", "c/d/e", "report.html", "x.kept", "b/c"]
+)
+
+
+def together(*sets):
+    """No file of these sets is a folder in another."""
+    names = {name for names in sets for name in names}
+    return not any(other.startswith(f"{name}/") for name in names for other in names)
 
 
 @given(st.sets(NAMES, min_size=1), st.sets(NAMES), st.sets(NAMES, min_size=1))
 def test_whatever_was_there_only_ours_goes(tmp_path_factory, first, theirs, second):
     """Random folders: files of others survive to the byte, ours are those of the newer run alone."""
+    assume(together(first, theirs) and together(second))
     target = tmp_path_factory.mktemp("any") / "run"
     write(target, dict.fromkeys(first, b"first"))
-    for name in theirs - first - {"report.html"}:
+    for name in theirs:  # files of their own, and edited ones of ours
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (target / name).write_bytes(f"theirs {name}".encode())
     write(target, dict.fromkeys(second, b"second"))
@@ -147,7 +159,8 @@ def test_whatever_was_there_only_ours_goes(tmp_path_factory, first, theirs, seco
     assert {name for name, text in found.items() if text == b"second"} == second
     assert b"first" not in found.values()
     kept = sorted(text for text in found.values() if text != b"second")
-    assert kept == sorted(f"theirs {name}".encode() for name in theirs - first - {"report.html"})
+    assert kept == sorted(f"theirs {name}".encode() for name in theirs)
+    assert {name for name in theirs if together({name}, second)} - second <= set(found)
     assert [path.name for path in target.parent.iterdir()] == ["run"]
 
 
@@ -157,8 +170,10 @@ def test_whatever_was_there_only_ours_goes(tmp_path_factory, first, theirs, seco
         ({"thesis.tex": "all of it"}, "other contents"),
         ({"summary.json": '{"of": "another program"}'}, "other contents"),
         ({"summary.json": '{"schema_version": 1, "scenario": "x"}'}, "other contents"),
-        ({"manifest.json": "{}", "summary.json": '{"schema_version": 1, "scenario": "x"}'}, "a campaign"),
-        ({ownership.MANIFEST: '{"format": "something else", "files": []}'}, "other contents"),
+        ({"manifest.json": "{}", "summary.json": '{"schema_version": 1, "scenario": "x"}'}, "other contents"),
+        ({".polaris.json": '{"format": "polaris folder", "files": ["a"]}', "a": "1"}, "other contents"),
+        ({ownership.MANIFEST: '{"format": "something else", "files": []}\n'}, "not as Polaris wrote it"),
+        ({ownership.MANIFEST: ""}, "not as Polaris wrote it"),
     ],
 )
 def test_folders_that_are_none_of_ours_are_refused(tmp_path, files, words):
@@ -170,16 +185,56 @@ def test_folders_that_are_none_of_ours_are_refused(tmp_path, files, words):
     assert contents(tmp_path) == before
 
 
-def test_a_list_cannot_reach_out_of_its_folder(tmp_path):
+def line(name, before=""):
+    """A line of a list whose link fits."""
+    known = hashlib.sha256(b"mine").hexdigest()
+    return json.dumps([name, known, ownership._link(before, name, known)])
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [line("../precious")],
+        [line("/precious")],
+        [line("x/../../precious")],
+        [line("./precious")],
+        [line("precious").replace("precious", "precious2")],  # edited: the link no longer fits
+        [line("a", "another line")],  # a line was taken out
+        ["[]"],
+        ["{"],
+        ["[1, 2, 3]"],
+        ["[" * 100_000],
+    ],
+)
+def test_an_edited_list_is_nobodys(tmp_path, lines):
+    """Neither replaced nor added to, and nothing outside is reached."""
     (tmp_path / "precious").write_bytes(b"mine")
     target = write(tmp_path / "run", {"a": b"1"})
-    told = {"format": ownership.FORMAT, "files": ["a", "../precious", str(tmp_path / "precious"), ".."]}
-    (target / ownership.MANIFEST).write_text(json.dumps(told), encoding="utf-8")
-    write(target, {"b": b"2"})
-    assert (tmp_path / "precious").read_bytes() == b"mine" and set(contents(target)) == {
-        "b",
-        ownership.MANIFEST,
-    }
+    (target / ownership.MANIFEST).write_text("\n".join([ownership.HEADER, *lines, ""]), encoding="utf-8")
+    before = contents(tmp_path)
+    with pytest.raises(ScenarioError, match="not as Polaris wrote it"):
+        check_target(target)
+    for replace in (replacing.replacing, replacing.adding):
+        with pytest.raises(ScenarioError, match="not as Polaris wrote it"), replace(target) as beside:
+            (beside / "a").write_bytes(b"2")
+    assert contents(tmp_path) == before
+
+
+def test_commands_that_add_at_once_leave_a_list_that_fits(tmp_path):
+    target = write(tmp_path / "run", {"a": b"1"})
+    names = [f"{k}" for k in range(200)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda name: ownership.extend_list(target, name, "0"), names))
+    assert set(ownership.read_list(target)) == {"a", *names}
+
+
+def test_a_line_that_a_full_disk_cut_off_is_left_out(tmp_path):
+    target = write(tmp_path / "run", {"a": b"1", "b": b"2"})
+    with (target / ownership.MANIFEST).open("ab") as file:
+        file.write(b'["c", "0123')
+    with replacing.adding(target) as beside:
+        (beside / "d").write_bytes(b"4")
+    assert set(ownership.read_list(target)) == {"a", "b", "d"}
 
 
 # -- before the work ----------------------------------------------------------------------------------
@@ -262,45 +317,47 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
 
 def test_what_a_killed_run_left_is_cleared_away(tmp_path):
     target = write(tmp_path / "run", {"a": b"1"})
-    left = left_by_a_dead_process(target, folder=True)
+    left = left_by_a_dead_process(target)
     mine = tmp_path / f".run.new-{ownership.host()}-{os.getpid()}-0123abcd"  # at work right now
     other = tmp_path / ".run.new-elsewhere-1-0123abcd"  # of another machine
-    for folder in (mine, other):
+    alike = [
+        left.with_name(f"{left.name[:-8]}{n:08}".replace("new", word))
+        for n, word in enumerate(("new", "old"))
+    ]
+    for folder in (mine, other, *alike):
         folder.mkdir()
+        (folder / "data").write_bytes(b"of somebody who likes such names")
     write(target, {"a": b"2"})
-    assert not left.exists() and mine.is_dir() and other.is_dir()
-    os.rmdir(mine)
-    os.rmdir(other)
+    assert not left.exists() and all((folder / "data").exists() for folder in (mine, other, *alike))
 
 
 def test_an_older_campaign_does_not_come_back_into_a_newer_one(tmp_path):
     target = write(tmp_path / "c", {"manifest.json": b"old"})
-    (target / "runs").mkdir()
-    (target / "runs" / "case-0007-batch-00000.parquet").write_bytes(b"old")
-    left = left_by_a_dead_process(target, "old", folder=True)
-    (left / "half").unlink()
-    left.rmdir()
+    with replacing.adding(target, "runs") as beside:
+        (beside / "case-0007-batch-00000.parquet").write_bytes(b"old")
+    left = left_by_a_dead_process(target, "old")
+    ownership.remove(left)
     target.rename(left)
     write(tmp_path / "n", {"manifest.json": b"new"}).rename(target)
-    tidy(target)
+    tidy(tmp_path)
     assert set(contents(target)) == {"manifest.json", ownership.MANIFEST} and not left.exists()
 
 
 def test_an_old_folder_is_put_back_if_the_run_was_killed_between(tmp_path):
     target = tmp_path / "run"
-    left = left_by_a_dead_process(target, "old", folder=True)
-    tidy(target)
+    left = left_by_a_dead_process(target, "old")
+    tidy(tmp_path)
     assert (target / "half").read_bytes() == b"half" and not left.exists()
-    again = left_by_a_dead_process(target, "old", folder=True)
+    again = left_by_a_dead_process(target, "old")
     (again / "notes.txt").write_bytes(b"came at the last moment")
-    tidy(target)
+    tidy(tmp_path)
     assert not again.exists() and (target / "notes.txt").read_bytes() == b"came at the last moment"
 
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from polaris.runs import atomic
+from polaris.runs import atomic, ownership
 
 step, word = int(sys.argv[2]), sys.argv[1]
 calls = 0
@@ -314,8 +371,10 @@ def count(real):
     return call
 for name in ("rename", "mkdir", "unlink", "rmdir", "write_text"):
     setattr(Path, name, count(getattr(Path, name)))
-os.link = count(os.link)
-with atomic.replacing(Path("run")) as beside:
+for name in ("link", "unlink", "replace"):
+    setattr(os, name, count(getattr(os, name)))
+ownership.extend_list = atomic.extend_list = count(ownership.extend_list)
+with getattr(atomic, sys.argv[3])(Path("run")) as beside:
     for name in ("a", "b"):
         (beside / name).write_bytes(word.encode())
 print(calls)
@@ -329,9 +388,9 @@ def test_killed_at_any_moment_a_folder_is_whole(tmp_path):
     (target / "notes").write_bytes(b"mine")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     while True:
-        command = [sys.executable, "-c", KILLED, "new", str(step)]
+        command = [sys.executable, "-c", KILLED, "new", str(step), "replacing"]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
-        tidy(target)
+        tidy(tmp_path)
         found = contents(target)
         assert found.pop("notes") == b"mine"
         assert (found["a"], found["b"]) in {(b"old", b"old"), (b"new", b"new")}, step
@@ -341,6 +400,26 @@ def test_killed_at_any_moment_a_folder_is_whole(tmp_path):
         assert done.returncode == -signal.SIGKILL, done.stderr
         write(target, {"a": b"old", "b": b"old"})
         step += 1
+    assert step > 6
+
+
+def test_killed_at_any_moment_files_that_are_added_are_whole_and_listed(tmp_path):
+    """Each is the older or the newer one, and the next command replaces it without a complaint."""
+    target, step, code = write(tmp_path / "run", {"a": b"old", "b": b"old"}), 1, None
+    (target / "notes").write_bytes(b"mine")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    while code != 0:
+        command = [sys.executable, "-c", KILLED, "new", str(step), "adding"]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=60)
+        code, step = done.returncode, step + 1
+        assert code in (0, -signal.SIGKILL), done.stderr
+        found = contents(target)
+        assert found["notes"] == b"mine" and {found["a"], found["b"]} <= {b"old", b"new"}
+        for word in (b"newer", b"old"):
+            with replacing.adding(target) as beside:
+                for name in ("a", "b"):
+                    (beside / name).write_bytes(word)
+            assert set(contents(target)) == {"a", "b", "notes", ownership.MANIFEST}, step
     assert step > 6
 
 

@@ -150,7 +150,7 @@ def test_points_that_are_there_are_kept_and_others_computed(folder, copied, comp
     before = contents(folder.path)
     assert contents(again(copied).path) == before and computed == []
     shutil.rmtree(copied / "price-3")
-    left = left_by_a_dead_process(copied / "price-3", folder=True)
+    left = left_by_a_dead_process(copied / "price-3")
     assert contents(again(copied).path) == before and computed == ["price-3"] and not left.exists()
     with pytest.raises(FileNotFoundError):  # a new price is asked for
         again(copied, [0, 3, 7])

@@ -192,7 +192,7 @@ def test_files_that_are_none(tmp_path):
         read_onnx(tmp_path / "text.onnx")
     with (tmp_path / "huge.onnx").open("wb") as file:
         file.truncate(65 * 2**20)
-    with pytest.raises(ReachError, match="not a controller"):
+    with pytest.raises(ReachError, match="must have at most"):
         read_onnx(tmp_path / "huge.onnx")
     with pytest.raises(ReachError, match="vector of known size"):
         read_onnx(saved(tmp_path, [FIRST, LAST], WEIGHTS, shape=[4, 3]))

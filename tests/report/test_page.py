@@ -56,7 +56,7 @@ def words(html):
 def report_of(folder, tmp_path):
     """A report with something else in place of plotly: five megabytes take long to read."""
     with mock.patch("polaris.report.html.page.plotly", lambda: "var Plotly;"):
-        return write_report(folder, tmp_path / "report.html").read_text(encoding="utf-8")
+        return write_report(folder, tmp_path / "report.html", force=True).read_text(encoding="utf-8")
 
 
 # -- an ordinary run --------------------------------------------------------------------------------

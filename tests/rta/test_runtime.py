@@ -447,6 +447,45 @@ def test_logs_never_overwrite_and_bad_ones_are_refused(tmp_path):
         read_log(path)
 
 
+def test_a_log_goes_on_in_further_files_and_replays(tmp_path):
+    """With a limit per file and none on their number, nothing is lost."""
+    path = tmp_path / "log.jsonl"
+    with DecisionLog(path, max_bytes=1500) as log:
+        answers = Flight(log=log).steps(0, 12)
+    files = sorted(tmp_path.iterdir())
+    assert [file.name for file in files[:3]] == ["log.jsonl", "log.jsonl.1", "log.jsonl.2"]
+    longest = max(len(line) + 1 for file in files for line in file.read_text().splitlines())
+    assert all(file.stat().st_size <= max(1500, longest) for file in files)
+    again = replay_log(read_log(path), monitor(), RuntimeOptions(**PATIENT))
+    assert [repr(a) for a in again] == [repr(a) for a in answers]
+    (tmp_path / "log.jsonl.1").unlink()
+    with pytest.raises(ScenarioError, match="some of its files are missing"):
+        read_log(path)
+
+
+def test_a_log_keeps_so_many_files_and_deletes_only_its_own(tmp_path):
+    path = tmp_path / "log.jsonl"
+    with DecisionLog(path, max_bytes=30, max_files=3) as log:
+        for k in range(40):
+            if k == 20:
+                path.with_name(f"log.jsonl.{k - 2}").write_text('{"of": "the user"}\n', encoding="utf-8")
+            log.write({"k": k, "padding": "x" * 10})
+    names = {"log.jsonl.18", "log.jsonl.37", "log.jsonl.38", "log.jsonl.39"}
+    assert {file.name for file in tmp_path.iterdir()} == names, "one line in each"
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 4 * 40
+    with pytest.raises(ScenarioError, match="missing"):
+        read_log(path)
+    assert [line.get("k") for line in read_log(path, partial=True)] == [None, 37, 38, 39]
+    with pytest.raises(ScenarioError, match="new file"):
+        DecisionLog(path)  # its later files are there
+    for wrong in ({"max_files": 2}, {"max_bytes": 0}, {"max_bytes": 9, "max_files": 1}):
+        with pytest.raises(ScenarioError):
+            DecisionLog(tmp_path / "other", **wrong)
+    with pytest.raises(ScenarioError):
+        DecisionLog(io.StringIO(), max_bytes=9)
+    assert not (tmp_path / "other").exists()
+
+
 ROWS = st.lists(st.tuples(st.floats(), st.floats()).map(list), min_size=1, max_size=2)
 
 

@@ -153,7 +153,8 @@ def test_export_writes_what_evaluate_reads(run, tmp_path):
     assert found.switches == told["switches"]
     least = min(item.distance.min for item in found.unsafe)
     assert told["min_distance_m"] <= least + 1e-9
-    done = invoke("export", run.path, path, "--controller", "safety", "--run", "nominal", "--quiet")
+    words = ["--controller", "safety", "--run", "nominal", "--quiet", "--force"]
+    done = invoke("export", run.path, path, *words)
     assert (done.exit_code, done.output) == (0, "")
     assert evaluate_trace(read_trace(path)).agents["chaser"].usage["safety"] == 1
 

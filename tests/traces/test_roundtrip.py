@@ -75,7 +75,7 @@ TRACES = st.builds(
 @settings(max_examples=30)
 @given(TRACES)
 def test_written_and_read_is_the_same(tmp_path_factory, found):
-    path = write_trace(tmp_path_factory.getbasetemp() / "round.json", found)
+    path = write_trace(tmp_path_factory.getbasetemp() / "round.json", found, force=True)
     back = read_trace(path)
     assert back.same_as(found) and found.same_as(back)
     assert parse_trace(trace_data(found)).same_as(found)
@@ -124,7 +124,7 @@ def test_old_file_stays_whole_if_writing_fails(tmp_path):
     path.write_text("old", encoding="utf-8")
     bad = Trace({"\ud800": AgentTrace(np.zeros(1), np.zeros((1, 1)))})
     with pytest.raises(ScenarioError, match="cannot be written"):
-        write_trace(path, bad)
+        write_trace(path, bad, force=True)
     assert path.read_text(encoding="utf-8") == "old"
     assert [item.name for item in tmp_path.iterdir()] == ["t.json"]
     for place in (tmp_path, tmp_path / "none" / "t.json"):

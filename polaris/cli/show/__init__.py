@@ -4,22 +4,26 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rich.console import Console
+from rich.segment import Segment, Segments
 from rich.table import Table
 from rich.text import Text
+
+from ...model.errors import escape_controls
 
 RED = "bold red"
 
 
 def say(text: str, style: str = "") -> None:
-    """Print a line."""
-    Console(highlight=False).print(Text(text, style=style), soft_wrap=True)
+    """Print a line; no terminal obeys a name in it."""
+    Console(highlight=False).print(Text(escape_controls(text), style=style), soft_wrap=True)
 
 
 def show_table(shown: Table, width: int = 0) -> None:
     """Print a table, at least so wide: numbers that are cut off say nothing."""
     console = Console(highlight=False)
     console.width = max(console.width, width)
-    console.print(shown)
+    parts = (Segment(escape_controls(part.text), part.style, part.control) for part in console.render(shown))
+    console.print(Segments(parts), end="")
 
 
 def show_claim(claim: Mapping[str, Any]) -> None:

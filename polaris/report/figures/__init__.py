@@ -87,7 +87,7 @@ def draw_run(folder: RunFolder) -> list[Path]:
     ScenarioError
         If a file is missing or damaged, or the place cannot be written to.
     """
-    from ...runs.atomic import replacing
+    from ...runs.atomic import adding
     from . import comparison, flight, inspection
 
     known: dict[str, Mapping[str, Figure]] = {
@@ -98,10 +98,10 @@ def draw_run(folder: RunFolder) -> list[Path]:
         "comparison": comparison.FIGURES,
         "tradeoff": comparison.TRADEOFF,
     }
-    picture, place = folder.picture(), folder.path / "figures"
-    with replacing(place) as beside:
+    picture = folder.picture()
+    with adding(folder.path, "figures") as beside:
         names = [path.name for path in draw_figures(picture, beside, known[folder.kind.name])]
-    return [place / name for name in names]
+    return [folder.path / "figures" / name for name in names]
 
 
 Figure = Callable[[Any], Any]

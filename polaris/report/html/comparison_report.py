@@ -1,7 +1,6 @@
 """The page of a comparison of methods on one scenario."""
 
 import base64
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -9,13 +8,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
+from ...model.files import parse_json, read_text
 from ...runs.comparison import ComparisonPicture
 from ...runs.folder import RunFolder
 from ...synthesis.recoverable import directed
 from ..scene.palette import method_style
-from .page import Cell, Measure, Page, badge, details, macros, number_cell, reading, shown, table, text_cell
+from .page import (
+    Cell,
+    Measure,
+    Page,
+    badge,
+    details,
+    escape,
+    macros,
+    number_cell,
+    reading,
+    shown,
+    table,
+    text_cell,
+)
 from .run_report import NOTE, guarantee, loud
 from .timelines import Flown, flight_data
 
@@ -154,7 +167,7 @@ Decisions = list[dict[str, Any]]
 def stretches(lines: Iterable[str]) -> dict[str, list[Decisions]]:
     """Decisions (JSON, one per line) by method, those in a row with the same mode and reason together."""
     found: dict[str, Decisions] = {}
-    for row in (json.loads(line) for line in lines if line.strip()):
+    for row in (parse_json(line) for line in lines if line.strip()):
         found.setdefault(str(row["method"]), []).append(row)
 
     def alike(row: Mapping[str, Any]) -> tuple[Any, Any]:
@@ -167,8 +180,7 @@ def _decisions(path: Path, names: Mapping[str, str]) -> Markup:
     """Why each online method decided as it did."""
     if not path.is_file():
         return Markup("<p>This folder has no log of decisions.</p>")
-    with path.open(encoding="utf-8") as file:
-        found = stretches(file)
+    found = stretches(read_text(path).split("\n"))
     logs = Markup("\n").join(details(names.get(key, key), _log(own)) for key, own in found.items())
     return logs or Markup("<p>The log is empty.</p>")
 

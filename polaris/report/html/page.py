@@ -13,10 +13,12 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+import markupsafe
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
+from ...model.errors import escape_controls
 from ...simulation.metrics import possible
 from ...synthesis.recoverable import directed
 
@@ -77,7 +79,8 @@ MOST = 4  # columns of a table that have room on any screen
 def template(name: str) -> Template:
     """A template of this package; whatever is not markup already is escaped in it."""
     loader = PackageLoader("polaris.report.html", "static")
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined).get_template(name)
+    how: dict[str, Any] = {"autoescape": True, "undefined": StrictUndefined, "finalize": _visible}
+    return Environment(loader=loader, **how).get_template(name)
 
 
 def macros(name: str = "parts.html") -> Any:
@@ -249,9 +252,19 @@ def reading(summary: Mapping[str, Any], note: str = "") -> tuple[str, str, Marku
 def script_json(data: Any) -> str:
     """JSON that is inert inside ``<script>``: no text in it can end the element."""
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    for mark in ("<", ">", "&", "\u2028", "\u2029"):
+    for mark in ("<", ">", "&"):
         text = text.replace(mark, f"\\u{ord(mark):04x}")
-    return text
+    return escape_controls(text)
+
+
+def escape(value: Any) -> Markup:
+    """Return a text that HTML shows as it is."""
+    return markupsafe.escape(value if isinstance(value, Markup) else _visible(str(value)))
+
+
+def _visible(value: Any) -> Any:
+    """Return a text without control characters, and anything else as it is."""
+    return escape_controls(value) if type(value) is str else value
 
 
 def own_script() -> str:

@@ -5,7 +5,10 @@ times are not among it: the same inputs give the same bytes. What is not a finit
 text ``nan``, ``inf`` or ``-inf``; what is no number at all as ``{"unreadable": kind}``.
 """
 
+import errno
 import json
+import re
+from contextlib import suppress
 from dataclasses import fields
 from math import isfinite
 from pathlib import Path
@@ -15,8 +18,11 @@ import numpy as np
 
 from ...model.checks import whole
 from ...model.errors import ScenarioError
+from ...model.files import parse_json, read_text
 from ...model.foreign import Unreadable, settled
 from .estimate import Measurement
+
+LARGEST = 2**30  # largest file of a log that is read [bytes]; a decision takes about 400
 
 
 class DecisionLog:
@@ -28,18 +34,39 @@ class DecisionLog:
         A new file, or a stream that is open already and that the caller closes.
     flush_every : int
         Lines after which they are handed to the operating system.
+    max_bytes : int, optional
+        Largest size of a file [bytes]: before the line that would exceed it the log goes on in ``target.1``,
+        ``target.2`` and so on. One file by default, however large it becomes.
+    max_files : int, optional
+        Number of these files that are kept, at least 2: the oldest is deleted, unless it was changed. All by
+        default. A log without its oldest decisions cannot be replayed.
 
     Raises
     ------
     ScenarioError
-        If the file exists already or cannot be made: that is found before the flight.
+        If a file of the log exists already or cannot be made: that is found before the flight.
     """
 
-    def __init__(self, target: str | Path | TextIO, flush_every: int = 1) -> None:
-        self._every, self._lines = whole("flush_every", flush_every, 1), 0
-        self._own = isinstance(target, (str, Path))
+    def __init__(
+        self,
+        target: str | Path | TextIO,
+        flush_every: int = 1,
+        max_bytes: int | None = None,
+        max_files: int | None = None,
+    ) -> None:
+        self._every, self._lines, self._size = whole("flush_every", flush_every, 1), 0, 0
+        self._most = None if max_bytes is None else whole("max_bytes", max_bytes, 1)
+        self._files = None if max_files is None else whole("max_files", max_files, 2)
+        self._own, self._number, self._full = isinstance(target, (str, Path)), 0, list[tuple[Path, object]]()
+        if self._most is None and self._files is not None or not self._own and self._most is not None:
+            raise ScenarioError(
+                "max_files, max_bytes", (max_files, max_bytes), "must be of a file with max_bytes"
+            )
         if isinstance(target, (str, Path)):
+            self._path = Path(target)
             try:
+                for _, there in _parts(self._path):
+                    raise FileExistsError(errno.EEXIST, f"{there.name} exists")
                 self._stream: TextIO = open(target, "x", encoding="utf-8", newline="\n")  # noqa: SIM115
             except OSError as error:
                 raise ScenarioError("log", str(target), f"must be a new file ({error.strerror})") from error
@@ -54,10 +81,27 @@ class DecisionLog:
         OSError, ValueError
             If it cannot be written; ValueError also where the stream is closed.
         """
-        self._stream.write(json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n")
+        line = json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n"
+        if self._most is not None and self._size > 0 and self._size + len(line) > self._most:
+            self._go_on()
+        self._stream.write(line)
+        self._size += len(line)
         self._lines += 1
         if self._lines % self._every == 0:
             self._stream.flush()
+
+    def _go_on(self) -> None:
+        """Begin the next file, and delete the oldest ones that are too many."""
+        following = self._path.with_name(f"{self._path.name}.{self._number + 1}")
+        full, self._stream = self._stream, open(following, "x", encoding="utf-8", newline="\n")  # noqa: SIM115
+        self._number, self._size = self._number + 1, 0
+        full.close()
+        written = Path(full.name)
+        self._full.append((written, _identity(written)))
+        if self._files is not None and len(self._full) >= self._files:
+            oldest, known = self._full.pop(0)
+            if _identity(oldest) == known:
+                oldest.unlink()
 
     def close(self) -> None:
         """Hand over what is left; a stream of the caller's stays open."""
@@ -103,22 +147,47 @@ def restored(value: Any) -> Any:
     return value
 
 
-def read_log(path: str | Path) -> list[dict[str, Any]]:
-    """The lines of a log, oldest first; a last line cut short by a crash is left out.
+def _identity(path: Path) -> tuple[int, ...]:
+    """Return what tells whether a file is another one, or was changed; nothing without one."""
+    with suppress(FileNotFoundError):
+        found = path.lstat()
+        return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    return ()
+
+
+def _parts(path: Path) -> list[tuple[int, Path]]:
+    """List the files of a log, oldest first, with their numbers."""
+    form = re.compile(rf"{re.escape(path.name)}(?:\.([1-9][0-9]*))?")
+    found = ((form.fullmatch(there.name), there) for there in path.parent.iterdir())
+    return sorted((int(match[1] or 0), there) for match, there in found if match)
+
+
+def read_log(path: str | Path, *, partial: bool = False) -> list[dict[str, Any]]:
+    """Return the lines of a log, oldest first; a last line cut short by a crash is left out.
+
+    Parameters
+    ----------
+    path : path
+        As it was given to `DecisionLog`; the files in which the log goes on are read too.
+    partial : bool
+        Whether files may be missing, as the oldest are with `max_files`.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or another line is not JSON.
+        If a file is missing or cannot be read, has more than 1 GiB, or another line is not JSON.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
+        parts = _parts(Path(path)) or [(0, Path(path))]
+        if not partial and [number for number, _ in parts] != list(range(len(parts))):
+            raise ValueError("some of its files are missing; partial=True reads the others")
+        lines = "".join(read_text(part, LARGEST) for _, part in parts).split("\n")
+    except (OSError, ValueError) as error:
         raise ScenarioError("log", str(path), f"must be a readable text file ({error})") from error
     records: list[dict[str, Any]] = []
     for number, line in enumerate(lines[:-1], start=1):
         try:
-            record = json.loads(line)
+            record = parse_json(line)
         except ValueError as error:
             raise ScenarioError("log", f"{path}, line {number}", "must be one JSON object") from error
         if not isinstance(record, dict):

@@ -55,10 +55,13 @@ class Replayed:
     table: Mapping[str, Array]  # the same as columns: those of periods are one shorter than of instants
     row: Mapping[str, Any] = field(default_factory=dict)  # what the campaign's table says of it
 
-    def write(self, path: str | Path) -> Path:
-        """Write the trajectory as CSV or ``.npz``, whole or not at all; `ScenarioError` if it cannot be."""
-        target = check_trajectory(path)
-        with replacing_file(target) as beside:
+    def write(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the trajectory as CSV or ``.npz``, whole or not at all; `ScenarioError` if it cannot be.
+
+        A file that is there is replaced by `force` only.
+        """
+        target = check_trajectory(path, force)
+        with replacing_file(target, force=force) as beside:
             if target.suffix == ".npz":
                 np.savez(beside, **self.arrays)
             else:
@@ -67,9 +70,9 @@ class Replayed:
         return target
 
 
-def check_trajectory(path: str | Path) -> Path:
-    """Whether a trajectory may be written there, as CSV or ``.npz``."""
-    return check_file(path, endings=(".csv", ".npz"))
+def check_trajectory(path: str | Path, force: bool = False) -> Path:
+    """Return a path, once it is clear that a trajectory may be written there, as CSV or ``.npz``."""
+    return check_file(path, endings=(".csv", ".npz"), force=force)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,26 +10,28 @@ summary.json    statistics of the kind of run
 
 import json
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from reach.numerics.files import open_regular
 from reach.numerics.packages import unusable
 
 from ...model.errors import NotCertified, ScenarioError
+from ...model.files import parse_json
 from ...model.version import version
-from ..arrays import read_arrays
-from ..atomic import check_file, check_target, replacing, replacing_file, write_whole
+from ..arrays import LARGEST, read_arrays
+from ..atomic import CAMPAIGN as MANIFEST
+from ..atomic import adding, check_target, refuse_taken, replacing, try_writing
 from ..folder import provenance, read_json
-from ..ownership import RESULTS, tidy_all
-from ..tables import json_text
+from ..ownership import Owned, read_list, tidy
+from ..tables import json_text, write_text
 from .batch import Batch, Columns, Results, Task, joined
 from .plan import CampaignPlan
-
-MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class CampaignFolder:
         """Write ``summary.json``, once all parts are there."""
         plan = self.plan
         results = Results(plan.cases, plan.runs, plan.seed, plan.batch, self.failures(), self.read)
-        write_whole(self.path / "summary.json", json_text(plan.kind.summarise(results, worst)))
+        self._add("summary.json", json_text(plan.kind.summarise(results, worst)))
 
     def part(self, task: Task) -> Path:
         """Where a batch goes: ``runs/case-0000-batch-00000.parquet`` and so on."""
@@ -75,14 +77,14 @@ class CampaignFolder:
             columns[key] = np.repeat(np.array(str(value) if kind is str else value, dtype=kind), count)
         columns["batch"] = np.full(count, task.batch, dtype=np.int32)
         who = self._who(task) | {"schedule": batch.schedule}
-        with replacing_file(self.part(task)) as beside:
-            FORMATS[self.table].write(beside, columns | batch.columns, json.dumps(who))
+        with adding(self.path, "runs", "kept") as beside:
+            FORMATS[self.table].write(beside / self.part(task).name, columns | batch.columns, json.dumps(who))
 
     def check(self, task: Task) -> str | None:
         """Schedule (its SHA-256) of a part that is whole and belongs here; None if it must be flown again."""
         try:
             text, rows = FORMATS[self.table].check(self.part(task))
-            told = json.loads(text)
+            told = parse_json(text)
             schedule = str(told.pop("schedule"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
@@ -122,7 +124,13 @@ class CampaignFolder:
             "exit_code": batch.code,
             "campaign": self.plan.digest,
         }
-        write_whole(self._failure(case), json_text(told))
+        self._add(f"failed/{self._failure(case).name}", json_text(told))
+
+    def _add(self, name: str, text: str) -> None:
+        """Write a text file; one of the user that has its name is kept with ``.kept``."""
+        inside, _, last = name.rpartition("/")
+        with adding(self.path, inside, "kept") as beside:
+            write_text(beside / last, text)
 
     def _failure(self, case: int) -> Path:
         return self.path / "failed" / f"case-{case:04d}.json"
@@ -135,17 +143,19 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
     """
     path = Path(out).resolve()
     table = usable(plan.kind.formats)
-    known = _manifest(path) if (path / MANIFEST).is_file() else None
-    if known is None or fresh:
-        check_target(out, campaign=known is not None)
-        if known is None and (path / "summary.json").is_file():
-            raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
-        with replacing(path, RESULTS) as beside:
+    listed = (read_list(path) if path.is_dir() else None) or {}
+    if listed and MANIFEST not in listed:
+        raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
+    if fresh or not listed:
+        check_target(out, (MANIFEST, "summary.json"), campaign=True)
+        with replacing(path) as beside:
             for name in ("runs", "failed"):
                 (beside / name).mkdir()
-            _write_manifest(beside, plan, table)
+            write_text(beside / MANIFEST, _manifest_text(plan, table))
         return CampaignFolder(path, plan, table)
-    check_file(path / "summary.json")
+    refuse_taken(path, (MANIFEST, "summary.json"))
+    try_writing(path, "summary.json", out)
+    known = _manifest(path)
     if known.get("digest") != plan.digest:
         data = plan.data()
         names = [name for name in data if name != "runs" and known.get(name) != data[name]]
@@ -156,14 +166,12 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
         raise ScenarioError("--runs", plan.runs, rule)
     folder = CampaignFolder(path, plan, usable([known.get("table", table)]))
-    for name in ("runs", "failed"):
-        (path / name).mkdir(exist_ok=True)
     if known["runs"] < plan.runs:
-        _write_manifest(path, plan, folder.table)
-    for half in (path, path / "runs", path / "failed"):
-        tidy_all(half)
+        folder._add(MANIFEST, _manifest_text(plan, folder.table))
+    tidy(path)
     for case, told in folder.failures().items():
-        if told["exit_code"] == NotCertified.exit_code:
+        name = folder._failure(case).relative_to(path).as_posix()
+        if told["exit_code"] == NotCertified.exit_code and name in Owned(path):
             folder._failure(case).unlink()
     return folder
 
@@ -201,9 +209,8 @@ def read_campaign(path: str | Path, same_version: bool = True) -> CampaignFolder
     return CampaignFolder(folder, plan, usable([table]))
 
 
-def _write_manifest(folder: Path, plan: CampaignPlan, table: str) -> None:
-    data = {**plan.data(), "digest": plan.digest, "table": table, **provenance()}
-    write_whole(folder / MANIFEST, json_text(data))
+def _manifest_text(plan: CampaignPlan, table: str) -> str:
+    return json_text({**plan.data(), "digest": plan.digest, "table": table, **provenance()})
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
@@ -233,21 +240,30 @@ class Parquet:
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:
         """Some columns, or all of them."""
-        import pyarrow.parquet as pq
-
-        table = pq.read_table(path, columns=None if names is None else list(names))
+        with self._opened(path) as file:
+            table = file.read(columns=None if names is None else list(names))
         return {name: table[name].to_numpy() for name in table.column_names}
 
     def check(self, path: Path) -> tuple[str, int]:
         """The text and the number of rows, once all of it has been read against its checksums."""
+        with self._opened(path) as file:
+            table = file.read()
+        return (table.schema.metadata or {})[KEY.encode()].decode(), table.num_rows
+
+    @contextmanager
+    def _opened(self, path: Path) -> Iterator[Any]:
+        """Open a file whose columns are not larger than they may be; what is damaged is a `ValueError`."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         try:
-            table = pq.ParquetFile(path, page_checksum_verification=True).read()
+            with open_regular(path, LARGEST) as stream:
+                file = pq.ParquetFile(stream, page_checksum_verification=True)
+                if file.metadata.num_rows * file.metadata.num_columns > LARGEST // 8:
+                    raise ValueError(f"{path.name}: its columns take more than {LARGEST} bytes")
+                yield file
         except pa.ArrowException as error:
             raise ValueError(str(error)) from error
-        return (table.schema.metadata or {})[KEY.encode()].decode(), table.num_rows
 
 
 class Npz:

@@ -1,6 +1,5 @@
 """Campaigns of the inspection problem: drawn initial conditions, each flown under every study's filter."""
 
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from ...inspection.flights.blocks import Outcome, fly_block
 from ...inspection.flights.sampling import InitialConditions
 from ...inspection.flights.simulation import BatchFilter, Flights, InspectionRun, Kept
 from ...model.system import Array
+from ...scenario.reading import parse_toml
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..arrays import held_by
@@ -111,7 +111,7 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 @lru_cache(2)
 def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
     """What a process needs of a case: whoever flies draws the initial conditions; filters by study."""
-    scenario = MonteCarloScenario.from_dict(tomllib.loads(text))
+    scenario = MonteCarloScenario.from_dict(parse_toml(text, "campaign"))
     plan = scenario.model.campaign
     drawn = InitialConditions(scenario.families(), plan.seed)
     filters = {study.name: scenario.filter(study.filter, plan.period_s) for study in scenario.model.studies}

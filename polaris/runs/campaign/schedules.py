@@ -2,7 +2,6 @@
 
 import hashlib
 import threading
-import tomllib
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -16,6 +15,7 @@ from ...model.distances import signed_distances
 from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError, SynthesisInfeasible
 from ...model.satellite import true_states
 from ...model.system import Array
+from ...scenario.reading import parse_toml
 from ...scenario.scenario import ScheduleScenario
 from ...simulation.disturbances import Disturbance
 from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation_interval
@@ -92,7 +92,7 @@ def _made(text: str, boxes: Boxes | None) -> tuple[Schedule, str] | PolarisError
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ClockWarning)  # told below
-            scenario = ScheduleScenario.from_dict(tomllib.loads(text))
+            scenario = ScheduleScenario.from_dict(parse_toml(text, "campaign"))
             schedule = with_boxes(scenario, boxes.asks).schedule if boxes else synthesize(scenario)
     except PolarisError as error:
         return error
