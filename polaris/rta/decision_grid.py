@@ -121,6 +121,13 @@ class DecisionGrid:
         tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
         return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
 
+    def grown(self, buffer: float) -> "DecisionGrid":
+        """Return the grid with perceived unsafe sets that reach `buffer` [m] further along every facet."""
+        if buffer == 0:
+            return self
+        unsafe = tuple(replace(one, offsets=one.offsets + buffer) for one in self.unsafe)
+        return replace(self, clearance=replace(self.clearance, unsafe=unsafe))
+
     @property
     def system(self) -> LinearSystem:
         """What is controlled."""
@@ -135,6 +142,12 @@ class DecisionGrid:
     def unsafe(self) -> tuple[TimedPolytope, ...]:
         """What perception says must be avoided."""
         return self.clearance.unsafe
+
+    @property
+    def half_width(self) -> float:
+        """Largest half width of the initial set in position [m]."""
+        start = self.schedule.safety.problem.initial_set
+        return float(np.abs(self.system.position @ start.G).sum(axis=1).max())
 
     @property
     def h(self) -> float:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.checks import non_negative
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..synthesis.black_box import BlackBox
@@ -89,7 +90,13 @@ class Option:
     meaning: str  # for the documentation, as is the default
     default: str
     values: tuple[float, ...]  # what the benchmark of the comparison page tries
-    unit: str = ""  # of those: "", "decisions", "per duration" or "of the duration" of the flight
+    unit: str = ""  # of those: "", "decisions", "per duration", "of the duration" or "half widths of Θ"
+
+
+BUFFER = Option(
+    "buffer", "distance kept from perceived unsafe sets [m]", "0", (0.0, 0.2, 0.5), "half widths of Θ"
+)
+"""Keep-clear buffer of methods that decide against grown unsafe sets; S and its reference stay as they are."""
 
 
 class Method(ABC):
@@ -98,9 +105,14 @@ class Method(ABC):
     Parameters
     ----------
     grid : DecisionGrid
+    buffer : float, optional
+        Distance that decisions keep from perceived unsafe sets [m], for methods with the option `BUFFER`;
+        default `apart` times the largest half width of the initial set in position.
 
     Attributes
     ----------
+    grid : DecisionGrid
+        With unsafe sets grown by the buffer.
     key, name : str
         On the command line, and for people.
     how : str
@@ -127,6 +139,8 @@ class Method(ABC):
     proven: ClassVar[bool] = False
     reasons: ClassVar[tuple[str, ...]]
     options: ClassVar[tuple[Option, ...]] = ()
+    apart: ClassVar[float] = 0.0
+    """Default buffer in half widths of the initial set: chosen by ``benchmarks/comparison.py``."""
     delayed: ClassVar[bool] = True
     predicts: ClassVar[bool] = False
     place: ClassVar[int] = 100
@@ -138,9 +152,11 @@ class Method(ABC):
             METHODS.clear()
             METHODS.update(ordered)
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        self.grid = grid
-        self.settings: dict[str, float] = {}
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        self.buffer = self.apart * grid.half_width if buffer is None else non_negative("buffer", buffer, "m")
+        self.grid = grid.grown(self.buffer)
+        buffered = any(option.name == BUFFER.name for option in self.options)
+        self.settings: dict[str, float] = {BUFFER.name: self.buffer} if buffered else {}
 
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> "Method":
@@ -180,8 +196,10 @@ class Latched(Method):
 
     reasons = ("inside", "leaving", "latched in S")
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
+    options = (BUFFER,)
+
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
         self._latched: NDArray[np.bool_] = np.zeros(0, dtype=bool)
 
     def start(self, runs: int) -> None:

@@ -14,7 +14,7 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..decision_grid import DecisionGrid
-from ..method import FILTERED, Choice, Method, Option, Seen
+from ..method import BUFFER, FILTERED, Choice, Method, Option, Seen
 from ..projection import FILTERED as SOLVED
 from ..projection import project
 from ..prospect import Leg, Prospect
@@ -42,19 +42,20 @@ class ImplicitASIF(Method):
             "slope",
             "share of the room of a row that one decision may use up",
             "1",
-            (0.01, 0.03, 0.1, 0.3, 1.0),
+            (0.01, 0.1, 1.0),
         ),
+        BUFFER,
     )
     reach = "state estimate within its error bound"
     reasons = ("desired input", "filtered", "no input is recoverable: S")
 
-    def __init__(self, grid: DecisionGrid, slope: float = 1.0) -> None:
-        super().__init__(grid)
+    def __init__(self, grid: DecisionGrid, slope: float = 1.0, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
         self.slope = positive("slope", slope, "")
         if self.slope > 1:
             raise ScenarioError("slope", slope, "must be above 0 and at most 1")
-        self.settings = {"slope": self.slope}
-        self.recovery = Recovery.certified(grid)
+        self.settings["slope"] = self.slope
+        self.recovery = Recovery.certified(grid, self.grid)
         before = Leg.any_thrust(self.recovery) if grid.delay else None
         self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery))
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.

@@ -29,9 +29,9 @@ class ExplicitSimplex(Latched):
     )
     reach = "state estimate within its error bound, U within the thrust limits"
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
-        self.recovery = Recovery.certified(grid)
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        self.recovery = Recovery.certified(grid, self.grid)
         leg = Leg.any_thrust(self.recovery)
         self.prospect = Prospect(self.recovery, leg if grid.delay else None, leg)
 
@@ -72,8 +72,9 @@ class ImplicitSimplex(Latched):
     key, name, place, predicts = "simplex_implicit", "Implicit simplex", 6, True
     how = "S is predicted, undisturbed, from where U would be at the next decision; latched"
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        grid = self.grid
         tracking, system = grid.tracking, grid.system
         normals, offsets, _ = grid.facets
         self.lags = len(tracking.transitions)

@@ -12,7 +12,7 @@ from ...model.checks import positive
 from ...model.system import Array
 from ...synthesis.controllers import AffineController
 from ..decision_grid import DecisionGrid
-from ..method import Choice, Method, Option, Seen
+from ..method import BUFFER, Choice, Method, Option, Seen
 
 LEAST = 20  # decisions that are looked ahead at least
 
@@ -33,20 +33,22 @@ class Simulation(Method):
     grid : DecisionGrid
     horizon : float, optional
         How far it looks [s]; default `ahead` of the flight's duration, at least `LEAST` decisions.
+    buffer : float, optional
+        See `Method`.
     """
 
     key, name, place, predicts = "simulation", "Look-ahead by simulation", 9, True
     how = "one undisturbed flight of U over a share of the horizon keeps clear"
-    options = (HORIZON,)
+    options = (HORIZON, BUFFER)
     reasons = ("the predicted flight keeps clear", "the predicted flight enters an unsafe set")
     ahead: ClassVar[float] = 0.4
     """Share of the duration looked ahead by default: chosen by ``benchmarks/comparison.py``."""
 
-    def __init__(self, grid: DecisionGrid, horizon: float | None = None) -> None:
-        super().__init__(grid)
+    def __init__(self, grid: DecisionGrid, horizon: float | None = None, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
         usual = max(self.ahead * grid.last * grid.h, LEAST * grid.period)
         self.horizon = usual if horizon is None else positive("horizon", horizon, "s")
-        self.settings = {"horizon": self.horizon}
+        self.settings["horizon"] = self.horizon
         sampled, fastest = grid.tracking.feedback.sampled, grid.fastest
         # A tenth of the fastest time constant, at least one node.
         self.stride = 1 if sampled or fastest == 0 else max(int(0.1 / fastest / grid.h), 1)
@@ -105,12 +107,13 @@ class ForwardReachability(Simulation):
     how = "U's reachable set over a share of the horizon keeps clear"
     options = (
         replace(HORIZON, meaning="the same", default=f"0.2 of the flight, at least {LEAST} decisions"),
+        BUFFER,
     )
     reasons = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
     ahead = 0.2
 
-    def __init__(self, grid: DecisionGrid, horizon: float | None = None) -> None:
-        super().__init__(grid, horizon)
+    def __init__(self, grid: DecisionGrid, horizon: float | None = None, buffer: float | None = None) -> None:
+        super().__init__(grid, horizon, buffer)
         self.spread = self._spread()
 
     def _spread(self) -> Array:
