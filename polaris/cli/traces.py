@@ -55,11 +55,11 @@ def evaluate_command(
     system = None
     if eta is not None:
         system = clohessy_wiltshire(positive("--mean-motion", eta, "rad/s"), mass=1.0, u_max=1.0)
-    read = read_trace(trace)
     how: dict[str, Any] = {
         "dims": options.dims,
         "velocity": parse_velocity(options.velocity, options.heading, options.speed),
     }
+    read = read_trace(trace)
     if options.legacy:
         found = evaluate_legacy(read, **how)
         told, show = {"legacy_rtaeval": True, "agents": found}, partial(show_legacy, found)

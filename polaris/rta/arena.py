@@ -129,7 +129,7 @@ def tunable() -> list[str]:
 def selected(
     methods: Sequence[str] | None, tuning: Tuning | None
 ) -> tuple[list[str], dict[str, dict[str, float]]]:
-    """Keys of the methods that are asked for, and options by method; refuses those that do not exist."""
+    """Return keys of the methods that are asked for, and options by method; refuse wrong names and values."""
     keys = list(dict.fromkeys(METHODS if methods is None else methods))
     for key in keys:
         one_of("methods", key, METHODS)
@@ -137,8 +137,10 @@ def selected(
     for name, value in (tuning or {}).items():
         one_of("tuning", name, tunable())
         key, _, option = name.partition(".")
-        counted = any(one.name == option and one.unit == "decisions" for one in METHODS[key].options)
-        out.setdefault(key, {})[option] = int(value) if counted and float(value).is_integer() else value
+        known = next(one for one in METHODS[key].options if one.name == option)
+        value = int(value) if known.unit == "decisions" and float(value).is_integer() else value
+        known.check(name, value)
+        out.setdefault(key, {})[option] = value
     return keys, out
 
 

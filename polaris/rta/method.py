@@ -1,13 +1,15 @@
 """The one protocol of all run-time assurance methods, their registry, and what they answer."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.checks import non_negative
+from ..model.checks import non_negative, number
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..synthesis.black_box import BlackBox
@@ -91,12 +93,18 @@ class Option:
     default: str
     values: tuple[float, ...]  # what the benchmark of the comparison page tries
     unit: str = ""  # of those: "", "decisions", "per duration", "of the duration" or "half widths of Θ"
+    check: Callable[[str, Any], float] = number  # from field and value; raises `ScenarioError`
 
 
 BUFFER = Option(
-    "buffer", "distance kept from perceived unsafe sets [m]", "0", (0.0, 0.2, 0.5), "half widths of Θ"
+    "buffer",
+    "distance kept from perceived unsafe sets [m]",
+    "0",
+    (0.0, 0.2, 0.5),
+    "half widths of Θ",
+    partial(non_negative, unit="m"),
 )
-"""Keep-clear buffer of methods that decide against grown unsafe sets; S and its reference stay as they are."""
+"""Keep-clear buffer: decisions are made against grown unsafe sets; S and its reference stay as they are."""
 
 
 class Method(ABC):
@@ -153,7 +161,7 @@ class Method(ABC):
             METHODS.update(ordered)
 
     def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
-        self.buffer = self.apart * grid.half_width if buffer is None else non_negative("buffer", buffer, "m")
+        self.buffer = self.apart * grid.half_width if buffer is None else BUFFER.check("buffer", buffer)
         self.grid = grid.grown(self.buffer)
         buffered = any(option.name == BUFFER.name for option in self.options)
         self.settings: dict[str, float] = {BUFFER.name: self.buffer} if buffered else {}

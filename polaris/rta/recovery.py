@@ -55,17 +55,8 @@ class Recovery:
     def certified(cls, grid: DecisionGrid, decided: DecisionGrid | None = None) -> "Recovery":
         """Return the conditions if the initial set meets them at the first node, as every proof requires.
 
-        Parameters
-        ----------
-        grid : DecisionGrid
-        decided : DecisionGrid, optional
-            The grid with grown unsafe sets that decisions are made on. Its conditions imply those of `grid`,
-            which alone must hold the initial set.
-
-        Raises
-        ------
-        NotCertified
-            If the initial set does not meet the conditions.
+        Those of `decided`, if given: a grid with grown unsafe sets, whose conditions imply those of `grid`.
+        Raises `NotCertified` if the initial set does not meet the conditions of `grid`.
         """
         found, start = cls(grid), grid.schedule.safety.start
         size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))

@@ -99,8 +99,8 @@ def write_folder(
 ) -> RunFolder:
     """Write what a kind's ``fly`` found, replacing an older run folder once everything is written."""
     assert kind.write is not None
-    target, stages, clock = check_target(out), stages or Stages(), Stages()
-    clock.seconds |= stages.seconds
+    target, stages = check_target(out), stages or Stages()
+    clock = stages.beside()
     with replacing(target) as folder:
         stages.note("files")
         with clock.stage("files"):
@@ -109,12 +109,12 @@ def write_folder(
                 for file in scenario.files():
                     shutil.copyfile(file, folder / file.name)
             kind.write(folder, scenario, found)
-        _summarise(folder, kind, scenario, found, clock.seconds)
+        _summarise(folder, kind, scenario, found, clock.to_dict())
         if draw is not None:
             stages.note("figures")
             with clock.stage("figures"):
                 draw(RunFolder(folder, scenario, kind))
-            _summarise(folder, kind, scenario, found, clock.seconds)
+            _summarise(folder, kind, scenario, found, clock.to_dict())
     return RunFolder(target, scenario, kind)
 
 

@@ -121,7 +121,7 @@ def synthesis(summary: Mapping[str, Any]) -> Markup:
         "clearance of the plan beyond the tube": Measure.of("margin_m").text(plan["margin_m"], proven=True),
         "velocity change of the plan": Measure.of("delta_v_m_s").text(plan["delta_v_m_s"]),
         "room left at the start": room + f", least at {found['start_limit']}",
-        "time of synthesis": Measure.of("total_s").text(found["seconds"]["total"]),
+        "time of the run": Measure.of("total_s").text(found["seconds"]["total"]),
     }
     return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows.items()])
 

@@ -7,6 +7,8 @@ filtered input is the nearest to the desired one with ``h' >= -alpha h`` for eve
 and errors of thrusters included. Where inputs move the position at once, ``h = d``.
 """
 
+from functools import partial
+
 import numpy as np
 
 from ...model.checks import positive
@@ -43,6 +45,7 @@ class ExplicitASIF(Method):
             f"{SLOPE:g}, divided by the duration of the flight",
             (2, 5, 10, 20, 50, 200, 1000),
             "per duration",
+            partial(positive, unit="1/s"),
         ),
         BUFFER,
     )
@@ -52,7 +55,7 @@ class ExplicitASIF(Method):
         super().__init__(grid, buffer)
         grid = self.grid
         duration = grid.last * grid.h
-        self.alpha = SLOPE / duration if alpha is None else positive("alpha", alpha, "1/s")
+        self.alpha = SLOPE / duration if alpha is None else self.options[0].check("alpha", alpha)
         self.settings["alpha"] = self.alpha
         system = grid.system
         C, A = system.position, system.A

@@ -24,6 +24,13 @@ SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfi
 UNLIMITED = 1e200  # room of a row that nothing limits
 
 
+def _slope(field: str, value: object) -> float:
+    """Check the share of the room of a row that one decision may use up."""
+    if positive(field, value, "") > 1:
+        raise ScenarioError(field, value, "must be above 0 and at most 1")
+    return float(value)  # type: ignore[arg-type]
+
+
 class ImplicitASIF(Method):
     """The filter; `NotCertified` if the initial set is not inside the first recoverable set.
 
@@ -43,6 +50,7 @@ class ImplicitASIF(Method):
             "share of the room of a row that one decision may use up",
             "1",
             (0.01, 0.1, 1.0),
+            check=_slope,
         ),
         BUFFER,
     )
@@ -51,9 +59,7 @@ class ImplicitASIF(Method):
 
     def __init__(self, grid: DecisionGrid, slope: float = 1.0, buffer: float | None = None) -> None:
         super().__init__(grid, buffer)
-        self.slope = positive("slope", slope, "")
-        if self.slope > 1:
-            raise ScenarioError("slope", slope, "must be above 0 and at most 1")
+        self.slope = _slope("slope", slope)
         self.settings["slope"] = self.slope
         self.recovery = Recovery.certified(grid, self.grid)
         before = Leg.any_thrust(self.recovery) if grid.delay else None

@@ -4,6 +4,7 @@ It does not ask whether S could still take over when that turns bad: this is wha
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -22,6 +23,7 @@ HORIZON = Option(
     f"0.4 of the flight, at least {LEAST} decisions",
     (0.05, 0.1, 0.2, 0.4),
     "of the duration",
+    partial(positive, unit="s"),
 )
 
 
@@ -47,7 +49,7 @@ class Simulation(Method):
     def __init__(self, grid: DecisionGrid, horizon: float | None = None, buffer: float | None = None) -> None:
         super().__init__(grid, buffer)
         usual = max(self.ahead * grid.last * grid.h, LEAST * grid.period)
-        self.horizon = usual if horizon is None else positive("horizon", horizon, "s")
+        self.horizon = usual if horizon is None else HORIZON.check("horizon", horizon)
         self.settings["horizon"] = self.horizon
         sampled, fastest = grid.tracking.feedback.sampled, grid.fastest
         # A tenth of the fastest time constant, at least one node.
