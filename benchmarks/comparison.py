@@ -37,7 +37,7 @@ from polaris.synthesis.schedule import Schedule
 from polaris.synthesis.synthesize import synthesize
 
 SCENES = ("static", "dynamic", "robot")
-RUNS, SWEPT_RUNS = 30, 10
+RUNS, SWEPT_RUNS = 30, 30
 FIGURES = {"static": ("paths", "tradeoffs"), "dynamic": ("tradeoffs",)}
 
 MONITORS = ("monitor", "monitor_declared")
@@ -60,6 +60,8 @@ BETTER = 0.98
 """Deviations that differ by less are alike; a scene's own value gets a row if it is better by more."""
 DEARER = 0.01
 """The same of worths."""
+MORE = 0.02
+"""The same of the share of U where deviations are alike."""
 
 
 Values = tuple[float, ...]
@@ -174,7 +176,7 @@ def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None
     ours, theirs = values[default][name], values[best][name]
     nearer = theirs.deviation < BETTER * ours.deviation
     better = theirs.worth > ours.worth + DEARER if np.isfinite(ours.worth) else nearer
-    better = better or theirs.violations < ours.violations
+    better = better or theirs.violations < ours.violations or theirs.share > ours.share + MORE
     return best if better else None
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import typer
 from typer import Argument, Option
@@ -77,8 +77,10 @@ def evaluate_command(
 def export_command(
     run: str = Argument(..., metavar="RUN", help="A run folder, or a comparison folder."),
     trace: str = Argument(..., metavar="TRACE", help="The trace to write, as JSON."),
-    controller: Literal["polaris", "safety", "experimental"] | None = Option(
-        None, help="Whose run of a run folder; default polaris."
+    controller: str | None = Option(
+        None,
+        metavar="KEY",
+        help="Whose run of a run folder: polaris (default), safety, experimental, experimental_2, ...",
     ),
     method: str | None = Option(
         None,

@@ -141,7 +141,7 @@ class Method(ABC):
         What it was tuned with.
     """
 
-    key: ClassVar[str]
+    key: str
     name: str
     how: ClassVar[str]
     proven: ClassVar[bool] = False

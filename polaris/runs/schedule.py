@@ -212,7 +212,7 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
 
 
 def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float]:
-    """Return wall times of all parts of the synthesis and of the stages around it, which add up to ``total``."""
+    """Return wall times of the parts of the synthesis and of stages around it; they add up to ``total``."""
     found, parts = dict(around), dict(schedule.seconds)
     total, measured = found.pop("total"), [found.pop(name, 0.0) for name in SYNTHESIS]
     total += 0.0 if any(measured) else sum(parts.values())  # a schedule made before anything was timed
