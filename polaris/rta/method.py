@@ -29,7 +29,7 @@ class Seen:
     k : int
         Number of the decision; it is made at ``k`` periods.
     estimate : ndarray, shape (R, n)
-        Absolute states as measured.
+        Absolute states as estimated for this instant; with ``[timing]`` as predicted for it.
     desired : ndarray, shape (R, m)
         Input that the preferred experimental controller wants, clipped to the limits [N].
     mode : ndarray of int, shape (R,)

@@ -47,6 +47,9 @@ def _reentry(field: str, value: object) -> float:
 class Monitor(Method):
     """The online monitor as a method of the arena.
 
+    It judges the state at the decision's own instant. With ``[timing]`` it must be handed the state predicted
+    for that instant: the measured state, which is older, is outside of the bounds that the proof rests on.
+
     Parameters
     ----------
     grid : DecisionGrid
