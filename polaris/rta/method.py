@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -105,6 +105,11 @@ BUFFER = Option(
     partial(non_negative, unit="m"),
 )
 """Keep-clear buffer: decisions are made against grown unsafe sets; S and its reference stay as they are."""
+
+
+def keep_clear(apart: float) -> Option:
+    """Return the option of a keep-clear buffer with another default (`Method.apart`)."""
+    return replace(BUFFER, default=f"{apart:g} {BUFFER.unit}")
 
 
 class Method(ABC):

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...model.system import Array
 from ..decision_grid import DecisionGrid
-from ..method import Latched, Seen
+from ..method import Latched, Seen, keep_clear
 from ..prospect import Leg, Prospect
 from ..recovery import Recovery
 
@@ -71,6 +71,8 @@ class ImplicitSimplex(Latched):
 
     key, name, place, predicts = "simplex_implicit", "Implicit simplex", 6, True
     how = "S is predicted, undisturbed, from where U would be at the next decision; latched"
+    options = (keep_clear(0.5),)
+    apart = 0.5
 
     def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
         super().__init__(grid, buffer)
