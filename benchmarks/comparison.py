@@ -19,6 +19,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from docs.generate.method_docs import PAGE, put
 from polaris.report.figures import draw_run
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
-from polaris.rta.method import Method, Option
+from polaris.rta.method import BUFFER, Method, Option
 from polaris.rta.method_result import MethodResult
 from polaris.rta.methods import METHODS
 from polaris.runs.comparison import write_comparison
@@ -36,20 +37,35 @@ from polaris.synthesis.schedule import Schedule
 from polaris.synthesis.synthesize import synthesize
 
 SCENES = ("static", "dynamic", "robot")
-RUNS, SWEPT_RUNS = 30, 10
+RUNS, SWEPT_RUNS = 30, 30
 FIGURES = {"static": ("paths", "tradeoffs"), "dynamic": ("tradeoffs",)}
 
+MONITORS = ("monitor", "monitor_declared")
+
+
+def groups(key: str, one: type[Method]) -> Iterable[tuple[Option, ...]]:
+    """Options of a method that are swept together: each alone for the monitor, else all combinations."""
+    if key in MONITORS:
+        return [(option,) for option in one.options] if key == "monitor" else []
+    return [one.options] if one.options else []
+
+
 SWEPT = {
-    f"{key}.{option.name}": option
+    f"{key}.{', '.join(option.name for option in options)}": options
     for key, one in METHODS.items()
-    if "options" in vars(one)
-    for option in one.options
+    for options in groups(key, one)
 }
-VALUES = {name: option.values for name, option in SWEPT.items()}
+VALUES = {name: list(product(*(option.values for option in options))) for name, options in SWEPT.items()}
 BETTER = 0.98
 """Deviations that differ by less are alike; a scene's own value gets a row if it is better by more."""
 DEARER = 0.01
 """The same of worths."""
+MORE = 0.02
+"""The same of the share of U where deviations are alike."""
+
+
+Values = tuple[float, ...]
+"""Of options that are swept together."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +103,14 @@ def read_cell(text: str) -> Cell:
 def scaled(scene: DecisionGrid, option: Option, value: float) -> float:
     """A value of the sweep in the option's own unit."""
     duration = scene.last * scene.h
-    return value * {"per duration": 1 / duration, "of the duration": duration}.get(option.unit, 1.0)
+    units = {"per duration": 1 / duration, "of the duration": duration, BUFFER.unit: scene.half_width}
+    return value * units.get(option.unit, 1.0)
+
+
+def tuning(scene: DecisionGrid, full: str, values: Values) -> dict[str, float]:
+    """Values of options that are swept together, as `compare_methods` takes them."""
+    key, pairs = full.partition(".")[0], zip(SWEPT[full], values, strict=True)
+    return {f"{key}.{option.name}": scaled(scene, option, value) for option, value in pairs}
 
 
 def standing(scene: DecisionGrid, method: Method, option: Option) -> float:
@@ -95,21 +118,28 @@ def standing(scene: DecisionGrid, method: Method, option: Option) -> float:
     return method.settings[option.name] / scaled(scene, option, 1.0)
 
 
-Sweep = dict[str, dict[float, dict[str, Cell]]]
-"""By option, value and scene."""
+def label(full: str, values: Values) -> str:
+    """Values of options that are swept together, with their units."""
+    return ", ".join(
+        f"{value:g} {option.unit}".strip() for option, value in zip(SWEPT[full], values, strict=True)
+    )
+
+
+Sweep = dict[str, dict[Values, dict[str, Cell]]]
+"""By options, values and scene."""
 
 
 def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] = tuple(SWEPT)) -> Sweep:
     """Every value of every option on every scene."""
     out: Sweep = {}
     for full in options:
-        option, key = SWEPT[full], full.partition(".")[0]
+        key = full.partition(".")[0]
         out[full] = {value: {} for value in VALUES[full]}
         for name, schedule in schedules.items():
             scene = DecisionGrid.of(schedule)
             for value in VALUES[full]:
-                tuning = {full: scaled(scene, option, value)}
-                one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).results[key]
+                tuned = tuning(scene, full, value)
+                one = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuned).results[key]
                 m = one.metrics
                 share, delta_v = float(m.experimental_share.mean()), float(m.delta_v.mean())
                 cell = Cell(int(m.collided.sum()), share, delta_v, float(one.deviation.mean()))
@@ -118,11 +148,11 @@ def sweep(schedules: Mapping[str, Schedule], runs: int, options: Iterable[str] =
                     worth = schedule.worth({0: 1 - share, 1: share}, delta_v, switches)
                     cell = replace(cell, switches=switches, worth=worth)
                 out[full][value][name] = cell
-                print(f"  {full} = {value:g} on {name}: {cell}", flush=True)
+                print(f"  {full} = {label(full, value)} on {name}: {cell}", flush=True)
     return out
 
 
-def chosen(values: Mapping[float, Mapping[str, Cell]]) -> float:
+def chosen(values: Mapping[Values, Mapping[str, Cell]]) -> Values:
     """The best value on all scenes that are given: see the top of the file."""
     scenes = next(iter(values.values()))
     hits = {value: sum(cell.violations for cell in cells.values()) for value, cells in values.items()}
@@ -139,38 +169,38 @@ def chosen(values: Mapping[float, Mapping[str, Cell]]) -> float:
     return max(alike, key=lambda value: sum(cell.share for cell in left[value].values()))
 
 
-def own(values: Mapping[float, Mapping[str, Cell]], name: str) -> float | None:
+def own(values: Mapping[Values, Mapping[str, Cell]], name: str) -> Values | None:
     """The value that is better on one scene alone, if there is one that is worth a row."""
     default = chosen(values)
     best = chosen({value: {name: cells[name]} for value, cells in values.items()})
     ours, theirs = values[default][name], values[best][name]
     nearer = theirs.deviation < BETTER * ours.deviation
     better = theirs.worth > ours.worth + DEARER if np.isfinite(ours.worth) else nearer
-    better = better or theirs.violations < ours.violations
+    better = better or theirs.violations < ours.violations or theirs.share > ours.share + MORE
     return best if better else None
 
 
 def sweep_table(swept: Sweep) -> str:
     """The sweep as a table, defaults in bold."""
     scenes = list(next(iter(next(iter(swept.values())).values())))
-    lines = ["| Option | Value | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
+    lines = ["| Options | Values | " + " | ".join(f"`{name}`" for name in scenes) + " |"]
     lines.append("|---" * (2 + len(scenes)) + "|")
     for full, values in swept.items():
-        option, default = SWEPT[full], chosen(values)
+        default = chosen(values)
         for value, cells in values.items():
-            told = f"{value:g} {option.unit}".strip()
+            told = label(full, value)
             told = f"**{told}**" if value == default else told
             shown = " | ".join(str(cells[name]) for name in scenes)
             lines.append(f"| `{full}` | {told} | {shown} |")
     return "\n".join(lines)
 
 
-def read_sweep(table: str) -> tuple[Sweep, dict[str, float]]:
+def read_sweep(table: str) -> tuple[Sweep, dict[str, Values]]:
     """The sweep of the page, and what it says the defaults are."""
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     scenes, out, defaults = [name.strip("`") for name in rows[0][2:]], {}, {}
     for option, told, *cells in rows[2:]:
-        key, value = option.strip("`"), float(told.strip("*").split()[0])
+        key, value = option.strip("`"), tuple(float(one.split()[0]) for one in told.strip("*").split(", "))
         out.setdefault(key, {})[value] = {
             name: read_cell(cell) for name, cell in zip(scenes, cells, strict=True)
         }
@@ -202,7 +232,7 @@ def row(name: str, one: MethodResult) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def scene_table(schedule: object, runs: int, tuned: Mapping[str, float]) -> tuple[str, object]:
+def scene_table(schedule: object, runs: int, tuned: Mapping[str, Values]) -> tuple[str, object]:
     """All methods on one scene, those with a value of this scene's own twice."""
     scene = DecisionGrid.of(schedule)
     comparison = compare_methods(schedule, runs, 0)
@@ -210,11 +240,10 @@ def scene_table(schedule: object, runs: int, tuned: Mapping[str, float]) -> tupl
     for key, one in comparison.results.items():
         lines.append(row(one.name, one))
         for full in (full for full in tuned if full.partition(".")[0] == key):
-            option = SWEPT[full]
-            tuning = {full: scaled(scene, option, tuned[full])}
-            other = compare_methods(schedule, runs, 0, methods=(key,), tuning=tuning).results[key]
-            told = f"{tuned[full]:g} {option.unit}".strip()
-            lines.append(row(f"{one.name}, {option.name} {told}", other))
+            own_tuning = tuning(scene, full, tuned[full])
+            other = compare_methods(schedule, runs, 0, methods=(key,), tuning=own_tuning).results[key]
+            names = full.partition(".")[2]
+            lines.append(row(f"{one.name}, {names} = {label(full, tuned[full])}", other))
     return "\n".join(lines), comparison
 
 

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from .document import Document
+from .file_keys import FLOWN
 from .file_keys import SUMMARY as SUMMARY_KEYS
 from .lemma import Stated
 from .onnx_file import check_file
 from .plants import plant_of
 from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
 from .scenario_keys import check_keys
-from .structure import LARGEST_SCENARIO, conform, contents, found, sha256, strict_json
+from .structure import LARGEST_SCENARIO, conform, contents, every, found, sha256, strict_json
 from .verdict import Record, Rejected
 
 NEEDED = (
@@ -136,12 +137,14 @@ def check_summary(
     (no run of S or of the schedule collides, S commands no more thrust than there is) and with one another.
     `claimed` is the guarantee as ``schedule.json`` repeats it.
     """
-    stored: dict[str, Any] = conform(strict_json(contents(path)), SUMMARY_KEYS, "summary", path.name)
-    synthesis, laws, K = stored["synthesis"], document.laws, document.steps
-    # Those flown: S alone, the first experimental controller alone, the schedule.
+    laws, K = document.laws, document.steps
+    # Those flown: S alone, each experimental controller alone, the schedule.
+    alone = {mode: "experimental" if mode == 1 else f"experimental_{mode}" for mode in range(1, len(laws))}
+    keys = SUMMARY_KEYS | every(FLOWN, " ".join(alone.values()))
+    stored: dict[str, Any] = conform(strict_json(contents(path)), keys, "summary", path.name)
+    synthesis = stored["synthesis"]
     flown = {"polaris": ("polaris", document.modes), "safety": (laws[0].name, [0] * K)}
-    if len(laws) > 1:
-        flown["experimental"] = (laws[1].name, [1] * K)
+    flown |= {key: (laws[mode].name, [mode] * K) for mode, key in alone.items()}
     expected: dict[str, Any] = {
         "scenario": document.scenario,
         "title": scenario["title"],
@@ -199,7 +202,7 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
     _close(f"experimental share of {key}", share(modes), found["experimental_share"], 1.0)
     _close(f"horizon of free drift of {key}", horizon, found["drift_horizon_s"])
     hit, collided = found["collided_runs"], found["collided"]
-    proved = document.guarantee == "proved" and key != "experimental"
+    proved = document.guarantee == "proved" and not key.startswith("experimental")
     apart = [found[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
     if None in apart:
         raise Rejected("summary", f"{key}: a distance is null in summary.json, but there are unsafe sets")

@@ -218,7 +218,7 @@ FLOWN = {
 SUMMARY = {
     "schema_version": ONE,
     **every(TEXT, "scenario title created"),
-    **every(FLOWN, "polaris safety experimental?"),
+    **every(FLOWN, "polaris safety"),  # and each experimental controller alone
     "synthesis": {
         **every(TEXT, "recoverable start_limit"),
         **every(SHARE, "experimental_share share_at_most proven_share?"),

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 def model_error_command(
     scenario: str = Argument(..., metavar="NAME_OR_FILE", help="A bundled scenario or a file, with [orbit]."),
     fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its own model error."),
+    assignments: Assignments = None,
     as_json: Json = False,
 ) -> int | None:
     """Bound what the linear model leaves out, and compare it with the disturbance bound."""
     from ..scenario.scenario import ScheduleScenario, load_scenario
     from ..simulation.orbit.model_error import justify, model_error
 
-    loaded = load_scenario(scenario, only=ScheduleScenario)
+    loaded = load_scenario(scenario, assignments or (), only=ScheduleScenario)
     found = justify(loaded) if fit else model_error(loaded)
     if as_json:
         print_json(found.summary())

@@ -80,16 +80,18 @@ def campaign_command(
         _fly_inspection(loaded, inspected[0], options, crew, stages)
         return None
     from ..runs.campaign import run_campaign
+    from ..runs.campaign.folder import check_place
 
-    plan = _plan(loaded, options, stages)
-    if asked.black_box:
+    if asked.commands:
         if options.workers or scheduler:
             rule = "must be left out: black boxes are asked by one process"
             raise ScenarioError("--workers, --scheduler", scheduler or options.workers, rule)
         crew = nullcontext(local(1))
+    plan = _plan(loaded, options, list(asked.commands), stages)
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
-    with crew as executor, asked.running() as boxes, stages.stage("runs"):
+    check_place(out)
+    with asked.running() as boxes, crew as executor, stages.stage("runs"):
         stages.note("waiting for the first batch")
         progress, plan = stages.counting("{:,} of {:,} runs"), plan.asking(boxes)
         folder = run_campaign(
@@ -121,16 +123,17 @@ def replay_command(
 
     if out is not None:
         check_trajectory(out, force)
-    folder = read_campaign(campaign)
-    if worst is not None:
-        if batch is not None or run is not None:
-            raise ScenarioError("--worst", worst, "stands instead of --batch and --run")
-        chosen = find_worst(folder, worst, mode, case)
-    elif case is None or batch is None or run is None:
+    if worst is not None and (batch is not None or run is not None):
+        raise ScenarioError("--worst", worst, "stands instead of --batch and --run")
+    if worst is None and (case is None or batch is None or run is None):
         raise ScenarioError("campaign-replay", None, "needs --case, --batch and --run, or --worst")
-    else:
-        chosen = case, batch, run
     with asked.running() as boxes:
+        folder = read_campaign(campaign)
+        if worst is not None:
+            chosen = find_worst(folder, worst, mode, case)
+        else:
+            assert case is not None and batch is not None and run is not None
+            chosen = case, batch, run
         found = replay_run(replace(folder, plan=folder.plan.asking(boxes)), *chosen, mode)
     if as_json:
         print_json(found.row)
@@ -140,17 +143,17 @@ def replay_command(
         echo(f"Written: {found.write(out, force=force)}", err=True)
 
 
-def _plan(scenarios: Sequence[ScheduleScenario], options: Options, stages: Stages) -> CampaignPlan:
+def _plan(
+    scenarios: Sequence[ScheduleScenario], options: Options, boxes: Sequence[str], stages: Stages
+) -> CampaignPlan:
     """The campaign of schedules that the options ask for."""
     from ..runs.campaign import CampaignPlan, ScheduleRuns, make_cases, parse_grid
-    from ..runs.campaign.folder import usable
 
     given = {name: getattr(options, name) for name in ("initial", "disturbance") if getattr(options, name)}
     sized = {"batch": options.batch} if options.batch else {}
     with stages.stage("cases"):
-        usable(ScheduleRuns.formats)
-        cases = make_cases(scenarios, parse_grid(options.grid), options.assignments or ())
         kind = ScheduleRuns(tuple(options.mode or ["polaris"]), **given)
+        cases = make_cases(scenarios, parse_grid(options.grid), options.assignments or (), boxes)
         return CampaignPlan(cases, options.runs or 1000, options.seed or 0, kind=kind, **sized)
 
 

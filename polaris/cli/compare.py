@@ -56,24 +56,26 @@ def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None
     from .console import ShownStages
 
     stages = ShownStages(options.quiet or options.as_json)
+    given, tuning = options.estimate_error, _tuning(options.tune)
+    numbers = None if given is None else _numbers("--estimate-error", given)
+    named = None if options.methods is None else options.methods.replace(" ", "").split(",")
     with stages.stage("load"):
         import numpy as np
 
         from ..rta.arena import compare_methods, selected
-        from ..rta.decision_grid import DecisionGrid
+        from ..rta.decision_grid import DecisionGrid, check_decisions
         from ..runs.atomic import check_target
         from ..runs.comparison import COMPARISON, write_comparison
         from ..scenario.scenario import ScheduleScenario, load_scenario
         from ..simulation.sampled import with_boxes
         from ..synthesis.synthesize import synthesize
 
+        selected(named, tuning)  # here and below: what is wrong is refused before the synthesis
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
         out = options.out if options.out is not None else f"runs/{loaded.name}-comparison"
         target = check_target(out, COMPARISON.names)
-        given, tuning = options.estimate_error, _tuning(options.tune)
-        half = None if given is None else np.squeeze(_numbers("--estimate-error", given))
-        named = None if options.methods is None else options.methods.replace(" ", "").split(",")
-        selected(named, tuning)  # what does not exist is refused before the synthesis
+        half = None if numbers is None else np.squeeze(numbers)
+        check_decisions(loaded.problem(), options.period, options.latency, half)
     with asked.running() as boxes:
         with stages.stage("schedule"):
             schedule = with_boxes(loaded, boxes).schedule if boxes else synthesize(loaded)

@@ -39,7 +39,7 @@ def run(
 
         loaded = load_scenario(scenario, overrides)
         if not quiet:
-            _tell_doubts(loaded, err=True)
+            _show_warnings(loaded, err=True)
     with asked.running() as boxes:
         flying: dict[str, Any] = {"draw": drawing(figures), "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
@@ -60,14 +60,14 @@ def check(file: Name, assignments: Assignments = None) -> None:
 
     scenario = load_scenario(file, assignments or ())
     echo(f"{scenario.name} is valid: {scenario.outline()}")
-    _tell_doubts(scenario)
+    _show_warnings(scenario)
 
 
-def _tell_doubts(scenario: Any, err: bool = False) -> None:
-    from ..scenario.doubts import doubts
+def _show_warnings(scenario: Any, err: bool = False) -> None:
+    from ..scenario.scenario_warnings import scenario_warnings
 
-    for doubt in doubts(scenario):
-        echo(f"note: {doubt}", err=err)
+    for warning in scenario_warnings(scenario):
+        echo(f"note: {warning}", err=err)
 
 
 @verb("scenarios")

@@ -88,23 +88,28 @@ class BlackBoxes:
     )
     answer_within: float = typer.Option(10.0, help="Time that it has for each answer [s].")
 
+    @property
+    def commands(self) -> dict[str, list[str]]:
+        """Words of every command, by the name of its black box."""
+        found: dict[str, list[str]] = {}
+        for text in self.black_box or ():
+            name, equals, command = text.partition("=")
+            if not equals or name in found:
+                raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
+            try:
+                found[name] = shlex.split(command)
+            except ValueError as error:
+                raise ScenarioError("--black-box", text, f"has no command: {error}") from error
+        return found
+
     @contextmanager
     def running(self) -> Iterator[dict[str, Ask]]:
-        """What is asked of them, by their names, for as long as the ``with`` statement lasts."""
+        """Start the programs, which end with the ``with`` statement; yield what asks them, by name."""
         from ..runs.program import program
 
         with ExitStack() as programs:
-            found: dict[str, Ask] = {}
-            for text in self.black_box or ():
-                name, equals, command = text.partition("=")
-                if not equals or name in found:
-                    raise ScenarioError("--black-box", text, "must be NAME=COMMAND, once for each name")
-                try:
-                    words = shlex.split(command)
-                except ValueError as error:
-                    raise ScenarioError("--black-box", text, f"has no command: {error}") from error
-                found[name] = programs.enter_context(program(words, self.answer_within))
-            yield found
+            started = {name: program(words, self.answer_within) for name, words in self.commands.items()}
+            yield {name: programs.enter_context(each) for name, each in started.items()}
 
 
 def _version(wanted: bool) -> None:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 from typer import Argument, Option
 
@@ -54,11 +54,11 @@ def evaluate_command(
     system = None
     if eta is not None:
         system = clohessy_wiltshire(positive("--mean-motion", eta, "rad/s"), mass=1.0, u_max=1.0)
-    read = read_trace(trace)
     how: dict[str, Any] = {
         "dims": options.dims,
         "velocity": parse_velocity(options.velocity, options.heading, options.speed),
     }
+    read = read_trace(trace)
     if options.legacy:
         found = evaluate_legacy(read, **how)
         told, show = {"legacy_rtaeval": True, "agents": found}, partial(show_legacy, found)
@@ -76,8 +76,10 @@ def evaluate_command(
 def export_command(
     run: str = Argument(..., metavar="RUN", help="A run folder, or a comparison folder."),
     trace: str = Argument(..., metavar="TRACE", help="The trace to write, as JSON."),
-    controller: Literal["polaris", "safety", "experimental"] | None = Option(
-        None, help="Whose run of a run folder; default polaris."
+    controller: str | None = Option(
+        None,
+        metavar="KEY",
+        help="Whose run of a run folder: polaris (default), safety, experimental, experimental_2, ...",
     ),
     method: str | None = Option(
         None,

@@ -36,7 +36,7 @@ class Comparison:
     grid : DecisionGrid
     runs, seed : int
     results : dict of str to MethodResult
-        By method.
+        By method; experimental controllers alone are ``experimental``, ``experimental_2``, ...
     shown : dict of str to Flights
         Some flights of every method, for pictures: the closest to a set, ``run 0``, ...
     decisions : dict of str to list of dict
@@ -99,15 +99,19 @@ def compare_methods(
         raise ScenarioError("experimental", "none", "a comparison needs an experimental controller")
     parts = [Conditions.draw(grid, min(BATCH, runs - first), seed + first) for first in range(0, runs, BATCH)]
     results, shown, decisions, refused = {}, {}, {}, {}
-    for key in keys:
+    alone = [{"mode": mode} for mode in range(1, len(grid.controllers))]
+    asked = [(key, one) for key in keys for one in (alone if key == "experimental" else [{}])]
+    for key, which in asked:
         begun = time.perf_counter()
-        method = _made(key, grid, options.get(key, {}))
+        method = _made(key, grid, options.get(key, {}) | which)
         if isinstance(method, str):
             refused[key] = method
             continue
         built = _synthesis(grid, key) + time.perf_counter() - begun
         report = partial(progress, key) if progress else None
-        results[key], shown[key], decisions[key] = _flown(grid, method, parts, built, report)
+        results[method.key], shown[method.key], decisions[method.key] = _flown(
+            grid, method, parts, built, report
+        )
     return Comparison(grid, runs, seed, results, shown, decisions, refused)
 
 
@@ -129,7 +133,7 @@ def tunable() -> list[str]:
 def selected(
     methods: Sequence[str] | None, tuning: Tuning | None
 ) -> tuple[list[str], dict[str, dict[str, float]]]:
-    """Keys of the methods that are asked for, and options by method; refuses those that do not exist."""
+    """Return keys of the methods that are asked for, and options by method; refuse wrong names and values."""
     keys = list(dict.fromkeys(METHODS if methods is None else methods))
     for key in keys:
         one_of("methods", key, METHODS)
@@ -137,8 +141,10 @@ def selected(
     for name, value in (tuning or {}).items():
         one_of("tuning", name, tunable())
         key, _, option = name.partition(".")
-        counted = any(one.name == option and one.unit == "decisions" for one in METHODS[key].options)
-        out.setdefault(key, {})[option] = int(value) if counted and float(value).is_integer() else value
+        known = next(one for one in METHODS[key].options if one.name == option)
+        value = int(value) if known.unit == "decisions" and float(value).is_integer() else value
+        known.check(name, value)
+        out.setdefault(key, {})[option] = value
     return keys, out
 
 

@@ -19,6 +19,7 @@ from ..synthesis.clearance import Clearance
 from ..synthesis.controllers import AffineController, Controller
 from ..synthesis.neural import NeuralController
 from ..synthesis.polytope_sets import PolytopeSets
+from ..synthesis.problem import Problem
 from ..synthesis.schedule import Schedule
 from ..synthesis.tracking import Feedback, Tracking
 from ..synthesis.transients import hidden
@@ -87,20 +88,9 @@ class DecisionGrid:
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
         known, delta, feedback = safety.tracking, safety.tracking.delta, safety.tracking.feedback
-        n = known.system.n
-        if period is None:
-            period = known.flow.h if feedback.sampled else delta / ceil(delta / PERIOD - WHOLE)
-        positive("period", period, "s")
-        per_step = _parts("period", delta, period, f"must divide the planning step of {delta:g} s")
-        if not 0 <= non_negative("latency", latency, "s") <= period:
-            raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
-        half = np.asarray(known.system.navigation if half_widths is None else half_widths, dtype=float)
-        if half.shape not in ((), (n,)) or not (np.all(np.isfinite(half)) and np.all(half >= 0)):
-            raise ScenarioError("half_widths", half.tolist(), f"must be one or {n} finite numbers >= 0")
+        period, per_step, half = check_decisions(safety.problem, period, latency, half_widths)
         if feedback.sampled:
-            h = known.flow.h
-            nodes = _parts("period", period, h, f"must be a multiple of the control period of {h:g} s")
-            delay = _parts("latency", latency, h, f"must be a multiple of the control period of {h:g} s")
+            nodes, delay = round(period / known.flow.h), round(latency / known.flow.h)
             q = feedback.nodes_per_cell
         else:
             nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
@@ -121,6 +111,13 @@ class DecisionGrid:
         tracking = replace(self.tracking, level=self.schedule.safety.tracking.level)
         return replace(self, tracking=tracking, clearance=replace(self.clearance, tracking=tracking))
 
+    def grown(self, buffer: float) -> "DecisionGrid":
+        """Return the grid with perceived unsafe sets that reach `buffer` [m] further along every facet."""
+        if buffer == 0:
+            return self
+        unsafe = tuple(replace(one, offsets=one.offsets + buffer) for one in self.unsafe)
+        return replace(self, clearance=replace(self.clearance, unsafe=unsafe))
+
     @property
     def system(self) -> LinearSystem:
         """What is controlled."""
@@ -135,6 +132,12 @@ class DecisionGrid:
     def unsafe(self) -> tuple[TimedPolytope, ...]:
         """What perception says must be avoided."""
         return self.clearance.unsafe
+
+    @property
+    def half_width(self) -> float:
+        """Largest half width of the initial set in position [m]."""
+        start = self.schedule.safety.problem.initial_set
+        return float(np.abs(self.system.position @ start.G).sum(axis=1).max())
 
     @property
     def h(self) -> float:
@@ -234,6 +237,31 @@ class DecisionGrid:
         """Transition from node to node, and what an input and a disturbance held meanwhile add."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.h)
         return Ad, Bd, discretize(self.system.A, self.system.D, self.h)[1]
+
+
+def check_decisions(
+    problem: Problem, period: float | None = None, latency: float = 0.0, half_widths: Any = None
+) -> tuple[float, int, Array]:
+    """Check arguments of `DecisionGrid.of` before the synthesis.
+
+    Returns the period [s], the number of decisions per planning step, and half widths, shape () or (n,).
+    """
+    n, delta, h = problem.system.n, problem.delta, problem.period
+    if period is None:
+        period = h or delta / ceil(delta / PERIOD - WHOLE)
+    positive("period", period, "s")
+    per_step = _parts("period", delta, period, f"must divide the planning step of {delta:g} s")
+    if not 0 <= non_negative("latency", latency, "s") <= period:
+        raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
+    half = np.asarray(problem.system.navigation if half_widths is None else half_widths, dtype=float)
+    if half.shape not in ((), (n,)) or not (np.all(np.isfinite(half)) and np.all(half >= 0)):
+        raise ScenarioError("half_widths", half.tolist(), f"must be one or {n} finite numbers >= 0")
+    if h is None:
+        _split(period, latency, 1)
+    else:
+        rule = f"must be a multiple of the control period of {h:g} s"
+        _parts("period", period, h, rule), _parts("latency", latency, h, rule)
+    return period, per_step, half
 
 
 def _at_nodes(arcs: Array) -> Array:

@@ -1,12 +1,15 @@
 """The one protocol of all run-time assurance methods, their registry, and what they answer."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.checks import non_negative, number
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..synthesis.black_box import BlackBox
@@ -26,7 +29,7 @@ class Seen:
     k : int
         Number of the decision; it is made at ``k`` periods.
     estimate : ndarray, shape (R, n)
-        Absolute states as measured.
+        Absolute states as estimated for this instant; with ``[timing]`` as predicted for it.
     desired : ndarray, shape (R, m)
         Input that the preferred experimental controller wants, clipped to the limits [N].
     mode : ndarray of int, shape (R,)
@@ -89,7 +92,24 @@ class Option:
     meaning: str  # for the documentation, as is the default
     default: str
     values: tuple[float, ...]  # what the benchmark of the comparison page tries
-    unit: str = ""  # of those: "", "decisions", "per duration" or "of the duration" of the flight
+    unit: str = ""  # of those: "", "decisions", "per duration", "of the duration" or "half widths of Θ"
+    check: Callable[[str, Any], float] = number  # from field and value; raises `ScenarioError`
+
+
+BUFFER = Option(
+    "buffer",
+    "distance kept from perceived unsafe sets [m]",
+    "0",
+    (0.0, 0.2, 0.5),
+    "half widths of Θ",
+    partial(non_negative, unit="m"),
+)
+"""Keep-clear buffer: decisions are made against grown unsafe sets; S and its reference stay as they are."""
+
+
+def keep_clear(apart: float) -> Option:
+    """Return the option of a keep-clear buffer with another default (`Method.apart`)."""
+    return replace(BUFFER, default=f"{apart:g} {BUFFER.unit}")
 
 
 class Method(ABC):
@@ -98,9 +118,14 @@ class Method(ABC):
     Parameters
     ----------
     grid : DecisionGrid
+    buffer : float, optional
+        Distance that decisions keep from perceived unsafe sets [m], for methods with the option `BUFFER`;
+        default `apart` times the largest half width of the initial set in position.
 
     Attributes
     ----------
+    grid : DecisionGrid
+        With unsafe sets grown by the buffer.
     key, name : str
         On the command line, and for people.
     how : str
@@ -121,12 +146,14 @@ class Method(ABC):
         What it was tuned with.
     """
 
-    key: ClassVar[str]
+    key: str
     name: str
     how: ClassVar[str]
     proven: ClassVar[bool] = False
     reasons: ClassVar[tuple[str, ...]]
     options: ClassVar[tuple[Option, ...]] = ()
+    apart: ClassVar[float] = 0.0
+    """Default buffer in half widths of the initial set: chosen by ``benchmarks/comparison.py``."""
     delayed: ClassVar[bool] = True
     predicts: ClassVar[bool] = False
     place: ClassVar[int] = 100
@@ -138,9 +165,11 @@ class Method(ABC):
             METHODS.clear()
             METHODS.update(ordered)
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        self.grid = grid
-        self.settings: dict[str, float] = {}
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        self.buffer = self.apart * grid.half_width if buffer is None else BUFFER.check("buffer", buffer)
+        self.grid = grid.grown(self.buffer)
+        buffered = any(option.name == BUFFER.name for option in self.options)
+        self.settings: dict[str, float] = {BUFFER.name: self.buffer} if buffered else {}
 
     @classmethod
     def on(cls, grid: DecisionGrid, **options: Any) -> "Method":
@@ -180,8 +209,10 @@ class Latched(Method):
 
     reasons = ("inside", "leaving", "latched in S")
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
+    options = (BUFFER,)
+
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
         self._latched: NDArray[np.bool_] = np.zeros(0, dtype=bool)
 
     def start(self, runs: int) -> None:

@@ -52,10 +52,11 @@ class Recovery:
     grid: DecisionGrid
 
     @classmethod
-    def certified(cls, grid: DecisionGrid) -> "Recovery":
-        """The conditions, if the initial set meets them at the first node: what every proof starts from.
+    def certified(cls, grid: DecisionGrid, decided: DecisionGrid | None = None) -> "Recovery":
+        """Return the conditions if the initial set meets them at the first node, as every proof requires.
 
-        Raises `NotCertified` if it does not.
+        Those of `decided`, if given: a grid with grown unsafe sets, whose conditions imply those of `grid`.
+        Raises `NotCertified` if the initial set does not meet the conditions of `grid`.
         """
         found, start = cls(grid), grid.schedule.safety.start
         size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))
@@ -65,7 +66,7 @@ class Recovery:
                 "the initial set is not inside the first recoverable set of the run-time methods:"
                 f" it needs {share:.4g} of the room there"
             )
-        return found
+        return found if decided is None or decided is grid else cls(decided)
 
     @cached_property
     def sets(self) -> PolytopeSets:

@@ -160,15 +160,12 @@ def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def read_flights(
-    path: Path, keys: Iterable[str] = ("safety", "experimental", "polaris")
-) -> dict[str, Flights]:
-    """Read what `flight_arrays` gave of those that are in the file."""
+def read_flights(path: Path) -> dict[str, Flights]:
+    """Read what `flight_arrays` gave, by key."""
     arrays, out = read_arrays(path), {}
-    for key in keys:
-        if f"{key}_t_s" in arrays:
-            found: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
-            found["controller"] = str(arrays.get(f"{key}_controller", key))
-            found["labels"] = tuple(found["labels"].tolist())
-            out[key] = Flights(**found)
+    for key in [name.removesuffix("_t_s") for name in arrays if name.endswith("_t_s")]:
+        found: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
+        found["controller"] = str(arrays.get(f"{key}_controller", key))
+        found["labels"] = tuple(found["labels"].tolist())
+        out[key] = Flights(**found)
     return out

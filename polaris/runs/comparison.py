@@ -99,9 +99,14 @@ def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[s
             "statement": PROTOCOL,
         },
         "definitions": DEFINITIONS,
-        "methods": sorted(methods, key=lambda one: list(METHODS).index(str(one["key"]))),
+        "methods": sorted(methods, key=lambda one: _place(str(one["key"]))),
         "paired": comparison.paired(),
     }
+
+
+def _place(key: str) -> int:
+    """Return the place of a method in tables; each U alone is beside the preferred one."""
+    return list(METHODS).index(key if key in METHODS else "experimental")
 
 
 PROTOCOL = (
@@ -127,7 +132,7 @@ def _write(folder: Path, scenario: ScheduleScenario, comparison: Comparison) -> 
 
 def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
     table = read_json(folder / "comparison.json")
-    shown = read_flights(folder / "comparison.npz", [method["key"] for method in table["methods"]])
+    shown = read_flights(folder / "comparison.npz")
     return ComparisonPicture(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
 
 

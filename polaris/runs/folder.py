@@ -118,8 +118,8 @@ def save_folder(
 ) -> RunFolder:
     """Write a folder whose place has been checked: what the user put there since is kept beside it."""
     assert kind.write is not None
-    stages, clock = stages or Stages(), Stages()
-    clock.seconds |= stages.seconds
+    stages = stages or Stages()
+    clock = stages.beside()
     with replacing(target) as folder:
         stages.note("files")
         with clock.stage("files"):
@@ -128,12 +128,12 @@ def save_folder(
                 for file in scenario.files():
                     shutil.copyfile(file, folder / file.name)
             kind.write(folder, scenario, found)
-        _summarise(folder, kind, scenario, found, clock.seconds)
+        _summarise(folder, kind, scenario, found, clock.to_dict())
         if draw is not None:
             stages.note("figures")
             with clock.stage("figures"):
                 draw(RunFolder(folder, scenario, kind))
-            _summarise(folder, kind, scenario, found, clock.seconds)
+            _summarise(folder, kind, scenario, found, clock.to_dict())
     return RunFolder(target, scenario, kind)
 
 

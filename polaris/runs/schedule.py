@@ -47,6 +47,9 @@ from .picture import Picture, SlicePicture
 from .picturing import picture_of
 from .stages import Stages
 
+SYNTHESIS = ("safety controller", "schedule")
+"""Stages of the synthesis, whose parts a schedule times itself."""
+
 DATA_FILES = (
     SCENARIO,
     "schedule.csv",
@@ -92,6 +95,7 @@ def fly_schedule(
     scenario: ScheduleScenario, stages: Stages, boxes: Mapping[str, Ask] | None = None
 ) -> FlownSchedule:
     """Synthesise a schedule, prove it (or sample it, where black boxes fly), and fly it in simulation."""
+    scenario.check_black_boxes(boxes)
     with stages.stage("safety controller"):
         problem = scenario.problem()
         planner = replace(problem.planner, progress=stages.planner)
@@ -176,11 +180,7 @@ def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> No
 def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``summary.json``."""
     schedule, safety = found.schedule, found.schedule.safety
-    plan, stages, bound = safety.plan, dict(schedule.seconds), asdict(found.at_most)
-    # The schedule tells itself, part by part, how long the two stages of its synthesis took.
-    around = {name: time for name, time in seconds.items() if name not in ("safety controller", "schedule")}
-    if "experimental controllers" in around:
-        around["experimental"] = around.pop("experimental controllers")
+    plan, bound = safety.plan, asdict(found.at_most)
     return {
         **{key: item.metrics.summary() for key, item in found.flown.items()},
         "synthesis": {
@@ -203,12 +203,23 @@ def _tell(scenario: ScheduleScenario, found: FlownSchedule, seconds: Mapping[str
                 "margin_m": plan.margin,
                 "size": plan.stats,
             },
-            "seconds": {**stages, "total": sum(stages.values()), "plan_parts": plan.seconds, **around},
+            "seconds": {**_seconds(schedule, seconds), "plan_parts": plan.seconds},
         },
         "guarantee": guarantee(schedule),
         "definitions": DEFINITIONS,
         "seed": scenario.simulation.seed,
     }
+
+
+def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float]:
+    """Return wall times of the parts of the synthesis and of stages around it; they add up to ``total``."""
+    found, parts = dict(around), dict(schedule.seconds)
+    total, measured = found.pop("total"), [found.pop(name, 0.0) for name in SYNTHESIS]
+    total += 0.0 if any(measured) else sum(parts.values())  # a schedule made before anything was timed
+    named = {
+        name: parts.get(name, 0.0) + found.get(name, 0.0) for name in [*parts, *found] if name != "other"
+    }
+    return {**named, "other": total - sum(named.values()), "total": total}
 
 
 def _boxes(sampled: Sampled | None) -> dict[str, Any]:

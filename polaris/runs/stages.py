@@ -17,11 +17,12 @@ class Stages:
     Attributes
     ----------
     seconds : dict of str to float
-        Wall time by stage.
+        Wall time by stage; a stage named twice adds up.
     """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        self.begun = time.perf_counter()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -30,7 +31,18 @@ class Stages:
         try:
             yield
         finally:
-            self.seconds[name] = time.perf_counter() - begun
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun
+
+    def beside(self) -> Stages:
+        """Return stages that show nothing and go on from here, to time parts of a stage that is under way."""
+        found = Stages()
+        found.seconds, found.begun = dict(self.seconds), self.begun
+        return found
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the seconds of every stage, those outside of all (``other``) and the sum (``total``)."""
+        total = time.perf_counter() - self.begun
+        return {**self.seconds, "other": total - sum(self.seconds.values()), "total": total}
 
     def note(self, text: str, done: int = 0, total: int | None = None) -> None:
         """Take note of what the stage is doing, and how far it is if that is known."""

@@ -51,6 +51,14 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[st
         writer.writerows(map(strict, rows))
 
 
+def pilots(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return who flew, by key, as people call them; experimental controllers by name if there are several."""
+    alone = [key for key in summary if key.startswith("experimental")]
+    named = (f" ({summary[key]['controller']})" if len(alone) > 1 else "" for key in alone)
+    called = {"safety": "S alone", **{key: f"U alone{name}" for key, name in zip(alone, named, strict=True)}}
+    return {key: title for key, title in {**called, "polaris": "Polaris"}.items() if key in summary}
+
+
 def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
     """Mode, name and kind of every controller."""
     return [

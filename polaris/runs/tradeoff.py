@@ -89,6 +89,8 @@ def tradeoff(
         raise ScenarioError("share", share, "must be above 0 and at most 1")
     values = _named(prices)
     points, swept = _points(scenario, values, overrides), "printed" not in values
+    for point in points.values():
+        point.check_black_boxes(black_boxes)
     target = _take_up(f"runs/{scenario.name}-tradeoff" if out is None else out)
     with stages.stage("points"):
         every = [(target / name, one, swept, black_boxes) for name, one in points.items()]

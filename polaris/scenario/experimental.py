@@ -85,21 +85,13 @@ def build_controllers(
     boxes: Mapping[str, Ask | None],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
-    named = [spec.name for _, spec in model.controllers() if isinstance(spec, BlackBoxTable)]
-    for name in boxes:
-        if name not in named:
-            raise ScenarioError(
-                "black box", name, f"must be one of the scenario ({', '.join(named) or 'none'})"
-            )
     found: list[Controller] = []
     for path, spec in model.controllers():
         if not isinstance(spec, BlackBoxTable):
             found.append(_build(spec, path, safety, policies))
             continue
-        ask = boxes.get(spec.name)
-        if ask is None:
-            rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
-            raise ScenarioError(path, spec.name, rule)
+        ask = boxes[spec.name]
+        assert ask is not None  # checked by `ScheduleScenario.check_black_boxes`
         known = safety.problem.system, safety.reference, safety.tracking, ask
         found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
     return tuple(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,7 +164,21 @@ class ScheduleScenario(Scenario):
         """
         from .experimental import build_controllers
 
+        self.check_black_boxes(boxes)
         return build_controllers(self.model, safety, self.policies(), boxes or {})
+
+    def check_black_boxes(self, boxes: Mapping[str, Ask | None] | Collection[str] | None) -> None:
+        """Raise `ScenarioError` unless exactly the black boxes of the scenario are given, by their names."""
+        given = [name for name in boxes or () if not isinstance(boxes, Mapping) or boxes[name] is not None]
+        named = {spec.name: path for path, spec in self.model.controllers() if isinstance(spec, BlackBox)}
+        for name in given:
+            if name not in named:
+                rule = f"must be one of the scenario ({', '.join(named) or 'none'})"
+                raise ScenarioError("black box", name, rule)
+        for name, path in named.items():
+            if name not in given:
+                rule = "must be given where it is run: `polaris run --black-box NAME=COMMAND`, or from Python"
+                raise ScenarioError(path, name, rule)
 
     @property
     def asked(self) -> dict[str, Any]:

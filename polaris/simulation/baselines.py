@@ -1,4 +1,4 @@
-"""The safety controller alone, the experimental one alone, and Polaris, flown under the same conditions."""
+"""The safety controller alone, each experimental one alone, and Polaris, flown under the same conditions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -66,6 +66,11 @@ class Flown:
     flights: Flights
 
 
+def alone_key(mode: int) -> str:
+    """Return the key of an experimental controller alone: ``experimental``, ``experimental_2``, ..."""
+    return "experimental" if mode == 1 else f"experimental_{mode}"
+
+
 def fly_nominal(schedule: Schedule, mode: int | None, name: str) -> Flights:
     """One run from the centre of the initial set, undisturbed."""
     runs = simulate(schedule, 1, mode=mode, initial="center", disturbance="none", substeps=2)
@@ -77,7 +82,7 @@ def fly_nominal(schedule: Schedule, mode: int | None, name: str) -> Flights:
 def compare(
     schedule: Schedule, n: int = 100, seed: int = 0, progress: Callable[[int, int], None] | None = None
 ) -> dict[str, Flown]:
-    """Fly ``safety`` (S alone), ``experimental`` (the preferred U alone) and ``polaris`` n times each.
+    """Fly S alone, each U alone and Polaris n times each.
 
     Parameters
     ----------
@@ -94,12 +99,11 @@ def compare(
     Returns
     -------
     dict
-        Without ``experimental`` if the schedule knows no such controller.
+        By ``safety``, ``experimental`` (the preferred one), ``experimental_2`` and so on, ``polaris``.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
-    plans: dict[str, int | None] = {"safety": 0, "experimental": 1, "polaris": None}
-    if len(schedule.controllers) == 1:
-        del plans["experimental"]
+    alone = {alone_key(mode): mode for mode in range(1, len(schedule.controllers))}
+    plans: dict[str, int | None] = {"safety": 0, **alone, "polaris": None}
     out: dict[str, Flown] = {}
     for done, (key, mode) in enumerate(plans.items()):
         name = key if mode is None else schedule.controllers[mode].name

@@ -123,6 +123,7 @@ def with_boxes(
     progress: Callable[[int, int], None] | None = None,
 ) -> Sampled:
     """`synthesize_sampled` as a scenario wants it, with what is asked of its black boxes by their names."""
+    scenario.check_black_boxes(boxes)
     safety = get_safety(scenario) if safety is None else safety
     laws = scenario.controllers(safety, boxes)
     return synthesize_sampled(scenario, safety, laws, **scenario.asked, progress=progress)

@@ -2,7 +2,7 @@
 
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +40,11 @@ class Clock:
         now = time.perf_counter()
         self.laps[stage] = self.laps.get(stage, 0.0) + now - self._last
         self._last = now
+
+    def after(self, before: Mapping[str, float]) -> dict[str, float]:
+        """Return the stages of earlier work and those timed here; ``other`` is what passed since the last."""
+        self.lap("other")
+        return {name: before.get(name, 0.0) + self.laps.get(name, 0.0) for name in [*before, *self.laps]}
 
 
 class Attempts:

@@ -1,6 +1,5 @@
 """The choices that Algorithm 2 leaves: which controller comes first, how long it lasts, how many switches."""
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,6 +10,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import non_negative, of_kind, one_of, positive, whole
 from ..model.errors import ScenarioError
+from .attempts import Clock
 from .black_box import BlackBox
 from .controllers import Controller, TubeSegment
 from .get_safety import Safety
@@ -117,7 +117,9 @@ class Search:
     controllers: tuple[Controller, ...]
     rules: SwitchingRules
     progress: Callable[[int, int], None] | None = None
-    begun: float = field(default_factory=time.perf_counter)
+    clock: Clock = field(
+        default_factory=Clock
+    )  # of the whole synthesis, which searches made from this one share
     intended: tuple[int, ...] | None = None
     came: WeakKeyDictionary[Zonotope, tuple[Zonotope, int]] = field(default_factory=WeakKeyDictionary)
 
@@ -130,6 +132,7 @@ class Search:
         rules: SwitchingRules | None,
         progress: Callable[[int, int], None] | None,
         fits: bool = False,
+        clock: Clock | None = None,
     ) -> "Search":
         """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
 
@@ -152,7 +155,7 @@ class Search:
         if len(rules.weights) > len(experimental):
             rule = f"must be at most one per controller ({len(experimental)})"
             raise ScenarioError("schedule.weights", f"{len(rules.weights)} weights", rule)
-        return cls(safety, (safety.controller, *experimental), rules, progress)
+        return cls(safety, (safety.controller, *experimental), rules, progress, clock or Clock())
 
     def wanted(self, k: int) -> Sequence[int]:
         """Experimental controllers to try in step k: in order of preference, or the one that is intended."""
@@ -237,5 +240,4 @@ class Search:
         """The schedule that a complete branch stands for, with what it rests on."""
         if self.progress and self.rules.strategy == "greedy":
             self.progress(branch.k, branch.k)
-        seconds = {**self.safety.seconds, "schedule": time.perf_counter() - self.begun}
-        return Schedule(self.safety, self.controllers, branch.steps, branch.reached, seconds)
+        return Schedule(self.safety, self.controllers, branch.steps, branch.reached)

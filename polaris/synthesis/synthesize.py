@@ -1,6 +1,5 @@
 """Algorithm 2, Polaris: which controller flies when, decided before the flight."""
 
-import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -11,6 +10,7 @@ import numpy as np
 
 from ..model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ..planning.problem import Plan
+from .attempts import Clock
 from .controllers import AffineController, AnyThrust, Controller
 from .get_safety import LESSER, SHARES, Safety, find_safety, get_safety
 from .in_view import views
@@ -64,16 +64,23 @@ def synthesize(
     if isinstance(scenario, Safety):
         safety, scenario = scenario, scenario.problem
     recourse = safety is None if recourse is None else recourse
-    fits = safety is None
-    safety = get_safety(scenario) if safety is None else safety
-    search = Search.over(scenario, safety, experimental, rules, progress, fits)
+    fits, clock = safety is None, Clock()
+    if experimental is None and hasattr(scenario, "check_black_boxes"):
+        scenario.check_black_boxes(())
+    if safety is None:
+        safety = get_safety(scenario)
+        clock.lap("safety controller")
+        clock.laps["safety controller"] -= sum(safety.seconds.values())
+    search = Search.over(scenario, safety, experimental, rules, progress, fits, clock)
+    clock.lap("experimental controllers")
     in_view = recourse and safety.problem.recourse != "none"
     found = most_worthy(search, in_view)
     free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
     found = best_share(search, found, in_view) if free else found
     if found.powered is not None:
         found.powered.require()
-    return found
+        clock.lap("powered abort")
+    return replace(found, seconds=clock.after(safety.seconds))
 
 
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
@@ -86,18 +93,27 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     for share in shares if len(laws) == len(search.controllers) - 1 else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share))
+            search.clock.lap("thrust shares")
             turns = [law.along(safety.reference, safety.tracking) for law in laws]
             along = replace(search, safety=safety, controllers=(safety.controller, *turns))
             found.append(most_worthy(along, recourse))
     worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
-    return max(found, key=lambda schedule: worth.alone(schedule, recourse))
+    best = max(found, key=lambda schedule: worth.alone(schedule, recourse))
+    search.clock.lap("thrust shares")
+    return best
 
 
 def most_worthy(search: Search, recourse: bool) -> Schedule:
     """The schedule of one `Safety`, or with recourse the most worthy that it leads to."""
     printed = switching_logic(search)
+    search.clock.lap("schedule")
     found = with_recourse(search, printed) if recourse else printed
-    return found if search.rules.allow(found) else within_budget(search, [printed, found])
+    search.clock.lap("recourse")
+    if search.rules.allow(found):
+        return found
+    found = within_budget(search, [printed, found])
+    search.clock.lap("budget")
+    return found
 
 
 def switching_logic(search: Search) -> Schedule:
@@ -120,7 +136,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     then those proven safe for as long as the printed one, then those that are proven to arrive (`Worth`).
     While none keeps the budget, more are looked for at higher prices of velocity change.
     """
-    problem, begun = printed.safety.problem, time.perf_counter()
+    problem = printed.safety.problem
     known = AffineController, AnyThrust, NeuralController
     laws = [law for law in printed.controllers[1:] if isinstance(law, known)]
     if len(laws) < len(printed.controllers) - 1:
@@ -147,7 +163,6 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     claims = np.array([(*worth(one)[:3], one.safety.end.until) for one in (*found, best)], dtype=float)
     as_good = np.all(claims[:-1] >= claims[-1], axis=1)
     library = tuple(one for one, good in zip(found, as_good, strict=True) if good and one is not best)
-    seconds = {**printed.seconds, "recourse": time.perf_counter() - begun}
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
@@ -155,7 +170,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, seconds=seconds, library=library, worth=worth.plain)
+    return replace(best, library=library, worth=worth.plain)
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:

@@ -154,9 +154,9 @@ def export_run(
     folder : path
         A folder that ``polaris run`` or ``polaris compare`` wrote.
     pilot : str, optional
-        Whose flight. In a run folder: ``polaris`` (default), ``safety``, ``experimental``. In a comparison:
-        ``schedule`` (default), ``monitor``, ``asif_implicit``, ...; while an input is filtered, the mode is
-        unknown.
+        Whose flight. In a run folder: ``polaris`` (default), ``safety``, ``experimental`` (the preferred
+        one), ``experimental_2``, ... In a comparison: ``schedule`` (default), ``monitor``,
+        ``asif_implicit``, ...; while an input is filtered, the mode is unknown.
     label : str
         Which flight: ``closest``, ``nominal`` (not in a comparison), ``run 0``, ...
     nominal : bool

@@ -1,5 +1,6 @@
 """The command line: what it prints, where, and how it ends; and what importing the package costs."""
 
+import contextlib
 import json
 import re
 import signal
@@ -9,6 +10,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -21,8 +23,8 @@ from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasibl
 from polaris.planning.problem import Progress
 from polaris.report.figures import FIGURES, draw_figures
 from polaris.runs.stages import planner_line
-from polaris.scenario.doubts import doubts
 from polaris.scenario.scenario import bundled_files, load_scenario
+from polaris.scenario.scenario_warnings import scenario_warnings
 
 from .forging import QUARTER
 from .tiny import TINY, flown, synthesised
@@ -187,9 +189,57 @@ def test_slips_of_units_and_scale_are_noted(setting, told):
     assert done.exit_code == 0 and re.search(f"^note: .*{told}", done.stdout, re.M), done.output
 
 
+METRES = re.compile(r"_m$|^(center|half_widths|state|state_half_widths)$")
+
+
+def scaled(table, by, n):
+    """A table with every length multiplied, of states (position first) the first half."""
+    if isinstance(table, list):
+        return [scaled(item, by, n) for item in table]
+    if not isinstance(table, dict):
+        return table
+    out = {}
+    for key, value in table.items():
+        if METRES.search(key):
+            half = len(value) // 2 if isinstance(value, list) and not key.endswith("_m") else None
+            value = np.array(value, dtype=float)
+            value[... if half is None else slice(half)] *= by
+            out[key] = value.tolist()
+        else:
+            out[key] = scaled(value, by, n)
+    return out
+
+
+@pytest.mark.parametrize("name", ["static", "dynamic", "keep_out", "hold_point"])
+def test_lengths_in_another_unit_are_noted(name):
+    """All of them, those of the initial set, with and without its velocities, and those of each obstacle."""
+    scenario = load_scenario(name)
+    data, n = scenario.to_dict(), scenario.system().n
+    tables = ("initial_set", "goal", "obstacles", "keep_in", "planner", "orbit")
+    slips = {
+        f"all by {by:g}": {key: scaled(data[key], by, n) for key in tables if key in data}
+        for by in (1e-3, 1e3)
+    }
+    theta = data["initial_set"]
+    if theta["kind"] == "box":
+        slips["initial set"] = {"initial_set": scaled(theta, 1e-3, n)}
+        both = {key: (np.array(theta[key]) * 1e-3).tolist() for key in ("center", "half_widths")}
+        slips["initial set, with velocities"] = {"initial_set": theta | both}
+    for i, table in enumerate(data["obstacles"]):
+        slips[f"obstacle {i}"] = {f"obstacles[{i}]": scaled(table, 1e-3, n)}
+    rate, mass = data["system"]["mean_motion_rad_s"], data["system"]["mass_kg"]
+    slips["degrees"] = {"system.mean_motion_rad_s": float(np.degrees(rate)), "orbit": None}
+    slips["grams"] = {"system.mass_kg": 1e3 * mass}
+    silent = []
+    for slip, values in slips.items():
+        with contextlib.suppress(ScenarioError):  # refused altogether
+            silent += [] if scenario_warnings(scenario.with_overrides(values)) else [slip]
+    assert not silent
+
+
 def test_no_bundled_scenario_looks_like_a_slip():
     for name in polaris.bundled_scenarios():
-        assert doubts(load_scenario(name)) == []
+        assert scenario_warnings(load_scenario(name)) == []
 
 
 def test_a_run_notes_slips_on_standard_error(tmp_path, monkeypatch):

@@ -1,20 +1,30 @@
 """Run folders: what is in them, that it reads back, and that they are never half there."""
 
 import csv
+import itertools
 import json
 import math
+import re
 import shutil
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import polaris
+from polaris.certificate.checker import verify
 from polaris.cli.app import app
+from polaris.cli.show.schedule import show_summary
 from polaris.model.errors import ScenarioError
+from polaris.report import report_page
 from polaris.report.figures import draw_run
+from polaris.rta.arena import compare_methods
+from polaris.runs.comparison import write_comparison
 from polaris.runs.run import read_run
 from polaris.runs.schedule import DATA_FILES, write_run
+from polaris.scenario.scenario import load_scenario
 
+from .forging import QUARTER
 from .tiny import TINY, flown, synthesised
 
 
@@ -47,6 +57,84 @@ def test_same_seed_same_bytes_times_apart(folder, tmp_path):
     for summary in summaries:
         del summary["created"], summary["synthesis"]["seconds"]
     assert json.dumps(summaries[0]) == json.dumps(summaries[1])
+
+
+def belong_somewhere(seconds):
+    """Whether all times but the total add up to it, and none is negative but by rounding."""
+    named = [spent for stage, spent in seconds.items() if stage not in ("total", "plan_parts")]
+    return math.isclose(sum(named), seconds["total"], rel_tol=1e-9) and min(named) > -1e-6
+
+
+def test_every_second_belongs_to_a_stage_or_to_other(folder, tmp_path):
+    """As a run tells it, on the console too, and where a schedule made before is written."""
+    assert belong_somewhere(folder.summary["synthesis"]["seconds"])
+    out = tmp_path / "whole"
+    done = CliRunner().invoke(app, ["run", str(TINY), "--set", QUARTER, "--out", str(out), "--no-figures"])
+    seconds = load_strict(out / "summary.json")["synthesis"]["seconds"]
+    wanted = {
+        "bounds",
+        "plan",
+        "recoverable",
+        "recourse",
+        "schedule",
+        "bound",
+        "simulation",
+        "files",
+        "other",
+    }
+    assert belong_somewhere(seconds) and wanted <= set(seconds), done.output
+    text = " ".join(done.stdout.split())
+    total, stages = re.search(r"Time: ([\d.]+) s \((.*?)\)\.", text).groups()
+    shown = [float(stage.split()[-1]) for stage in stages.split(", ")]
+    assert sum(shown) == pytest.approx(float(total), abs=0.005 * (len(seconds) + 1))
+    short = polaris.run("inspection", tmp_path / "short", overrides=["flight.duration_s=5"])
+    assert belong_somewhere(short.summary["seconds"])
+
+
+@pytest.mark.parametrize("change", [QUARTER, "schedule.delta_v_max_m_s=5.3"])
+def test_stages_of_a_synthesis_follow_one_another(change, monkeypatch):
+    """By a clock that counts its readings: no reading is counted twice, none is left out."""
+    ticks = itertools.count()
+    monkeypatch.setattr("polaris.synthesis.attempts.time.perf_counter", lambda: float(next(ticks)))
+    scenario = load_scenario(TINY, [change])
+    first = next(ticks)
+    schedule = polaris.synthesize(scenario)
+    last = next(ticks)
+    assert first < sum(schedule.seconds.values()) + first < last
+    assert last - first - sum(schedule.seconds.values()) < 5
+
+
+def test_each_of_several_experimental_controllers_flies_alone_and_is_named(tmp_path, capsys):
+    """In the console's table, the summary, the files, the page, a comparison, and for the checker."""
+    more = {"kind": "any_thrust", "name": "pilot", "weight": 1.0}
+    tables = [more, *load_scenario(TINY).to_dict()["experimental"]]
+    scenario = load_scenario(TINY).with_overrides({"experimental": tables, "simulation.runs": 4})
+    schedule = polaris.synthesize(scenario)
+    run = write_run(tmp_path / "several", scenario, schedule)
+    alone = {"experimental": "pilot", "experimental_2": "hasty"}
+    assert {key: run.summary[key]["controller"] for key in alone} == alone
+    assert run.summary["experimental_2"]["collided"] and run.summary["experimental_2"]["switches"] == 0
+    assert list(run.picture().flights) == ["safety", *alone, "polaris"]
+    assert set(run.picture().flights["experimental_2"].modes.tolist()) == {2}
+    assert verify(run.path).outcome == "VERIFIED"
+    summary = json.loads((run.path / "summary.json").read_text(encoding="utf-8"))
+    del summary["experimental_2"]
+    forged = shutil.copytree(run.path, tmp_path / "forged")
+    (forged / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    assert verify(forged).outcome == "REJECTED"
+    shown = report_page(run)
+    compared = compare_methods(schedule, 2, methods=["experimental"])
+    assert list(compared.results) == list(alone)
+    folder = write_comparison(tmp_path / "compared", scenario, compared)
+    for name in alone.values():
+        told = f"U alone ({name})"
+        assert told in str({key: text for key, _, text in shown.sections}["numbers"])
+        assert told in [pilot["name"] for pilot in shown.data["pilots"]]
+        assert told in [method["name"] for method in folder.summary["methods"]]
+    assert {one.metrics.switches.max() for one in compared.results.values()} == {0}
+    show_summary(run.summary, "here")
+    words = capsys.readouterr().out
+    assert all(f"({name})" in words for name in alone.values())
 
 
 def test_summary_holds_the_promised_keys(folder):

@@ -20,6 +20,14 @@ from polaris.runs.run import read_run
 from tests.polaris.tiny import TINY, synthesised
 from tests.rta.scenes import corridor, robot, scene
 
+BUFFERED = (
+    "simplex_explicit",
+    "simplex_implicit",
+    "asif_explicit",
+    "asif_implicit",
+    "simulation",
+    "reachability",
+)
 FEW = ("safety", "experimental", "schedule", "monitor", "asif_implicit")
 
 
@@ -161,6 +169,7 @@ def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
     scenario, schedule = synthesised()
     tuning = {"monitor.reentry": 0.3, "monitor.dwell": 7.0, "asif_explicit.alpha": 0.3,
               "asif_implicit.slope": 0.5, "simulation.horizon": 2.0, "reachability.horizon": 3.0}  # fmt: skip
+    tuning |= {f"{key}.buffer": 0.1 for key in BUFFERED}
     keys = {name.split(".")[0] for name in tuning}
     comparison = compare_methods(schedule, 1, 0, methods=keys, tuning=tuning)
     table = write_comparison(tmp_path / "one", scenario, comparison).summary

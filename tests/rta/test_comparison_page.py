@@ -43,15 +43,23 @@ def test_the_page_holds_every_table():
 
 def test_defaults_are_what_the_sweep_of_the_page_says():
     swept, defaults = page.read_sweep(TABLES["sweep"])
-    assert set(swept) == set(page.SWEPT)
+    assert set(swept) == set(page.SWEPT) and page.RUNS == page.SWEPT_RUNS
+    rivals = set(METHODS) - {"safety", "experimental", "schedule", "monitor", "monitor_declared"}
+    assert rivals == {
+        key for key, one in METHODS.items() if any(each.name == "buffer" for each in one.options)
+    }
     tuned = {key for key, one in METHODS.items() if one.options}
     assert {name.partition(".")[0] for name in swept} | {"monitor_declared"} == tuned
     made = scene("robot")
     for full, values in swept.items():
-        assert tuple(values) == page.VALUES[full]
+        assert list(values) == page.VALUES[full]
         assert page.chosen(values) == defaults[full]
         method = METHODS[full.partition(".")[0]](made)
-        assert page.standing(made, method, page.SWEPT[full]) == pytest.approx(defaults[full]), full
+        for option, value in zip(page.SWEPT[full], defaults[full], strict=True):
+            assert page.standing(made, method, option) == pytest.approx(value), full
+            assert option is not page.BUFFER or option.default == "0" and value == 0
+            if option.name == "buffer" and value:
+                assert option.default == f"{value:g} {option.unit}"
     assert METHODS["monitor_declared"](made).settings == METHODS["monitor"](made).settings
 
 
@@ -60,13 +68,15 @@ def test_scenes_have_a_row_for_a_value_that_is_better_there():
     for name in page.SCENES:
         for full, values in swept.items():
             best, (key, _, option) = page.own(values, name), full.partition(".")
-            marked = [row for row in rows(TABLES[name]) if f", {option} " in row and made_by(row) == key]
+            marked = [row for row in rows(TABLES[name]) if f", {option} = " in row and made_by(row) == key]
             assert len(marked) == (best is not None), (name, full, best)
 
 
 def made_by(row):
     return {
         "Polaris online monitor": "monitor",
+        "Explicit simplex": "simplex_explicit",
+        "Implicit simplex": "simplex_implicit",
         "Explicit ASIF": "asif_explicit",
         "Implicit ASIF": "asif_implicit",
         "Look-ahead by simulation": "simulation",
@@ -75,7 +85,7 @@ def made_by(row):
 
 
 MONITOR, SCHEDULE, LIMITS = "Polaris online monitor", "Polaris schedule", "Polaris online monitor, U at"
-EXPLICIT, IMPLICIT = "Explicit ASIF", "Implicit ASIF"
+EXPLICIT, IMPLICIT, AHEAD = "Explicit ASIF", "Implicit ASIF", "Look-ahead by simulation"
 SHARE, COST, AWAY, NEAR = "Share of U", "Delta-v m/s", "Deviation", "Least distance m"
 SWITCHES, HITS = "Switches", "Violations"
 
@@ -87,13 +97,18 @@ def test_the_words_of_the_page_follow_from_its_tables():
         return value(name, one, column) / value(name, other, column)
 
     # Look-ahead.
-    assert all(value("static", row, HITS) for row in rows(TABLES["static"]) if row.startswith("Look-ahead"))
-    shares = [cells["static"].share for cells in swept["simulation.horizon"].values()]
-    assert shares == sorted(shares, reverse=True)
-    assert [value(name, "Forward reachability", HITS) for name in page.SCENES] == [1, 0, 0]
-    assert (
-        swept["reachability.horizon"][defaults["reachability.horizon"] / 2]["robot"].violations
-        == page.SWEPT_RUNS
+    for row in (AHEAD, "Forward reachability"):
+        assert [value(name, row, HITS) for name in page.SCENES] == [0, 0, 0]
+    ahead = swept["simulation.horizon, buffer"]
+    horizon, buffer = defaults["simulation.horizon, buffer"]
+    assert all(cells["static"].violations for (_, kept), cells in ahead.items() if not kept)
+    best = f"{AHEAD}, horizon, buffer = {horizon / 2:g} of the duration, {buffer:g} half widths of Θ"
+    assert (best in rows(TABLES["static"]), buffer * 3.0) == (True, pytest.approx(0.6))
+    assert value("static", best, HITS) == 0 and rows(TABLES["static"])[best]["Proven"] == "no"
+    assert value("static", best, SHARE) - value("static", MONITOR, SHARE) == pytest.approx(0.01, abs=0.005)
+    assert ratio("static", best, SCHEDULE, COST) == pytest.approx(1, abs=0.02)
+    assert all(
+        cells["robot"].violations == page.RUNS for (far, _), cells in ahead.items() if far == horizon / 2
     )
     # The monitor.
     for name in page.SCENES:
@@ -104,8 +119,10 @@ def test_the_words_of_the_page_follow_from_its_tables():
         assert 0.97 < ratio(name, MONITOR, SCHEDULE, COST) < (1.1 if name == "dynamic" else 1.03)
         assert value(name, MONITOR, NEAR) <= value(name, SCHEDULE, NEAR)
         assert 0 <= value(name, MONITOR, SWITCHES) - value(name, SCHEDULE, SWITCHES) < 1
-        reentry, dwell = ({at: cells[name] for at, cells in swept[f"monitor.{option}"].items()} for option in
-                          ("reentry", "dwell"))  # fmt: skip
+        reentry, dwell = (
+            {at: cells[name] for (at,), cells in swept[f"monitor.{option}"].items()}
+            for option in ("reentry", "dwell")
+        )
         left = {"static": 1.0, "dynamic": 0.55, "robot": 1 / 3}[name]
         assert reentry[0.1].switches < reentry[0.0].switches * left + 0.05
         assert reentry[0.0].share - reentry[0.1].share < 0.03
@@ -119,22 +136,29 @@ def test_the_words_of_the_page_follow_from_its_tables():
         assert ratio(name, EXPLICIT, MONITOR, COST) == pytest.approx(2, rel=0.1)
         assert 2 < ratio(name, EXPLICIT, MONITOR, AWAY) < 4.2
     assert ratio("robot", EXPLICIT, MONITOR, COST) < 1
-    clear = [cells["dynamic"].delta_v for cells in swept["asif_explicit.alpha"].values() if not hits(cells)]
+    filtered = swept["asif_explicit.alpha, buffer"]
+    clear = [cells["dynamic"].delta_v for (_, kept), cells in filtered.items() if not (kept or hits(cells))]
     assert 1.7 < max(clear) / min(clear) < 2
-    steepest = swept["asif_explicit.alpha"][max(swept["asif_explicit.alpha"])]
-    assert all(steepest[name].violations for name in page.SCENES)
+    steepest = [cells for (alpha, _), cells in filtered.items() if alpha == max(filtered)[0]]
+    assert all(cells[name].violations for cells in steepest for name in page.SCENES)
     for name in page.SCENES:
         assert ratio(name, IMPLICIT, MONITOR, COST) == pytest.approx(1, abs=0.03)
         more = value(name, IMPLICIT, SHARE) - value(name, MONITOR, SHARE)
         assert more == pytest.approx(0.03, abs=0.005) if name == "static" else more < 0
-        slopes = [cells[name] for cells in swept["asif_implicit.slope"].values()]
-        spent, shares = [one.delta_v for one in slopes][name == "static" :], [one.share for one in slopes]
+        slopes = [
+            cells[name] for (_, kept), cells in swept["asif_implicit.slope, buffer"].items() if not kept
+        ]
+        spent, shares = [one.delta_v for one in slopes], [one.share for one in slopes]
         assert spent == sorted(spent) and shares == sorted(shares)
     # Simplex.
     for name in page.SCENES:
         assert value(name, "Explicit simplex", SHARE) < 0.35 and value(name, "Implicit simplex", SHARE) < 0.35
-    assert value("robot", "Implicit simplex", HITS) == pytest.approx(page.RUNS / 2, abs=2)
-    assert value("static", "Implicit simplex", HITS) > 0
+    plain, *_, furthest = swept["simplex_implicit.buffer"].values()
+    assert plain["robot"].violations == pytest.approx(page.RUNS / 2, abs=2) and plain["static"].violations > 0
+    for name in page.SCENES:
+        assert furthest[name].violations == 0 == value(name, "Implicit simplex", HITS)
+        assert plain[name].share - furthest[name].share < 0.01
+    assert max(page.VALUES["simplex_implicit.buffer"]) == defaults["simplex_implicit.buffer"]
     proved = [row for name in page.SCENES for row in rows(TABLES[name]).values() if row["Proven"] == "yes"]
     assert proved and all(row[HITS] == "0" for row in proved)
 
@@ -195,9 +219,11 @@ def test_a_scenes_table_is_flown_again(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", page.SCENES)
 def test_the_sweep_is_flown_again(name, monkeypatch):
-    """But for the longest look-aheads, which take as long as all the rest."""
-    for key in ("simulation.horizon", "reachability.horizon"):
-        monkeypatch.setitem(page.VALUES, key, page.VALUES[key][:-1])
+    """But for the longest look-aheads, which take as long as all the rest, and the largest buffers."""
+    for key, options in page.SWEPT.items():
+        for i, most in ((i, {"horizon": 0.2, "buffer": 0.2}.get(one.name)) for i, one in enumerate(options)):
+            if most is not None and len(options) > 1:
+                monkeypatch.setitem(page.VALUES, key, [at for at in page.VALUES[key] if at[i] <= most])
     found = page.sweep({name: synthesize(load_scenario(name))}, page.SWEPT_RUNS)
     swept, _ = page.read_sweep(TABLES["sweep"])
     for key, values in found.items():

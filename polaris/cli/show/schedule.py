@@ -7,11 +7,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.tables import besides
+from ...runs.tables import besides, pilots
 from ...synthesis.recoverable import directed
 from . import RED, alarming, assume, say, show_table, table
-
-TITLES = {"safety": "S alone", "experimental": "U alone", "polaris": "Polaris"}
 
 ROWS = (
     ("least distance to an unsafe set", "min_distance_m", "{:.4g} m", "no unsafe set"),
@@ -31,9 +29,9 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     say(str(summary["title"]), "bold")
     show_table(_metrics(summary))
     synthesis, claim = summary["synthesis"], summary["guarantee"]
-    seconds, plan = synthesis["seconds"], synthesis["planner"]
-    parts = [name for name in ("bounds", "plan", "recoverable", "schedule") if name in seconds]
-    stages = ", ".join(f"{name} {seconds[name]:.2f}" for name in parts)
+    seconds, plan = dict(synthesis["seconds"]), synthesis["planner"]
+    total, _ = seconds.pop("total"), seconds.pop("plan_parts")
+    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items() if spent >= 0.005)
     clearance = directed(plan["margin_m"], ".4g")
     reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
     say(f"Plan: {_planned(plan)}, {reached}.")
@@ -45,7 +43,7 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
         told = "proven for anything within the thrust limits instead of black boxes"
         say(f"{synthesis['proven_share']:.1%} of the time is {told}.")
         say(_worst(synthesis["worst_found"]))
-    say(f"Synthesis: {seconds['total']:.2f} s ({stages}).")
+    say(f"Time: {total:.2f} s ({stages}).")
     proved = claim["kind"] != "none"
     say(f"Guarantee: {_claim(claim)}", "bold" if claim["kind"] == "proved" else RED)
     assume(claim["assumptions"] if proved else ())
@@ -115,9 +113,9 @@ def _goal(claim: Mapping[str, Any]) -> str:
 
 
 def _metrics(summary: Mapping[str, Any]) -> Table:
-    shown = [key for key in TITLES if key in summary]
-    runs = summary[shown[-1]]["runs"]
-    found = table(f"{counted(runs, 'simulated run')} each", *(TITLES[key] for key in shown))
+    shown = pilots(summary)
+    runs = summary["polaris"]["runs"]
+    found = table(f"{counted(runs, 'simulated run')} each", *shown.values())
     for title, key, form, absent in ROWS:
         values = [summary[who][key] for who in shown]
         found.add_row(title, *(absent if value is None else form.format(value) for value in values))

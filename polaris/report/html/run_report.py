@@ -10,7 +10,7 @@ from ...model.checks import counted
 from ...model.distances import stretches
 from ...runs.folder import RunFolder
 from ...runs.picture import Picture
-from ...runs.tables import besides
+from ...runs.tables import besides, pilots
 from ...synthesis.recoverable import directed
 from ..scene.palette import PILOTS, mode_colour
 from .page import Cell, Measure, Page, badge, macros, reading, table
@@ -34,12 +34,12 @@ def run_page(folder: RunFolder) -> Page:
     summary = folder.summary
     claim, recoverable = summary["guarantee"], str(summary["synthesis"]["recoverable"])
     proved = claim["kind"] == "proved"
-    picture = folder.picture()
-    flown = [
-        Flown(key, name, {"colour": colour, "dash": dash, "on": key == "polaris"}, picture.flights[key])
-        for key, (name, _, colour, dash) in PILOTS.items()
-        if key in picture.flights
-    ]
+    picture, flown = folder.picture(), []
+    for key, name in reversed(pilots(summary).items()):
+        _, _, colour, dash = PILOTS[key.partition("_")[0]]
+        colour = mode_colour(int(key.partition("_")[2] or 1)) if key.startswith("experimental") else colour
+        look = {"colour": colour, "dash": dash, "on": key == "polaris"}
+        flown.append(Flown(key, name, look, picture.flights[key]))
     return Page(
         str(summary["title"]),
         (loud(recoverable) if claim["kind"] == "none" else Markup()) + answers(summary, picture),
@@ -101,13 +101,13 @@ def _when(picture: Picture) -> str:
 
 def metrics(summary: Mapping[str, Any]) -> Markup:
     """Metrics of S alone, U alone and the schedule."""
-    who = [key for key in ("safety", "experimental", "polaris") if key in summary]
+    who = pilots(summary)
     rows = [
         [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in who)]
         for one in Measure.known(*(summary[name] for name in who))
         if one.key != "controller"
     ]
-    heads = ["", *(PILOTS[name][0] for name in who)]
+    heads = ["", *who.values()]
     return table("From simulated runs, under random and worst-case disturbances", heads, rows)
 
 
@@ -122,7 +122,7 @@ def synthesis(summary: Mapping[str, Any]) -> Markup:
         "clearance of the plan beyond the tube": Measure.of("margin_m").text(plan["margin_m"], proven=True),
         "velocity change of the plan": Measure.of("delta_v_m_s").text(plan["delta_v_m_s"]),
         "room left at the start": room + f", least at {found['start_limit']}",
-        "time of synthesis": Measure.of("total_s").text(found["seconds"]["total"]),
+        "time of the run": Measure.of("total_s").text(found["seconds"]["total"]),
     }
     return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows.items()])
 

@@ -7,6 +7,8 @@ filtered input is the nearest to the desired one with ``h' >= -alpha h`` for eve
 and errors of thrusters included. Where inputs move the position at once, ``h = d``.
 """
 
+from functools import partial
+
 import numpy as np
 
 from ...model.checks import positive
@@ -14,7 +16,7 @@ from ...model.errors import ScenarioError
 from ...model.obstacles import BallObstacle
 from ...model.system import Array
 from ..decision_grid import DecisionGrid
-from ..method import FILTERED, Choice, Method, Option, Seen
+from ..method import BUFFER, FILTERED, Choice, Method, Option, Seen
 from ..projection import FILTERED as SOLVED
 from ..projection import project
 
@@ -41,17 +43,20 @@ class ExplicitASIF(Method):
             "alpha",
             "slope of the class-K function: by what share per second a barrier may fall [1/s]",
             f"{SLOPE:g}, divided by the duration of the flight",
-            (1, 2, 5, 10, 20, 50, 100, 200, 1000),
+            (2, 5, 10, 20, 50, 200, 1000),
             "per duration",
+            partial(positive, unit="1/s"),
         ),
+        BUFFER,
     )
     reasons = ("desired input", "filtered", "no input satisfies all conditions: S")
 
-    def __init__(self, grid: DecisionGrid, alpha: float | None = None) -> None:
-        super().__init__(grid)
+    def __init__(self, grid: DecisionGrid, alpha: float | None = None, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        grid = self.grid
         duration = grid.last * grid.h
-        self.alpha = SLOPE / duration if alpha is None else positive("alpha", alpha, "1/s")
-        self.settings = {"alpha": self.alpha}
+        self.alpha = SLOPE / duration if alpha is None else self.options[0].check("alpha", alpha)
+        self.settings["alpha"] = self.alpha
         system = grid.system
         C, A = system.position, system.A
         self.direct = bool(np.any(C @ system.B))
@@ -142,7 +147,7 @@ class ExplicitASIF(Method):
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         normal = away / distance[:, None]
         relative = v - velocity
-        d = distance - ball.radius - np.linalg.norm(np.abs(system.position) @ half)
+        d = distance - ball.radius - self.buffer - np.linalg.norm(np.abs(system.position) @ half)
         closing = (relative * normal).sum(axis=1)
         if self.direct:
             return self._condition(x, normal, d, -(normal * velocity).sum(axis=1))

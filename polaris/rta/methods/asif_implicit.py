@@ -14,7 +14,7 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..decision_grid import DecisionGrid
-from ..method import FILTERED, Choice, Method, Option, Seen
+from ..method import BUFFER, FILTERED, Choice, Method, Option, Seen
 from ..projection import FILTERED as SOLVED
 from ..projection import project
 from ..prospect import Leg, Prospect
@@ -22,6 +22,13 @@ from ..recovery import Recovery, extended
 
 SLACK = 1e-6  # share of the room kept free for what the solver leaves unsatisfied
 UNLIMITED = 1e200  # room of a row that nothing limits
+
+
+def _slope(field: str, value: object) -> float:
+    """Check the share of the room of a row that one decision may use up."""
+    if positive(field, value, "") > 1:
+        raise ScenarioError(field, value, "must be above 0 and at most 1")
+    return float(value)  # type: ignore[arg-type]
 
 
 class ImplicitASIF(Method):
@@ -42,19 +49,19 @@ class ImplicitASIF(Method):
             "slope",
             "share of the room of a row that one decision may use up",
             "1",
-            (0.01, 0.03, 0.1, 0.3, 1.0),
+            (0.01, 0.1, 1.0),
+            check=_slope,
         ),
+        BUFFER,
     )
     reach = "state estimate within its error bound"
     reasons = ("desired input", "filtered", "no input is recoverable: S")
 
-    def __init__(self, grid: DecisionGrid, slope: float = 1.0) -> None:
-        super().__init__(grid)
-        self.slope = positive("slope", slope, "")
-        if self.slope > 1:
-            raise ScenarioError("slope", slope, "must be above 0 and at most 1")
-        self.settings = {"slope": self.slope}
-        self.recovery = Recovery.certified(grid)
+    def __init__(self, grid: DecisionGrid, slope: float = 1.0, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        self.slope = _slope("slope", slope)
+        self.settings["slope"] = self.slope
+        self.recovery = Recovery.certified(grid, self.grid)
         before = Leg.any_thrust(self.recovery) if grid.delay else None
         self.prospect = Prospect(self.recovery, before, Leg.held(self.recovery))
         # What an input of full thrust (per axis) held until the next moment of effect adds at its end.

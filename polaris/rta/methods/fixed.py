@@ -1,9 +1,8 @@
 """Methods that look at no measurement: one controller throughout, or the schedule of Algorithm 2."""
 
-from typing import ClassVar
-
 import numpy as np
 
+from ...simulation.baselines import alone_key
 from ..decision_grid import DecisionGrid
 from ..method import Choice, Claim, Method, Seen
 
@@ -13,7 +12,7 @@ class Alone(Method):
 
     reasons = ("flies alone",)
     delayed = False
-    mode: ClassVar[int]
+    mode: int
 
     @property
     def reach(self) -> str:
@@ -39,15 +38,16 @@ class SafetyAlone(Alone):
 
 
 class ExperimentalAlone(Alone):
-    """The preferred experimental controller throughout."""
+    """One experimental controller throughout, the preferred one by default."""
 
     key, name, place, mode = "experimental", "U alone", 1, 1
     how = "U flies throughout"
     reach = "nothing keeps the experimental controller away from unsafe sets"
 
-    def __init__(self, grid: DecisionGrid) -> None:
+    def __init__(self, grid: DecisionGrid, mode: int = 1) -> None:
         super().__init__(grid)
-        self.name = f"U alone ({grid.controllers[1].name})"
+        self.mode, self.key = mode, alone_key(mode)
+        self.name = f"U alone ({grid.controllers[mode].name})"
 
 
 class Precomputed(Alone):

@@ -11,6 +11,7 @@ is recoverable again.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,22 @@ REENTRIES, DWELLS = (0.0, 0.02, 0.05, 0.1, 0.2), (1, 3, 10, 30, 100)
 REENTRY = 0.1  # default of the share of the room to be left: chosen by ``benchmarks/comparison.py``
 
 
+_dwell = partial(whole, least=1)
+
+
+def _reentry(field: str, value: object) -> float:
+    """Check the share of the room that U must leave to take over from S."""
+    share = non_negative(field, value, "")
+    if share >= 1:
+        raise ScenarioError(field, value, "must be a share of the room, less than 1")
+    return share
+
+
 class Monitor(Method):
     """The online monitor as a method of the arena.
+
+    It judges the state at the decision's own instant. With ``[timing]`` it must be handed the state predicted
+    for that instant: the measured state, which is older, is outside of the bounds that the proof rests on.
 
     Parameters
     ----------
@@ -62,8 +77,16 @@ class Monitor(Method):
         " takes effect is recoverable ([more](online-monitor.md))"
     )
     options = (
-        Option("reentry", "share of the room that U must leave to take over from S", "0.1", REENTRIES),
-        Option("dwell", "decisions for which S keeps control once it has it", "1", DWELLS, "decisions"),
+        Option(
+            "reentry",
+            "share of the room that U must leave to take over from S",
+            "0.1",
+            REENTRIES,
+            check=_reentry,
+        ),
+        Option(
+            "dwell", "decisions for which S keeps control once it has it", "1", DWELLS, "decisions", _dwell
+        ),
     )
     reasons = ("U is recoverable", "U is not recoverable", "S keeps control: dwell or re-entry margin")
 
@@ -78,10 +101,8 @@ class Monitor(Method):
             rule = "must be 'thrust_limits' where faults are isolated late, unless decisions are made every"
             raise ScenarioError("trust", trust, f"{rule} control period, without latency")
         self.trust = trust
-        self.dwell = whole("dwell", dwell, 1)
-        self.reentry = non_negative("reentry", reentry, "")
-        if self.reentry >= 1:
-            raise ScenarioError("reentry", reentry, "must be a share of the room, less than 1")
+        self.dwell = _dwell("dwell", dwell)
+        self.reentry = _reentry("reentry", reentry)
         self.settings = {"reentry": self.reentry, "dwell": float(self.dwell)}
         self.modes = tuple(range(1, len(grid.controllers)))  # who may fly beside S, in order of preference
         self.chosen = ""

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...model.system import Array
 from ..decision_grid import DecisionGrid
-from ..method import Latched, Seen
+from ..method import Latched, Seen, keep_clear
 from ..prospect import Leg, Prospect
 from ..recovery import Recovery
 
@@ -29,9 +29,9 @@ class ExplicitSimplex(Latched):
     )
     reach = "state estimate within its error bound, U within the thrust limits"
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
-        self.recovery = Recovery.certified(grid)
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        self.recovery = Recovery.certified(grid, self.grid)
         leg = Leg.any_thrust(self.recovery)
         self.prospect = Prospect(self.recovery, leg if grid.delay else None, leg)
 
@@ -71,9 +71,12 @@ class ImplicitSimplex(Latched):
 
     key, name, place, predicts = "simplex_implicit", "Implicit simplex", 6, True
     how = "S is predicted, undisturbed, from where U would be at the next decision; latched"
+    options = (keep_clear(0.5),)
+    apart = 0.5
 
-    def __init__(self, grid: DecisionGrid) -> None:
-        super().__init__(grid)
+    def __init__(self, grid: DecisionGrid, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        grid = self.grid
         tracking, system = grid.tracking, grid.system
         normals, offsets, _ = grid.facets
         self.lags = len(tracking.transitions)

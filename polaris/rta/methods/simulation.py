@@ -3,8 +3,7 @@
 It does not ask whether S could still take over when that turns bad: this is what it is here to show.
 """
 
-from dataclasses import replace
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
@@ -12,16 +11,18 @@ from ...model.checks import positive
 from ...model.system import Array
 from ...synthesis.controllers import AffineController
 from ..decision_grid import DecisionGrid
-from ..method import Choice, Method, Option, Seen
+from ..method import Choice, Method, Option, Seen, keep_clear
 
+AHEAD = 0.2  # share of the flight that is looked ahead by default: chosen by ``benchmarks/comparison.py``
 LEAST = 20  # decisions that are looked ahead at least
 
 HORIZON = Option(
     "horizon",
     "how far it looks [s]",
-    f"0.4 of the flight, at least {LEAST} decisions",
+    f"{AHEAD:g} of the flight, at least {LEAST} decisions",
     (0.05, 0.1, 0.2, 0.4),
     "of the duration",
+    partial(positive, unit="s"),
 )
 
 
@@ -32,21 +33,22 @@ class Simulation(Method):
     ----------
     grid : DecisionGrid
     horizon : float, optional
-        How far it looks [s]; default `ahead` of the flight's duration, at least `LEAST` decisions.
+        How far it looks [s]; default `AHEAD` of the flight's duration, at least `LEAST` decisions.
+    buffer : float, optional
+        See `Method`.
     """
 
     key, name, place, predicts = "simulation", "Look-ahead by simulation", 9, True
     how = "one undisturbed flight of U over a share of the horizon keeps clear"
-    options = (HORIZON,)
+    options = (HORIZON, keep_clear(0.2))
+    apart = 0.2
     reasons = ("the predicted flight keeps clear", "the predicted flight enters an unsafe set")
-    ahead: ClassVar[float] = 0.4
-    """Share of the duration looked ahead by default: chosen by ``benchmarks/comparison.py``."""
 
-    def __init__(self, grid: DecisionGrid, horizon: float | None = None) -> None:
-        super().__init__(grid)
-        usual = max(self.ahead * grid.last * grid.h, LEAST * grid.period)
-        self.horizon = usual if horizon is None else positive("horizon", horizon, "s")
-        self.settings = {"horizon": self.horizon}
+    def __init__(self, grid: DecisionGrid, horizon: float | None = None, buffer: float | None = None) -> None:
+        super().__init__(grid, buffer)
+        usual = max(AHEAD * grid.last * grid.h, LEAST * grid.period)
+        self.horizon = usual if horizon is None else HORIZON.check("horizon", horizon)
+        self.settings["horizon"] = self.horizon
         sampled, fastest = grid.tracking.feedback.sampled, grid.fastest
         # A tenth of the fastest time constant, at least one node.
         self.stride = 1 if sampled or fastest == 0 else max(int(0.1 / fastest / grid.h), 1)
@@ -103,14 +105,10 @@ class ForwardReachability(Simulation):
 
     key, name, place = "reachability", "Forward reachability of U", 10
     how = "U's reachable set over a share of the horizon keeps clear"
-    options = (
-        replace(HORIZON, meaning="the same", default=f"0.2 of the flight, at least {LEAST} decisions"),
-    )
     reasons = ("U's reachable set keeps clear", "U's reachable set touches an unsafe set")
-    ahead = 0.2
 
-    def __init__(self, grid: DecisionGrid, horizon: float | None = None) -> None:
-        super().__init__(grid, horizon)
+    def __init__(self, grid: DecisionGrid, horizon: float | None = None, buffer: float | None = None) -> None:
+        super().__init__(grid, horizon, buffer)
         self.spread = self._spread()
 
     def _spread(self) -> Array:

@@ -35,7 +35,8 @@ class Measurement:
     Attributes
     ----------
     stamp : float
-        When the state was like this [s], counted from the start of the plan.
+        The time [s] that the state is for, counted from the start of the plan: that of the measurement, or
+        that which it was predicted for. With ``[timing]`` a measured state with a later stamp is no proof.
     state : array_like, shape (n,)
     half_widths : array_like, shape (n,), or None
         Bound on the error, entry by entry; None: the scene's.

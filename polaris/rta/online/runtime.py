@@ -109,7 +109,8 @@ class OnlineMonitor:
         now : float
             The clock [s], counted from the start of the plan.
         measurement : Measurement or None
-            The newest there is, not newer than the decision's instant.
+            The newest there is, not newer than the decision's instant; with ``[timing]`` the state predicted
+            for that instant. One with an earlier stamp is predicted here, under any thrust.
         applied : array_like, shape (m,) or (2, m), optional
             Input since the instant of the last call: held, or its least and largest values [N]. By
             default nothing but the limits is known.

@@ -136,12 +136,17 @@ class CampaignFolder:
         return self.path / "failed" / f"case-{case:04d}.json"
 
 
+def check_place(out: str | Path) -> Path:
+    """Return the absolute path of a folder where a campaign may begin or go on; `ScenarioError` if not."""
+    return check_target(out, campaign=(Path(out) / MANIFEST).is_file())
+
+
 def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> CampaignFolder:
     """Make a folder for a campaign, or take up the one that is there; `ScenarioError` if something else is.
 
     What is half written is removed, and failures that more time might change are forgotten.
     """
-    path = Path(out).resolve()
+    path = check_place(out)
     table = usable(plan.kind.formats)
     listed = (read_list(path) if path.is_dir() else None) or {}
     if listed and MANIFEST not in listed:

@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,6 +149,7 @@ def make_cases(
     scenarios: Sequence[str | ScheduleScenario],
     grid: Mapping[str, Sequence[Any]] | None = None,
     overrides: Sequence[str] = (),
+    boxes: Collection[str] | None = None,
 ) -> tuple[Case, ...]:
     """Every scenario with every combination of the grid's values.
 
@@ -160,11 +161,14 @@ def make_cases(
         Values by key, as in ``{"planner.extra_margin_m": [10, 20]}``; the last key changes fastest.
     overrides : sequence of str
         Texts ``key=value`` that hold in all cases.
+    boxes : collection of str, optional
+        Names of the black boxes that will be given; not checked by default.
 
     Raises
     ------
     ScenarioError
-        If there is no such scenario, a value is not valid in it, or two cases are the same.
+        If there is no such scenario, a value is not valid in it, two cases are the same, or one has other
+        black boxes.
     """
     if isinstance(scenarios, (str, Scenario)):
         raise ScenarioError("scenarios", type(scenarios).__name__, "must be a list of scenarios, even of one")
@@ -182,8 +186,10 @@ def make_cases(
         common = dict(map(parse_assignment, overrides))
         for combination in itertools.product(*values.values()):
             chosen = dict(zip(values, combination, strict=True))
-            text = loaded.with_overrides({**common, **chosen}).text_elsewhere()  # some need each other
-            found.append(Case(loaded.name, tuple(chosen.items()), text))
+            changed = loaded.with_overrides({**common, **chosen})  # some need each other
+            if boxes is not None:
+                changed.check_black_boxes(boxes)
+            found.append(Case(loaded.name, tuple(chosen.items()), changed.text_elsewhere()))
     if len({case.text for case in found}) < len(found) or not found:
         raise ScenarioError("scenarios", [case.label for case in found], "must be different cases")
     return tuple(found)
