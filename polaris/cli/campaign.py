@@ -90,7 +90,7 @@ def campaign_command(
     plan = _plan(loaded, options, list(asked.commands), stages)
     names = {case.scenario for case in plan.cases}
     out = options.out or (f"runs/{names.pop()}-campaign" if len(names) == 1 else "runs/campaign")
-    check_place(out)
+    check_place(out, fresh=not options.resume)
     with asked.running() as boxes, crew as executor, stages.stage("runs"):
         stages.note("waiting for the first batch")
         progress, plan = stages.counting("{:,} of {:,} runs"), plan.asking(boxes)

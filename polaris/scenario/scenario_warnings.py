@@ -54,7 +54,8 @@ def _scales(scenario: ScheduleScenario, system: LinearSystem, size: float) -> li
     lengths = {}
     for path, part in scenario.model.scene_parts():
         if (state := getattr(part, "state", None)) is not None:
-            wide[path], speeds[path] = np.array(part.state_half_widths), float(np.linalg.norm(V @ state))
+            wide[path] = np.array(getattr(part, "state_half_widths", ()))
+            speeds[path] = float(np.linalg.norm(V @ state))
         elif (velocity := getattr(part, "velocity_m_s", None)) is not None:
             speeds[path] = float(np.linalg.norm(velocity))
         if (length := getattr(part, "radius_m", None) or getattr(part, "half_widths_m", None)) is not None:

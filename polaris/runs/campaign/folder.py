@@ -136,9 +136,15 @@ class CampaignFolder:
         return self.path / "failed" / f"case-{case:04d}.json"
 
 
-def check_place(out: str | Path) -> Path:
-    """Return the absolute path of a folder where a campaign may begin or go on; `ScenarioError` if not."""
-    return check_target(out, campaign=(Path(out) / MANIFEST).is_file())
+def check_place(out: str | Path, fresh: bool) -> tuple[Path, bool]:
+    """Return the absolute path of a campaign and True if it begins there; `ScenarioError` if it cannot."""
+    path = Path(out).resolve()
+    listed = (read_list(path) if path.is_dir() else None) or {}
+    if listed and MANIFEST not in listed:
+        raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
+    if fresh or not listed:
+        check_target(out, (MANIFEST, "summary.json"), campaign=True)
+    return path, fresh or not listed
 
 
 def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> CampaignFolder:
@@ -146,13 +152,9 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
 
     What is half written is removed, and failures that more time might change are forgotten.
     """
-    path = check_place(out)
+    path, begins = check_place(out, fresh)
     table = usable(plan.kind.formats)
-    listed = (read_list(path) if path.is_dir() else None) or {}
-    if listed and MANIFEST not in listed:
-        raise ScenarioError("--out", str(out), "is a run folder; a campaign needs one of its own")
-    if fresh or not listed:
-        check_target(out, (MANIFEST, "summary.json"), campaign=True)
+    if begins:
         with replacing(path) as beside:
             for name in ("runs", "failed"):
                 (beside / name).mkdir()
