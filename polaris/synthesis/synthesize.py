@@ -107,8 +107,10 @@ def most_worthy(search: Search, recourse: bool) -> Schedule:
     """The schedule of one `Safety`, or with recourse the most worthy that it leads to."""
     printed = switching_logic(search)
     search.clock.lap("schedule")
-    found = with_recourse(search, printed) if recourse else printed
-    search.clock.lap("recourse")
+    found = printed
+    if recourse:
+        found = with_recourse(search, printed)
+        search.clock.lap("recourse")
     if search.rules.allow(found):
         return found
     found = within_budget(search, [printed, found])
