@@ -5,7 +5,7 @@ from typing import Any, Literal
 import typer
 from typer import Argument, Option
 
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import REFUTED, Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
 @verb("run")
@@ -23,10 +23,11 @@ def run(
     figures: Figures = True,
     as_json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
 
     A scenario of the inspection problem is flown under its filter instead; many flights, on all processors.
+    One flight that violates a constraint or its fuel limit ends with exit code 5.
     """
     from .console import ShownStages
 
@@ -52,6 +53,7 @@ def run(
             warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
             typer.echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
     finish(folder, figures, as_json, quiet)
+    return 0 if folder.summary.get("safe", True) else REFUTED
 
 
 @verb("check")

@@ -110,7 +110,8 @@ DEFINITIONS = {
     "filter_seconds": "wall time of one answer for all deputies",
     "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], "
     "per axis and minute: of what was applied, and of what was wanted within the thrust limits",
-    "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
+    "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy; delta_v_max_m_s is "
+    "the tank's, which no barrier keeps",
 }
 
 
@@ -155,6 +156,7 @@ def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, floa
         "barriers": least_rows(flown.barriers),
         "steps": steps(run.status),
         "delta_v_m_s": spent,
+        "delta_v_max_m_s": run.inspection.delta_v_max,
         "smoothness": {
             name: smoothness(u, run.t, run.inspection.thrust_max)
             for name, u in (("applied", run.u), ("wanted", run.desired))

@@ -7,12 +7,13 @@ from collections.abc import Collection
 
 import numpy as np
 
+from ...model.checks import of_kind
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
 from ..constraints.allowable_set import KINDS
 from ..vectors import dot, length
 from .brake import Brake, turned
-from .tube import TOLERANCE
+from .tube import TOLERANCE, VARIATION
 
 SUPPORTS = 16  # most steps towards the nearest point of a patch of free flights; each gives a valid bound
 NEAR = 5.0  # bounds of free flights [m] up to which they are looked at closely
@@ -33,7 +34,9 @@ class AllTime:
     """
 
     def __init__(self, brake: Brake, sun_start: float = 0.0, without: Collection[str] = ()) -> None:
+        of_kind("brake", brake, Brake)
         self.brake, self.inspection, self.sun_start = brake, brake.inspection, sun_start
+        self.without = tuple(without)
         q = self.inspection
         self.approach = ClosestApproach(q.mean_motion, q.passive_time)
         self._circle = circle_map(q.mean_motion)
@@ -85,12 +88,14 @@ class AllTime:
         # Held, a deputy turns about z: each axis of the plane comes to have its whole speed.
         along[-1, :, :2] = n * length(x[-1, :, :2])[:, None]
         axes = q.speed_max**2 - ((along + slip[..., None]).max(axis=0) + jolt[:N, None]) ** 2
-        u = np.abs(brake.thrusts(x)).max(axis=2)
+        u = brake.thrusts(x)
+        varied = length(np.diff(u, axis=0)).sum(axis=0) + 4 * np.sqrt(3) * q.thrust_max  # at its ends, too
+        u = np.abs(u).max(axis=2)
         thrust = np.minimum(q.thrust_max - u[0], brake.available - u[1:].max(axis=0, initial=0.0))
         held = brake.holding * length(x[-1, :, :3])
         thrust = np.minimum(thrust, brake.available - held) + TOLERANCE
         # The tube counts what holding misses up to r_max; farther out, where phi6 is left out, it is none.
-        thrust[length(x[-1, :, :3]) > q.distance_max] = -np.inf
+        thrust[(length(x[-1, :, :3]) > q.distance_max) | (varied > VARIATION * q.thrust_max)] = -np.inf
         passive = self._passive(z, wide, bow_hill, jolt, radius)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
         ways = 1 if old is None else 3

@@ -166,12 +166,14 @@ class Families(Table):
 
         For sampled data they hold for every thrust, or, if it is given, for a thrust `held` (..., N, 3) [N].
         """
-        q = self.inspection
+        q, sun = self.inspection, np.asarray(sun, dtype=float)
+        if x.shape[-2:] != (q.deputies, 6):
+            raise ScenarioError("x", x.shape, f"must have shape (..., {q.deputies}, 6), one row per deputy")
         if self.loops:
-            return self._by_loops(plain(x), np.asarray(sun, dtype=float), held)
+            return self._by_loops(plain(x), sun, held)
         every = self.stack(x)
         drift = every @ q.system.A.T
-        sun = np.asarray(sun)[..., None]
+        sun = sun[..., None]
         motion = self._motion(every, drift, held)
         shape = (*x.shape[:-2], len(self.family))
         h, rate, M = np.empty(shape), np.empty(shape), np.zeros(shape)

@@ -6,11 +6,12 @@ proven before is flown on. Proofs are in ``docs/inspection-theory.md``, section 
 """
 
 from abc import abstractmethod
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.checks import non_negative, whole
+from ...model.checks import non_negative, of_kind, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import Answer, CallByCall, Switch, named
@@ -18,7 +19,9 @@ from ...rta.received import Received
 from ..backup.all_time import AllTime
 from ..backup.planner import Planner, Proven
 from ..constraints.families import Families
+from ..constraints.motion import SampledData
 from ..vectors import length
+from .asif import ActiveSetFilter
 from .explicit import Centralized, Decentralized
 
 Some = NDArray[np.bool_]
@@ -29,37 +32,75 @@ FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a t
 
 
 class Assured(CallByCall):
-    """What the four filters share: the plan that is proven, and that nothing is applied before its rest is.
+    """Base of the four filters: they apply nothing before a plan after it is proven.
 
-    ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins``
+    ``status``: "desired", "filtered", "backup" (some fly their plan), or that of the recovery. ``margins``
     are lower bounds, over all time, of the constraints along what will be flown if the backup takes over
-    after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a
-    plan has been proven, as long as the states are known within their bounds and calls come each period;
-    without errors of any kind states may be missing, too. ``log`` holds the switches of filters that latch.
+    after the period. ``log`` holds the switches of filters that latch.
+
+    `Decision.unproven` is false once a plan has been proven, as long as states are known within their
+    bounds and calls come in time, within `Uncertainty.jitter`. A deputy whose state is not known flies its
+    plan. Where everything is exact that is proven too, until the error that grows without feedback exceeds
+    `Tube.astray`: for about a minute on end (`polaris.rta.received.MEMORY`).
+
+    Where no plan is proven, as from outside of the constraints, the answer is that of the `recovery` filter,
+    unproven, until a plan is proven.
+
+    Parameters
+    ----------
+    planner : Planner
+    recovery : Centralized or Decentralized, optional
+        Default: `Centralized`, preset ``linear``, for sampled data.
+
+    Raises
+    ------
+    ScenarioError
+        If an argument is of another kind, or the recovery is for another problem, period or other families.
     """
 
-    def __init__(self, planner: Planner) -> None:
+    def __init__(self, planner: Planner, recovery: Centralized | Decentralized | None = None) -> None:
+        of_kind("planner", planner, Planner)
         self.planner, self.brake, self.check = planner, planner.brake, planner.check
         self.inspection, self.period = self.brake.inspection, self.brake.period
-        super().__init__(self.inspection, self.period)
+        late = 2 * self.brake.uncertainty.jitter
+        if recovery is None:
+            sampled = SampledData(self.period + late)
+            recovery = Centralized(Families(self.inspection, "linear", self.check.without, sampled))
+        of_kind("filtering", recovery, Centralized | Decentralized)
+        self._check_families(recovery.families)
+        tightened = recovery.families.sampled
+        if tightened and not -1e-9 * self.period <= tightened.period - self.period <= late + 1e-9:
+            rule = f"must be the planner's, {self.period:g} s, or up to {late:g} s more"
+            raise ScenarioError("filtering.families.sampled.period", tightened.period, rule)
+        self.recovery = ActiveSetFilter(recovery, sun_start=self.check.sun_start)
+        super().__init__(self.inspection, self.period, late)
         self.log: list[Switch] = []
-        self.take_over(None, np.nan)
+        self._applied = np.zeros((self.inspection.deputies, 3))
+        self._astray = np.zeros((self.inspection.deputies, 2))
+        self.take_over(None)
 
-    def take_over(self, plan: Proven | None, t: float) -> None:
-        """From the time t [s] on a plan is flown that has been proven."""
-        self.plan, self._due = plan, t
+    def _check_families(self, families: Families) -> None:
+        """Refuse families of another problem than the planner's."""
+        of_kind("families", families, Families)
+        if families.inspection != self.inspection:
+            rule = "must be the planner's problem: the same deputies and parameters"
+            raise ScenarioError("families.inspection", families.inspection, rule)
+
+    def take_over(self, plan: Proven | None) -> None:
+        """Fly a plan that has been proven, from its time on."""
+        self.plan, self._followed = plan, np.ones(self.inspection.deputies, dtype=bool)
 
     @abstractmethod
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
         """Thrust (N, 3) and whose of it is to be tried; the others fly their plan."""
 
     def _refused(self, got: Received, who: Some, reason: str) -> None:
-        """Those whose proposal is not proven."""
+        """Take note of those whose proposal is not proven."""
         return
 
     def _answer(self, got: Received) -> Answer:
         notes: list[str] = []
-        kept = self._kept(got, notes)
+        now, (got, kept, within) = got, self._kept(got, notes)
         if kept is None and not got.estimated.any():
             every = np.ones(len(got.u), dtype=bool)
             return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
@@ -69,43 +110,71 @@ class Assured(CallByCall):
         backup = self.brake.follow(x, kept.plan)
         able = got.known & got.given
         proposed, who = self._proposal(got, able, backup)
-        u, found, flown = self._tried(got, x, proposed, who & able, backup, kept)
-        # A state that is not known is where its plan has it, if that was proven and nothing else acts.
-        # So is none that begins anew, where others may go on as before.
-        sure = found.good and not alone and bool((got.known | (sure & self.brake.uncertainty.exact)).all())
+        u, found, flown = self._tried(got, now, x, proposed, who & able, backup, kept)
+        # Nobody who begins anew is sure of others, who may go on as before.
+        sure = found.good and not alone and bool(within.all())
         if not sure:
             notes.append("no plan is known to be safe for all time")
-        after, tube = self.planner.extended(found, 3)
-        self.take_over(found._replace(plan=after[1:], tube=tube[1:]) if sure else None, got.t + self.period)
         labels = np.array(self.check.labels)
         active = tuple(labels[found.margins < 0].tolist()) if not found.good else ()
-        intervened = (u != got.wanted).any(axis=1) | ~able
-        none, margins = np.zeros(len(u), dtype=bool), named(self.check.labels, found.margins)
-        return Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
+        margins = named(self.check.labels, found.margins)
+        after, tube = self.planner.extended(found, 3)
+        later = Proven(after[1:], tube[1:], found.margins, found.t + self.period)
+        self.take_over(later if found.good else None)
+        self._followed = got.known & within
+        if found.good:
+            none, intervened = np.zeros(len(u), dtype=bool), (u != got.wanted).any(axis=1) | ~able
+            answer = Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
+        else:
+            recovery = self.recovery.decide(now)
+            notes += recovery.notes
+            answer = replace(recovery, margins=margins, notes=notes, active=active, unproven=True)
+        error, change = np.where(flown[:, None], 0.0, x - found.plan[0]), length(answer.u - self._applied)
+        change *= abs(now.t - got.t) / self.inspection.mass
+        self._astray = self.brake.tube.ahead(self._astray, got.known, error, change)
+        self._applied = answer.u
+        return answer
 
-    def _kept(self, got: Received, notes: list[str]) -> Proven | None:
-        """The plan that was proven, from now on; None where there is none, or a state is not within it."""
-        plan = self.plan
-        if plan is None or abs(got.t - self._due) > 1e-6 * self.period:
-            return None
-        if (self.near(got.x, plan) | ~got.known).all():
-            return plan
-        notes.append("a state is farther from its plan than is possible")
-        return None
+    def _kept(self, got: Received, notes: list[str]) -> tuple[Received, Proven | None, Some]:
+        """Return the call as of the time at which it was due, the plan, and who is surely within its tube.
+
+        No plan where there is none, the call is out of time, or a state is known not to be within the tube.
+        """
+        plan, tolerance = self.plan, max(self.brake.uncertainty.jitter, 1e-6 * self.period)
+        if plan is None or not abs(got.t - plan.t) <= tolerance:
+            return got, None, got.known
+        moved = got
+        if got.t != plan.t:  # where the thrust of the period before leads, or came from
+            Phi, Gamma = self.inspection.held(plan.t - got.t)
+            moved = replace(got, t=plan.t, x=got.x @ Phi.T + self._applied @ Gamma.T)
+        if not (self.near(moved.x, plan) | ~got.known).all():
+            notes.append("a state is farther from its plan than is possible")
+            return got, None, got.known
+        off, most = length((moved.x - plan.plan[0]).reshape(-1, 2, 3)), self.brake.tube.astray
+        within = (self._astray <= most).all(axis=1)
+        within |= got.known & (self._followed | (off <= most).all(axis=1))
+        return (got, None, got.known) if got.known.all() and not within.all() else (moved, plan, within)
 
     def near(self, x: Array, plan: Proven) -> Some:
-        """Whether estimates (N, 6) are as near to their plans as what is not known allows."""
-        off, error = np.abs(x - plan.plan[0]), self.brake.uncertainty.estimate
+        """Return whose estimates (N, 6) are as near to their plans as what is not known allows."""
+        off, error = np.abs(x - plan.plan[0]), self.brake.estimate
         near = length(off[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
         return np.asarray(near & (length(off[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))
 
+    def _find(self, got: Received, now: Received, x: Array, u: Array, kept: Proven, who: Some) -> Proven:
+        """A plan after thrust u; where nobody keeps the one there was, from the time of the call."""
+        if who.all() and not self.planner.mixed:
+            return self.planner.find(now.t, now.x, u)
+        before = None if now.t == got.t else self._applied
+        return self.planner.find(got.t, x, u, kept, ~who, before)
+
     def _tried(
-        self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
+        self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
     ) -> Tried:
         """The proposal of as many as it is proven for."""
         while who.any():
             u = np.where(who[:, None], proposed, backup)
-            found = self.planner.find(got.t, x, u, kept, ~who)
+            found = self._find(got, now, x, u, kept, who)
             if found.good:
                 return u, found, who
             concerned = _concerned(self.check, found.margins < 0, len(who)) & who
@@ -127,7 +196,7 @@ class Explicit(Assured):
     """
 
     def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
-        super().__init__(planner)
+        super().__init__(planner, filtering)
         self.filtering = filtering
 
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
@@ -151,16 +220,16 @@ class Implicit(Assured):
         return np.where(able[:, None], got.u, backup), able
 
     def _tried(
-        self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
+        self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
     ) -> Tried:
-        u, found, passed = super()._tried(got, x, proposed, who, backup, kept)
+        u, found, passed = super()._tried(got, now, x, proposed, who, backup, kept)
         back = who & ~passed
         low, high = 0.0, 1.0
         for _ in range(HALVINGS if back.any() else 0):
             share = (low + high) / 2
             part = np.where(back[:, None], backup + share * (proposed - backup), proposed)
             part = np.where(who[:, None], part, backup)
-            tried = self.planner.find(got.t, x, part, kept, ~who)
+            tried = self._find(got, now, x, part, kept, who)
             if tried.good:
                 u, found, passed, low = part, tried, who, share
             else:
@@ -235,6 +304,7 @@ class SimplexExplicit(_Latching):
         super().__init__(planner, dwell)
         if release < margin:
             raise ScenarioError("release", release, "must be at least the margin")
+        self._check_families(families)
         self.families, self._least = families, (margin, release)
         self._parts = self.period * np.arange(1, whole("looks", looks, 1) + 1) / looks
         self._moves = [self.inspection.held(float(part)) for part in self._parts]
