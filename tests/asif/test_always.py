@@ -17,9 +17,10 @@ from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
-from polaris.inspection.filters.assured import Explicit, Implicit, SimplexExplicit, SimplexImplicit
+from polaris.inspection.filters.assured import Explicit, Implicit
 from polaris.inspection.filters.explicit import Centralized, Decentralized
 from polaris.inspection.filters.member import Member
+from polaris.inspection.filters.simplex import SimplexExplicit, SimplexImplicit
 from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError

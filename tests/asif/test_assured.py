@@ -14,9 +14,10 @@ from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
-from polaris.inspection.filters.assured import Explicit, Implicit, SimplexExplicit
+from polaris.inspection.filters.assured import Explicit, Implicit
 from polaris.inspection.filters.explicit import Centralized, Decentralized, make_filter
 from polaris.inspection.filters.member import Member
+from polaris.inspection.filters.simplex import SimplexExplicit
 from polaris.inspection.inspection import Inspection
 from polaris.model import compiled
 from polaris.model.errors import ScenarioError

@@ -13,8 +13,9 @@ from polaris.inspection.backup.brake import Brake
 from polaris.inspection.backup.planner import Planner
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
-from polaris.inspection.filters.assured import Explicit, Implicit, SimplexExplicit, SimplexImplicit
+from polaris.inspection.filters.assured import Explicit, Implicit
 from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.filters.simplex import SimplexExplicit, SimplexImplicit
 from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
 from polaris.report.figures import flight

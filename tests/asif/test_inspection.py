@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polaris.inspection.constraints.allowable_set import FAMILIES
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.strengthening import PRESETS, Strengthening, evaluate
+from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS, Strengthening, evaluate
 from polaris.inspection.filters.explicit import Decentralized
 from polaris.inspection.inspection import Inspection
 from polaris.inspection.vectors import CENTRE

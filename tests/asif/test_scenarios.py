@@ -9,9 +9,9 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema
-from polaris.inspection.constraints.allowable_set import CONSTRAINTS, FAMILIES
+from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.strengthening import PRESETS
+from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS
 from polaris.inspection.filters.explicit import Filtered
 from polaris.inspection.flights.judge import judge
 from polaris.inspection.flights.simulation import Flights, fly_one

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polaris.inspection.constraints.allowable_set import CONSTRAINTS
+from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.flights.simulation import BACKUP, smoothness
 from polaris.rta.projection import SHORT
 from polaris.runs.inspection import JudgedRun, fly_flight

@@ -8,9 +8,10 @@ from collections.abc import Collection
 import numpy as np
 
 from ...model.checks import of_kind
+from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
-from ..constraints.allowable_set import KINDS
+from ..constraints.constraint import KINDS
 from ..vectors import dot, length
 from .brake import Brake, turned
 from .tube import TOLERANCE, VARIATION
@@ -38,6 +39,9 @@ class AllTime:
         self.brake, self.inspection, self.sun_start = brake, brake.inspection, sun_start
         self.without = tuple(without)
         q = self.inspection
+        if q.constraints:
+            rule = "are not proven for all time: only barrier filters keep constraints of one's own"
+            raise ScenarioError("constraints", [one.label for one in q.constraints], rule)
         self.approach = ClosestApproach(q.mean_motion, q.passive_time)
         self._circle = circle_map(q.mean_motion)
         every = np.arange(q.deputies)
@@ -46,7 +50,7 @@ class AllTime:
         single = [*both[0], "phi6", "phi3", "phi9", "phi10", "phi11", "thrust"]
         rows = [(name, *place) for name in single for place in alone]
         rows += [(name, *pair) for name in both[1] for pair in q.pairs]
-        left_out = {name for family in without for name in KINDS[family].phi}
+        left_out = {name for name, kind in KINDS.items() if kind.family in without}
         self._counted = np.array([row[0].rstrip("+-") not in left_out for row in rows])
         rows = [row for row, counted in zip(rows, self._counted, strict=True) if counted]
         self.first, self.second = (np.array([row[k] for row in rows], dtype=np.intp) for k in (1, 2))
