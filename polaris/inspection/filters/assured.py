@@ -28,6 +28,8 @@ Some = NDArray[np.bool_]
 Tried = tuple[Array, Proven, Some]  # thrust, what is known of it, and whose proposal it is
 
 HALVINGS = 6  # halvings of the way from the backup's thrust to the wanted one
+RETURN = 10.0
+"""Time [s] in which `Explicit` goes back from a plan to what it proposes; less is rougher."""
 FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s
 
 
@@ -186,28 +188,6 @@ class Assured(CallByCall):
         return backup, kept, who
 
 
-class Explicit(Assured):
-    """The nearest thrust that keeps every barrier (eq. 5), where a plan after it is proven.
-
-    Parameters
-    ----------
-    planner : Planner
-    filtering : Centralized or Decentralized
-    """
-
-    def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
-        super().__init__(planner, filtering)
-        self.filtering = filtering
-
-    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
-        q = self.inspection
-        wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
-        sun = q.sun_angle([got.t], self.check.sun_start)
-        found = self.filtering.batch(got.x[None], sun, wanted[None])
-        good = np.isfinite(found.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
-        return np.where(good[:, None], found.u[0], backup), good
-
-
 class Implicit(Assured):
     """What is wanted, and otherwise as far on the way to it, from the backup's thrust, as is proven.
 
@@ -236,7 +216,45 @@ class Implicit(Assured):
                 u, found, passed, low = part, tried, who, share
             else:
                 high = share
+        self._cut(back, low)
         return u, found, passed
+
+    def _cut(self, who: Some, share: float) -> None:
+        """Take note of those who were proven for a share of the way only."""
+        return
+
+
+class Explicit(Implicit):
+    """The nearest thrust that keeps every barrier (eq. 5), where a plan after it is proven.
+
+    Otherwise as far on the way to it as is proven, and from there back to it within `RETURN`: a deputy that
+    takes turns with its plan has its thrust change from period to period. Not in a group that loses messages,
+    whose members must answer the same to the same messages.
+
+    Parameters
+    ----------
+    planner : Planner
+    filtering : Centralized or Decentralized
+    """
+
+    def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
+        super().__init__(planner, filtering)
+        self.filtering, self._share = filtering, np.ones(self.inspection.deputies)
+
+    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
+        q = self.inspection
+        wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
+        sun = q.sun_angle([got.t], self.check.sun_start)
+        found = self.filtering.batch(got.x[None], sun, wanted[None])
+        good = np.isfinite(found.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
+        u, share = np.where(good[:, None], found.u[0], backup), self._share[:, None]
+        u = np.where(share < 1, backup + share * (u - backup), u)
+        self._share = np.minimum(self._share + self.period / RETURN, 1.0)
+        return u, good
+
+    def _cut(self, who: Some, share: float) -> None:
+        if not self.planner.mixed:
+            self._share[who] *= share
 
 
 def concerned(rows: AllTime | Families, chosen: Some, deputies: int) -> Some:
