@@ -4,7 +4,20 @@ from typing import Any, Literal
 
 from typer import Argument, Option
 
-from .shell import Assignments, BlackBoxes, Figures, Force, Json, Name, Quiet, drawing, echo, finish, verb
+from .shell import (
+    REFUTED,
+    Assignments,
+    BlackBoxes,
+    Figures,
+    Force,
+    Json,
+    Name,
+    Quiet,
+    drawing,
+    echo,
+    finish,
+    verb,
+)
 
 
 @verb("run")
@@ -22,10 +35,11 @@ def run(
     figures: Figures = True,
     as_json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
 
     A scenario of the inspection problem is flown under its filter instead; many flights, on all processors.
+    One flight that violates a constraint or its fuel limit ends with exit code 5.
     """
     from .console import ShownStages
 
@@ -51,6 +65,7 @@ def run(
             warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
             echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
     finish(folder, figures, as_json, quiet)
+    return 0 if folder.summary.get("safe", True) else REFUTED
 
 
 @verb("check")

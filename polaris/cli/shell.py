@@ -31,7 +31,8 @@ app = typer.Typer(
     name="polaris",
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
     epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
-    " 5 a counterexample, a bound or a certificate that does not hold, 6 a certificate not decided,"
+    " 5 a counterexample, a bound or a certificate that does not hold, an inspection flight that violates"
+    " a constraint, 6 a certificate not decided,"
     " 7 one that rests on samples."
     " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
     rich_markup_mode=None,  # markup swallows [m/s] or <scenario>
@@ -39,7 +40,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-REFUTED = 5  # exit code: a counterexample was found, or a declared bound does not hold
+REFUTED = 5  # exit code: a counterexample was found, a declared bound does not hold, a flight was not safe
 
 # -- options ----------------------------------------------------------------------------------------
 

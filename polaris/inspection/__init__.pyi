@@ -6,6 +6,8 @@ from .backup.tracker import Tracker as Tracker
 from .backup.tube import Tube as Tube
 from .backup.tube import Uncertainty as Uncertainty
 from .constraints.allowable_set import allowable as allowable
+from .constraints.constraint import Constraint as Constraint
+from .constraints.constraint import Evaluation as Evaluation
 from .constraints.families import Families as Families
 from .constraints.families import Rows as Rows
 from .constraints.motion import SampledData as SampledData
@@ -13,14 +15,15 @@ from .constraints.strengthening import Strengthening as Strengthening
 from .filters.asif import ActiveSetFilter as ActiveSetFilter
 from .filters.assured import Explicit as Explicit
 from .filters.assured import Implicit as Implicit
-from .filters.assured import SimplexExplicit as SimplexExplicit
-from .filters.assured import SimplexImplicit as SimplexImplicit
+from .filters.build import build_filter as build_filter
 from .filters.explicit import Centralized as Centralized
 from .filters.explicit import Decentralized as Decentralized
 from .filters.explicit import Filtered as Filtered
 from .filters.fuel import FuelLimit as FuelLimit
 from .filters.member import Member as Member
 from .filters.member import Message as Message
+from .filters.simplex import SimplexExplicit as SimplexExplicit
+from .filters.simplex import SimplexImplicit as SimplexImplicit
 from .flights.blocks import Outcome as Outcome
 from .flights.blocks import fly_block as fly_block
 from .flights.fuel_run import FuelRun as FuelRun

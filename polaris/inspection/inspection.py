@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from reach.numerics.linear import discretize
 
-from ..model.checks import number, positive, whole
+from ..model.checks import number, of_kind, positive, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import Array, LinearSystem
+from .constraints.constraint import CONSTRAINTS, Constraint
+from .constraints.strengthening import FAMILIES
 from .vectors import CENTRE
 
 MOST_DEPUTIES = 50  # most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints
@@ -57,6 +59,8 @@ class Inspection:
     smoothing : float
         Depth [m] of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
         are replaced by a line; it costs half of it in distance.
+    constraints : tuple of Constraint
+        Of one's own, beside phi1 to phi11.
 
     Raises
     ------
@@ -80,6 +84,7 @@ class Inspection:
     speed_max: float = 1.0
     thrust_max: float = 1.0
     smoothing: float = 0.1
+    constraints: tuple[Constraint, ...] = ()
 
     def __post_init__(self) -> None:
         whole("deputies", self.deputies, 1)
@@ -96,6 +101,14 @@ class Inspection:
         if self.passive_time * self.mean_motion > np.pi:
             rule = "must be at most half an orbit"
             raise ScenarioError("passive_time", self.passive_time, f"{rule}, {np.pi / self.mean_motion:g} s")
+        labels = [*CONSTRAINTS, *FAMILIES]
+        for one in self.constraints:
+            of_kind("constraints", one, Constraint)
+            if not one.label or one.label in labels:
+                raise ScenarioError(
+                    "constraints", one.label, "must have labels, each different, not the paper's"
+                )
+            labels.append(one.label)
         self._check_directions()
         self._check_authority()
 

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Collection
+from types import UnionType
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,10 +88,11 @@ def halfspaces(field: str, H: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     return np.asarray(rows / peak / length), np.asarray(scaled)
 
 
-def of_kind(field: str, value: object, kind: type, made_by: str) -> None:
+def of_kind(field: str, value: object, kind: type | UnionType, made_by: str = "") -> None:
     """Check what an argument is; `made_by` says where such a thing comes from."""
     if not isinstance(value, kind):
-        rule = f"must be a {kind.__name__}, as {made_by} returns"
+        names = " or a ".join(one.__name__ for one in get_args(kind) or (kind,))
+        rule = f"must be a {names}" + (f", as {made_by} returns" if made_by else "")
         raise ScenarioError(field, type(value).__name__, rule)
 
 

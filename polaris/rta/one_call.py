@@ -124,11 +124,11 @@ class Answer:
 class CallByCall(ABC):
     """A `RunTimeFilter`: takes in each call, has a subclass decide, words the decision, remembers the thrust.
 
-    The period [s] is the longest time for which an answer may be held; default any.
+    The period [s] is the time for which an answer is held; default any. A call may be `late` [s].
     """
 
-    def __init__(self, craft: Craft, period: float | None) -> None:
-        self._receiver = Receiver(craft, period)
+    def __init__(self, craft: Craft, period: float | None, late: float = 0.0) -> None:
+        self._receiver = Receiver(craft, period, late)
 
     def filter(self, t: float, x: ArrayLike, u_des: ArrayLike | None) -> Decision:
         """Decide on the inputs of the next control period; see `RunTimeFilter`."""

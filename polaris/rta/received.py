@@ -103,11 +103,11 @@ class Receiver:
       what was remembered is forgotten: no state is propagated across it;
     - one later than the period for which the last answer was made is told, and by two periods is a break.
 
-    The period [s] is the longest time for which an answer may be held; default any.
+    The period [s] is the time for which an answer is held; default any. A call may be `late` [s].
     """
 
-    def __init__(self, craft: Craft, period: float | None = None) -> None:
-        self.craft, self.period = craft, period
+    def __init__(self, craft: Craft, period: float | None = None, late: float = 0.0) -> None:
+        self.craft, self.period, self.late = craft, period, late
         N, (n, m) = craft.deputies, craft.held(1.0)[1].shape
         self._every, self._none = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
         self._every.flags.writeable = self._none.flags.writeable = False
@@ -185,7 +185,7 @@ class Receiver:
         if passed > MEMORY:
             return now, f"the time jumps by {passed:g} s", False
         self._step = passed
-        if self.period is None or passed <= self.period * (1 + 1e-6):
+        if self.period is None or passed <= self.period * (1 + 1e-6) + self.late:
             return now, None, True
         told = f"called after {passed:g} s: the last answer was for {self.period:g} s"
         return now, told, passed < 2 * self.period

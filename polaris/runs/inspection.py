@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inspection.constraints.allowable_set import allowable
+from ..inspection.constraints.constraint import KINDS
 from ..inspection.flights.judge import JudgedRun, Least, judge
 from ..inspection.flights.simulation import BACKUP, UNPROVEN, Flights, InspectionRun, fly_one, smoothness
 from ..rta.projection import DESIRED, FAILED, FILTERED, SHORT
@@ -80,19 +81,7 @@ def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
     return InspectionRun(q, **read_held(arrays, ARRAYS))
 
 
-MEANING = {
-    "phi1": ("separation from the chief", "m"),
-    "phi2": ("separation of deputies", "m"),
-    "phi3": ("dynamic speed limit", "m/s"),
-    "phi4": ("sun keep-out, towards the chief", "rad"),
-    "phi5": ("sun keep-out, towards a deputy", "rad"),
-    "phi6": ("keep-in zone", "m"),
-    "phi7": ("free flight past the chief", "m"),
-    "phi8": ("free flight of deputies", "m"),
-    "phi9": ("velocity limit, radial", "m^2/s^2"),
-    "phi10": ("velocity limit, along-track", "m^2/s^2"),
-    "phi11": ("velocity limit, cross-track", "m^2/s^2"),
-}
+MEANING = {name: (kind.meaning, kind.unit) for name, kind in KINDS.items()}
 """What each constraint is, and its unit."""
 
 BARRIER_UNIT = {"passive": "m", "deputy_passive": "m", "velocity": "m^2/s^2"}
@@ -110,7 +99,8 @@ DEFINITIONS = {
     "filter_seconds": "wall time of one answer for all deputies",
     "smoothness": "changes of sign from one period to the next, and the sum of all changes of thrust [N], "
     "per axis and minute: of what was applied, and of what was wanted within the thrust limits",
-    "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy",
+    "delta_v_m_s": "sum of the absolute thrusts over mass and time (eq. 25), per deputy; delta_v_max_m_s is "
+    "the tank's, which no barrier keeps",
 }
 
 
@@ -118,6 +108,7 @@ def assumptions(scenario: FlightScenario) -> list[str]:
     """What a claim about a flight rests on."""
     known, flight = scenario.uncertainty(), scenario.model.flight
     delay = scenario.model.timing.delay_s
+    late = f", earlier or later by at most {known.jitter:g} s" if known.jitter else ""
     how = f"as predicted over {delay:g} s" if delay else "without delay"
     state, push, thrust = f"exactly and {how}", "without disturbance", "exactly"
     if known.estimate.any():
@@ -132,7 +123,7 @@ def assumptions(scenario: FlightScenario) -> list[str]:
         f"the motion is that of the Clohessy-Wiltshire equations, {push}",
         f"every deputy's state is known {state}",
         f"the thrust is applied {thrust}, and held for the control period",
-        f"the filter is asked every {flight.period_s:g} s",
+        f"the filter is asked every {flight.period_s:g} s{late}",
     ]
 
 
@@ -155,6 +146,7 @@ def _tell(scenario: FlightScenario, flown: JudgedRun, seconds: Mapping[str, floa
         "barriers": least_rows(flown.barriers),
         "steps": steps(run.status),
         "delta_v_m_s": spent,
+        "delta_v_max_m_s": run.inspection.delta_v_max,
         "smoothness": {
             name: smoothness(u, run.t, run.inspection.thrust_max)
             for name, u in (("applied", run.u), ("wanted", run.desired))

@@ -1,19 +1,16 @@
 """Models of the tables of a scenario that describe a filter: strengthening functions, kinds of filter."""
 
-from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
-from ..inspection.backup.all_time import AllTime
 from ..inspection.backup.brake import Brake
-from ..inspection.backup.planner import Planner
 from ..inspection.backup.tube import Uncertainty
 from ..inspection.constraints.families import Families
 from ..inspection.constraints.motion import SampledData
 from ..inspection.constraints.strengthening import Strengthening
-from ..inspection.filters.assured import Explicit, Implicit, SimplexExplicit, SimplexImplicit
+from ..inspection.filters.build import build_filter
 from ..inspection.filters.explicit import CENTRALIZED, make_filter
 from ..inspection.flights.simulation import BatchFilter, OneFlight
 from ..inspection.inspection import Inspection
@@ -61,8 +58,9 @@ class StrengtheningTable(ScenarioPart):
 
     preset: f.Text = unit("-", default="polaris")
     """Named set. `afrl-one`, `afrl-five`: those of the library the paper's authors published, in its code for
-    one deputy and for five. `afrl`: the latter's, with the keep-in zone of the former. `polaris`: as `afrl`
-    with quicker velocity limits. `linear`: 0.3 h throughout, for conditions that hold between samples."""
+    one deputy and for five. `afrl`: the latter's, with the keep-in zone of the former. `linear`: 0.3 h
+    throughout. `polaris`: `linear` where conditions hold between samples, else `afrl` with quicker velocity
+    limits."""
     chief_separation: Alpha | None = _alpha("h1, separation from the chief")
     deputy_separation: Alpha | None = _alpha("h2, separation of two deputies")
     speed: Alpha | None = _alpha("h3, dynamic speed limit")
@@ -88,7 +86,8 @@ class BarrierFilter(ScenarioPart):
         self, q: Inspection, alpha: Mapping[str, Strengthening], period: float, unknown: Uncertainty
     ) -> BatchFilter:
         """The filter, for a control period [s]; it takes everything for exact."""
-        sampled = SampledData(period, self.sampled_data_share) if self.sampled_data else None
+        longest = period + 2 * unknown.jitter
+        sampled = SampledData(longest, self.sampled_data_share) if self.sampled_data else None
         families = Families(q, alpha, self.without, sampled)
         return make_filter(families, getattr(self, "sharing", CENTRALIZED))
 
@@ -111,6 +110,7 @@ class DecentralizedFilter(BarrierFilter):
 class AssuredFilter(ScenarioPart):
     """A filter that applies nothing before a plan after it is proven safe for all time: brake, and hold."""
 
+    kind: str
     without: tuple[Family, ...] = unit("-", "Kinds of constraint that are left out.", default=())
 
     def build(
@@ -121,13 +121,15 @@ class AssuredFilter(ScenarioPart):
         self.start(brake, alpha, 0.0)
         return OneFlight(lambda sun: self.start(brake, alpha, sun), watched, period)
 
-    def planner(self, brake: Brake, sun: float) -> Planner:
-        """What plans and proves, from an angle of the sun [rad] on."""
-        return Planner(AllTime(brake, sun, self.without))
-
-    @abstractmethod
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """The filter of one flight, from an angle of the sun [rad] on."""
+        shared = {"sun_start": sun, "without": self.without, "brake": brake, **self.options}
+        return build_filter(self.kind, brake.inspection, strengthening=alpha, **shared)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `build_filter` is told besides."""
+        return {}
 
 
 class ExplicitFilter(AssuredFilter):
@@ -139,21 +141,16 @@ class ExplicitFilter(AssuredFilter):
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
     """Part of a constraint's value that may be lost in one period; less is calmer."""
 
-    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
-        """See `AssuredFilter.start`."""
-        sampled = SampledData(brake.period, self.sampled_data_share)
-        families = Families(brake.inspection, alpha, self.without, sampled)
-        return Explicit(self.planner(brake, sun), make_filter(families, self.sharing))
+    @property
+    def options(self) -> dict[str, Any]:
+        """See `AssuredFilter.options`."""
+        return {"sharing": self.sharing, "share": self.sampled_data_share}
 
 
 class ImplicitFilter(AssuredFilter):
     """As much of what is wanted as a plan is proven for."""
 
     kind: Literal["implicit"] = unit("-", "As near to what is wanted as a proven plan allows.")
-
-    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
-        """See `AssuredFilter.start`."""
-        return Implicit(self.planner(brake, sun))
 
 
 class _Switching(AssuredFilter):
@@ -173,10 +170,11 @@ class SimplexExplicitFilter(_Switching):
     looks: f.Whole = unit("-", default=2, ge=1, le=100)
     """Instants of the coming period at which the barriers are looked at."""
 
-    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
-        """See `AssuredFilter.start`."""
-        families, limits = Families(brake.inspection, alpha, self.without), (self.margin, self.release)
-        return SimplexExplicit(self.planner(brake, sun), families, *limits, self.dwell_s, self.looks)
+    @property
+    def options(self) -> dict[str, Any]:
+        """See `AssuredFilter.options`."""
+        limits = {"margin": self.margin, "release": self.release}
+        return {**limits, "dwell": self.dwell_s, "looks": self.looks}
 
 
 class SimplexImplicitFilter(_Switching):
@@ -186,10 +184,11 @@ class SimplexImplicitFilter(_Switching):
     release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
     release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
 
-    def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
-        """See `AssuredFilter.start`."""
-        release = self.release_distance_m, self.release_speed_m_s
-        return SimplexImplicit(self.planner(brake, sun), *release, self.dwell_s)
+    @property
+    def options(self) -> dict[str, Any]:
+        """See `AssuredFilter.options`."""
+        release = {"release_distance": self.release_distance_m, "release_speed": self.release_speed_m_s}
+        return {**release, "dwell": self.dwell_s}
 
 
 Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]

@@ -9,7 +9,7 @@ from ..inspection.backup.tracker import Tracker
 from ..inspection.backup.tube import Uncertainty
 from ..inspection.constraints.allowable_set import allowable
 from ..inspection.constraints.families import Families
-from ..inspection.constraints.strengthening import PRESETS, Strengthening
+from ..inspection.constraints.strengthening import PRESETS, Strengthening, preset
 from ..inspection.enmt import Ellipses
 from ..inspection.flights.primary import LQR, NoInput, Phases, Primary
 from ..inspection.flights.sampling import InitialConditions
@@ -59,14 +59,13 @@ class FilteredScenario(InspectionScenario):
 
     model: models.InspectionModel | models.MonteCarloModel
 
-    @kept
-    def strengthening(self) -> dict[str, Strengthening]:
-        """The functions alpha, for every family."""
+    def strengthening(self, sampled: bool = True) -> dict[str, Strengthening]:
+        """The functions alpha, for every family, of conditions between samples or at samples only."""
         table = self.model.strengthening
         if table.preset not in PRESETS:
             rule = f"must be one of {', '.join(map(repr, PRESETS))}{did_you_mean(table.preset, PRESETS)}"
             raise ScenarioError("strengthening.preset", table.preset, rule)
-        chosen = dict(PRESETS[table.preset])
+        chosen = preset(table.preset, sampled)
         for family in chosen:
             given: Alpha | None = getattr(table, family)
             if given is not None:
@@ -80,11 +79,12 @@ class FilteredScenario(InspectionScenario):
 
     def filter(self, spec: FlightFilter, period: float) -> BatchFilter:
         """The filter that a table describes."""
-        return spec.build(self.inspection(), self.strengthening(), period, self.uncertainty())
+        alpha = self.strengthening(getattr(spec, "sampled_data", True))
+        return spec.build(self.inspection(), alpha, period, self.uncertainty())
 
     def uncertainty(self) -> Uncertainty:
         """What is not known exactly; nothing, where the scenario has no tables of it."""
-        return Uncertainty()
+        return Uncertainty(jitter=0.0)
 
     def _check_filter(self, path: str, spec: FlightFilter, table: str, period: float) -> None:
         """Build a filter once: the conditions between samples bound the control period."""
@@ -162,10 +162,7 @@ class FlightScenario(FilteredScenario):
         """What is not known exactly."""
         model, push = self.model, self.model.flight.disturbance_max_m_s2
         refused = ("thrusters", "directions"), ("thrusters", "thrust_max_N")
-        for table, key in (
-            *refused,
-            *(("timing", key) for key in ("jitter_s", "missed_periods", "clock_error_s")),
-        ):
+        for table, key in (*refused, *(("timing", key) for key in ("missed_periods", "clock_error_s"))):
             if value := getattr(getattr(model, table), key):
                 raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
         for key, default in (("pulse", "held"), ("remainder", "dropped")):
@@ -175,7 +172,8 @@ class FlightScenario(FilteredScenario):
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)
         eta = prediction_error(system, eta, worst, model.timing.delay_s)
-        return Uncertainty(tuple(eta[:3].tolist()), tuple(eta[3:].tolist()), push, errors)
+        known = tuple(eta[:3].tolist()), tuple(eta[3:].tolist()), push, errors
+        return Uncertainty(*known, model.timing.jitter_s)
 
     def errors(self) -> Errors | None:
         """What errors are flown, if any."""

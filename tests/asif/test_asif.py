@@ -258,7 +258,7 @@ def test_a_backup_that_raises_is_recorded(drawn):
 
 
 def test_leaving_out_everything_is_refused():
-    from polaris.inspection.constraints.allowable_set import FAMILIES
+    from polaris.inspection.constraints.strengthening import FAMILIES
 
     with pytest.raises(ScenarioError, match="must leave a constraint"):
         Families(Q, without=FAMILIES)

@@ -11,14 +11,17 @@ from polaris.cli import app as cli
 from polaris.inspection.backup.all_time import AllTime
 from polaris.inspection.backup.brake import Brake
 from polaris.inspection.backup.planner import Planner
+from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
-from polaris.inspection.filters.assured import Explicit, Implicit, SimplexExplicit, SimplexImplicit
+from polaris.inspection.filters.assured import Explicit, Implicit
 from polaris.inspection.filters.explicit import Centralized
+from polaris.inspection.filters.simplex import SimplexExplicit, SimplexImplicit
 from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
 from polaris.report.figures import flight
 from polaris.rta.projection import FILTERED
+from polaris.runs.inspection import assumptions
 from polaris.runs.run import read_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario, scenario_folder
@@ -34,7 +37,7 @@ FILTERS = {
 
 
 def by_hand(kind, q, alpha, sun):
-    planner = Planner(AllTime(Brake(q), sun))
+    planner = Planner(AllTime(Brake(q, 1.0, Uncertainty(jitter=0.0)), sun))
     if kind == "explicit":
         return Explicit(planner, Centralized(Families(q, alpha, sampled=SampledData(1.0, 0.4))))
     if kind == "implicit":
@@ -146,10 +149,22 @@ def test_a_delay_is_an_error_of_what_is_predicted():
     np.testing.assert_allclose(late - at_once, [0.006, 0.006, 0.006, 0, 0, 0], atol=3e-5)
 
 
+@pytest.mark.parametrize("kind", ["centralized", "explicit", "simplex_implicit"])
+def test_a_jitter_is_tolerated_by_every_kind(kind):
+    scenario = load_scenario("inspection", {"filter": {"kind": kind}, "timing": {"jitter_s": 0.05}})
+    assert scenario.uncertainty().jitter == 0.05 and load_scenario("inspection").uncertainty().jitter == 0.0
+    filtering = scenario.filter(scenario.model.filter, 1.0)
+    if kind == "centralized":
+        assert filtering.families.sampled.period == 1.1  # from one late call to another
+    else:
+        assert filtering.filter.recovery.families.sampled.period == 1.1
+    assert any("by at most 0.05 s" in said for said in assumptions(scenario))
+
+
 @pytest.mark.parametrize(
     ("assignment", "field"),
     [
-        ("timing.jitter_s=0.1", "timing.jitter_s"),
+        ("timing.clock_error_s=0.1", "timing.clock_error_s"),
         ("thrusters.pulse=centred", "thrusters.pulse"),
         ("thrusters.remainder=carried", "thrusters.remainder"),
         ("timing.missed_periods=2", "timing.missed_periods"),

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polaris.inspection.constraints.allowable_set import FAMILIES
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.strengthening import PRESETS, Strengthening, evaluate
-from polaris.inspection.filters.explicit import Decentralized
+from polaris.inspection.constraints.motion import SampledData
+from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS, Strengthening, evaluate
+from polaris.inspection.filters.explicit import Centralized, Decentralized
+from polaris.inspection.flights.primary import LQR
+from polaris.inspection.flights.simulation import Flights, fly_one, smoothness
 from polaris.inspection.inspection import Inspection
 from polaris.inspection.vectors import CENTRE
 from polaris.model.errors import ScenarioError
@@ -272,3 +274,16 @@ def test_held_motion_is_that_of_the_matrices():
 def test_held_refuses_what_is_no_time(duration):
     with pytest.raises(ScenarioError, match="duration"):
         Q.held(duration)
+
+
+def test_the_default_preset_is_calm_where_conditions_hold_between_samples():
+    """Functions that are flat near the boundary cost more than the tank of 20 m/s holds, on the way out."""
+    q, smooth = Inspection(deputies=1), []
+    flights = Flights(
+        q, np.array([[[0, -600.0, 400, 0, 0, 0]]]), np.zeros(1), 300.0, 1.0, LQR(q, 1200.0, 1e-4)
+    )
+    for strengthening in (PRESETS["polaris"], "polaris"):
+        run = fly_one(flights, Centralized(Families(q, strengthening, sampled=SampledData(1.0))))
+        smooth.append((smoothness(run.u, run.t, q.thrust_max)["switches"], float(run.delta_v[-1, 0])))
+    assert smooth[0][0] > 12 and smooth[0][1] > 20  # as it was, by name, too
+    assert smooth[1][0] < 0.2 and smooth[1][1] < 6

@@ -231,6 +231,25 @@ def test_bad_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argumen
     assert list(tmp_path.iterdir()) == []
 
 
+OUTWARDS = ("initial.states=[[0, -985, 0, 0, -0.1, 0]]", 'filter.without=["keep_in"]', "flight.duration_s=40")
+OUTWARDS = (
+    *OUTWARDS,
+    'primary=[{ kind = "to_distance", distance_m = 1200 }]',
+    "parameters.delta_v_max_m_s=0.5",
+)
+
+
+@pytest.mark.parametrize("violated", [True, False])
+def test_a_flight_that_violates_ends_with_exit_code_5_and_says_what_exceeds_the_tank(tmp_path, violated):
+    given = OUTWARDS if violated else (*OUTWARDS, "filter.without=[]", "flight.duration_s=2")
+    sets = [word for assignment in given for word in ("--set", assignment)]
+    done = invoke("run", "inspection", *sets, "--no-figures", "--out", tmp_path / "a")
+    assert done.exit_code == (5 if violated else 0), done.output
+    assert summary(tmp_path / "a")["safe"] == (not violated)
+    assert ("CONSTRAINTS ARE VIOLATED." in done.stdout) == violated
+    assert ("THE FUEL LIMIT IS EXCEEDED" in done.stdout and "of 0.5 m/s" in done.stdout) == violated
+
+
 @pytest.mark.parametrize("name", ["inspection", "fuel-limit", "inspection-monte-carlo"])
 def test_check_tells_what_a_scenario_is(name):
     done = invoke("check", name)

@@ -8,13 +8,13 @@ from scipy.linalg import expm
 from scipy.optimize import differential_evolution
 
 from polaris.inspection.closest import ClosestApproach
-from polaris.inspection.constraints.allowable_set import FAMILIES, allowable
+from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.barriers import Braking, Radial, SunCone
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.constraints.passive import PassiveSegments
 from polaris.inspection.constraints.speeds import SpeedInSquares, VelocitySide
-from polaris.inspection.constraints.strengthening import Strengthening
+from polaris.inspection.constraints.strengthening import FAMILIES, Strengthening
 from polaris.inspection.filters.explicit import Centralized, Decentralized
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError

@@ -9,9 +9,9 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema
-from polaris.inspection.constraints.allowable_set import CONSTRAINTS, FAMILIES
+from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.constraints.families import Families
-from polaris.inspection.constraints.strengthening import PRESETS
+from polaris.inspection.constraints.strengthening import FAMILIES, PRESETS
 from polaris.inspection.filters.explicit import Filtered
 from polaris.inspection.flights.judge import judge
 from polaris.inspection.flights.simulation import Flights, fly_one
@@ -70,10 +70,11 @@ def test_families_of_the_models_are_those_of_the_filters():
 
 def test_strengthening_takes_the_preset_where_nothing_else_is_given():
     scenario = load_scenario("inspection-monte-carlo")
-    assert scenario.strengthening() == PRESETS["polaris"]
+    assert scenario.strengthening(sampled=False) == PRESETS["polaris"]
+    assert scenario.strengthening() == PRESETS["linear"]  # for conditions that hold between samples
     changed = scenario.with_assignments(["strengthening.speed={ coefficients = [0.5, 0, 0], bias = 0.01 }"])
     assert changed.strengthening()["speed"].numbers == (0.5, 0.0, 0.0, 0.01, 1.0, 0.0)
-    assert changed.strengthening()["sun"] == PRESETS["polaris"]["sun"]
+    assert changed.strengthening(sampled=False)["sun"] == PRESETS["polaris"]["sun"]
 
 
 def test_filter_is_what_the_table_says():

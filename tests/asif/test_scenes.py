@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polaris.inspection.constraints.allowable_set import CONSTRAINTS
+from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.flights.simulation import BACKUP, smoothness
 from polaris.rta.projection import SHORT
 from polaris.runs.inspection import JudgedRun, fly_flight
@@ -65,14 +65,14 @@ def test_what_the_scene_costs_and_how_smooth_it_is():
     assert round(switches(plain), 2) == 0.17
 
 
-def test_under_the_explicit_filter_thrust_is_less_smooth():
-    """Its proofs begin and end by rounding: the figures are told coarsely."""
+def test_under_the_explicit_filter_thrust_is_nearly_as_smooth():
+    """Its proofs begin and end by rounding: the figures are told coarsely. Changes of sign were 4.5."""
     flown = assured()
     assert min(least.value for least in flown.constraints.values()) >= 0
     assert flown.run.status.max() <= BACKUP
-    told("above 4 to 5 against 0.17", "20 to 80 m/s per deputy")
-    assert 4.0 <= switches(flown) <= 5.0
-    assert flown.run.delta_v[-1].min() > 20 and flown.run.delta_v[-1].max() < 80
+    told("above below 1 against 0.17", "20 to 35 m/s per deputy")
+    assert switches(flown) < 1.0
+    assert flown.run.delta_v[-1].min() > 20 and flown.run.delta_v[-1].max() < 35
 
 
 def test_shares_that_count_on_the_others_to_coast_are_sometimes_short():

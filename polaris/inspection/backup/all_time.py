@@ -7,12 +7,14 @@ from collections.abc import Collection
 
 import numpy as np
 
+from ...model.checks import of_kind
+from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
-from ..constraints.allowable_set import KINDS
+from ..constraints.constraint import KINDS
 from ..vectors import dot, length
 from .brake import Brake, turned
-from .tube import TOLERANCE
+from .tube import TOLERANCE, VARIATION
 
 SUPPORTS = 16  # most steps towards the nearest point of a patch of free flights; each gives a valid bound
 NEAR = 5.0  # bounds of free flights [m] up to which they are looked at closely
@@ -33,8 +35,13 @@ class AllTime:
     """
 
     def __init__(self, brake: Brake, sun_start: float = 0.0, without: Collection[str] = ()) -> None:
+        of_kind("brake", brake, Brake)
         self.brake, self.inspection, self.sun_start = brake, brake.inspection, sun_start
+        self.without = tuple(without)
         q = self.inspection
+        if q.constraints:
+            rule = "are not proven for all time: only barrier filters keep constraints of one's own"
+            raise ScenarioError("constraints", [one.label for one in q.constraints], rule)
         self.approach = ClosestApproach(q.mean_motion, q.passive_time)
         self._circle = circle_map(q.mean_motion)
         every = np.arange(q.deputies)
@@ -43,7 +50,7 @@ class AllTime:
         single = [*both[0], "phi6", "phi3", "phi9", "phi10", "phi11", "thrust"]
         rows = [(name, *place) for name in single for place in alone]
         rows += [(name, *pair) for name in both[1] for pair in q.pairs]
-        left_out = {name for family in without for name in KINDS[family].phi}
+        left_out = {name for name, kind in KINDS.items() if kind.family in without}
         self._counted = np.array([row[0].rstrip("+-") not in left_out for row in rows])
         rows = [row for row, counted in zip(rows, self._counted, strict=True) if counted]
         self.first, self.second = (np.array([row[k] for row in rows], dtype=np.intp) for k in (1, 2))
@@ -85,12 +92,14 @@ class AllTime:
         # Held, a deputy turns about z: each axis of the plane comes to have its whole speed.
         along[-1, :, :2] = n * length(x[-1, :, :2])[:, None]
         axes = q.speed_max**2 - ((along + slip[..., None]).max(axis=0) + jolt[:N, None]) ** 2
-        u = np.abs(brake.thrusts(x)).max(axis=2)
+        u = brake.thrusts(x)
+        varied = length(np.diff(u, axis=0)).sum(axis=0) + 4 * np.sqrt(3) * q.thrust_max  # at its ends, too
+        u = np.abs(u).max(axis=2)
         thrust = np.minimum(q.thrust_max - u[0], brake.available - u[1:].max(axis=0, initial=0.0))
         held = brake.holding * length(x[-1, :, :3])
         thrust = np.minimum(thrust, brake.available - held) + TOLERANCE
         # The tube counts what holding misses up to r_max; farther out, where phi6 is left out, it is none.
-        thrust[length(x[-1, :, :3]) > q.distance_max] = -np.inf
+        thrust[(length(x[-1, :, :3]) > q.distance_max) | (varied > VARIATION * q.thrust_max)] = -np.inf
         passive = self._passive(z, wide, bow_hill, jolt, radius)
         alone = [clear[:N], passive[:N], cones[0][:N], inside, speed, *axes.T, thrust]
         ways = 1 if old is None else 3

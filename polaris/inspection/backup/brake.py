@@ -48,6 +48,7 @@ class Brake:
     ) -> None:
         self.inspection, self.period = q, D = inspection, positive("period", period, "s")
         self.uncertainty = uncertainty or Uncertainty()
+        self.estimate = self.uncertainty.predicted(q)
         n = q.mean_motion
         self.motion = Phi, Gamma = q.held(D)
         self.spin = np.array([[0.0, n, 0.0], [-n, 0.0, 0.0], [0.0, 0.0, 0.0]])  # w x p
@@ -157,9 +158,9 @@ class Brake:
         gained = x[1:, :, 3:] - x[:-1] @ self.motion[0][3:].T
         return np.asarray(gained @ self._pushed.T)
 
-    def around(self, plan: Array) -> Array:
+    def around(self, plan: Array, before: Array | None = None) -> Array:
         """How far flights may be from plans (L+1, N, 6) that are new: as `Tube.around`, (L+1, N, 2)."""
-        return self.tube.around(self.thrusts(plan), length(plan[-1, :, :3]))
+        return self.tube.around(self.thrusts(plan), length(plan[-1, :, :3]), before)
 
     def follow(self, x: Array, plan: Array) -> Array:
         """Thrust [N] of the coming period, (N, 3), at estimates x (N, 6) of deputies on plans (L+1, N, 6)."""

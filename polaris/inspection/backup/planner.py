@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.checks import of_kind
 from ...model.system import Array
 from ..vectors import length
 from .all_time import AllTime
@@ -15,7 +16,7 @@ ROOM = 0.5
 
 
 class Proven(NamedTuple):
-    """A plan (L+1, N, 6), from now on, the tube about it (L+1, N, 2) and what it keeps.
+    """A plan (L+1, N, 6) from the time t [s] on, the tube about it (L+1, N, 2) and what it keeps.
 
     Bounds (M,) of all constraints along it, for all time: negative where they are not proven.
     """
@@ -23,6 +24,7 @@ class Proven(NamedTuple):
     plan: Array
     tube: Array
     margins: Array
+    t: float
 
     @property
     def good(self) -> bool:
@@ -41,6 +43,7 @@ class Planner:
     """
 
     def __init__(self, check: AllTime, mixed: bool = False) -> None:
+        of_kind("check", check, AllTime)
         self.check, self.brake, self.mixed = check, check.brake, mixed
 
     def find(
@@ -50,11 +53,12 @@ class Planner:
         u: Array | None = None,
         kept: Proven | None = None,
         keeps: NDArray[np.bool_] | None = None,
+        before: Array | None = None,
     ) -> Proven:
-        """The first plan that is proven from states (N, 6) at t [s], or the one that misses least.
+        """Find the first plan that is proven from states (N, 6) at t [s], or the one that misses least.
 
         With a period of the thrust u (N, 3) before it, if given. Those who `keeps` (N,) says go on with the
-        plan `kept`.
+        plan `kept`. For the thrust `before` see `Tube.around`.
         """
         brake = self.brake
         Phi, Gamma = brake.motion
@@ -69,10 +73,10 @@ class Planner:
             if kept is not None and (self.mixed or (keeps is not None and keeps.any())):
                 plan = brake.extended(plan, len(kept.plan))
                 old = self.extended(kept, len(plan))
-            tube = brake.around(plan)
+            tube = brake.around(plan, before)
             if old is not None and keeps is not None:
                 plan[:, keeps], tube[:, keeps] = old[0][:, keeps], old[1][:, keeps]
-            found = Proven(plan, tube, self.check(t, plan, tube, old if self.mixed else None))
+            found = Proven(plan, tube, self.check(t, plan, tube, old if self.mixed else None), t)
             if best is None or found.margins.min() > best.margins.min():
                 best = found
             if best.good or not self._mend(t, found, start, toward, shift, keeps):

@@ -43,6 +43,8 @@ class Decay:
         self.left = shrunk * self._total_rest
         """What is left of the totals (r,) after the `powers` (K, r, d), for a state of norm 1."""
         self._peak_rest = gains.max(axis=0)
+        self.later = shrunk * self._peak_rest
+        """The largest outputs (r,) that are left after the `powers`, for a state of norm 1."""
         self.energy = solve_discrete_lyapunov(M.T, C.T @ C)
         """Matrix P with ``s' P s = sum over k of norm(C s_k)^2``."""
 

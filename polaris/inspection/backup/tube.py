@@ -1,18 +1,26 @@
 """How far the true state may be from a plan that is held by feedback: lemma B of the theory of inspection."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...model.checks import non_negative
+from ...model.errors import ScenarioError
+from ...model.prediction import prediction_error
 from ...model.system import Array
 from ...model.thrusters import Thrusters
+from ...rta.received import MEMORY
 from ..inspection import Inspection
 from ..vectors import length
 from .settled import Decay
 
 TOLERANCE = 1e-9
 """By how much a plan may ask for more than the thrust there is [N]; the tube pays for what is clipped."""
+
+JITTER = 0.002  # default tolerance on the time of a call [s]: calls within 1 ms of an even clock
+VARIATION = 24.0
+"""Largest sum of all changes of a plan's thrust (2-norms), in thrust limits; more is not proven."""
 
 
 @dataclass(frozen=True)
@@ -27,15 +35,19 @@ class Uncertainty:
         Bound on the 2-norm of an acceleration that the model does not have [m/s^2].
     thrusters : Thrusters
         Errors of what is applied.
+    jitter : float
+        Tolerance [s] on the time of a call: earlier or later than a period after the one before. The time
+        itself is known. It is no error: `exact` says nothing of it.
     """
 
     position: float | tuple[float, ...] = 0.0
     velocity: float | tuple[float, ...] = 0.0
     disturbance: float = 0.0
     thrusters: Thrusters = field(default_factory=Thrusters)
+    jitter: float = JITTER
 
     def __post_init__(self) -> None:
-        units = {"position": "m", "velocity": "m/s", "disturbance": "m/s^2"}
+        units = {"position": "m", "velocity": "m/s", "disturbance": "m/s^2", "jitter": "s"}
         for name, unit in units.items():
             for value in np.ravel(getattr(self, name)).tolist():
                 non_negative(name, value, unit)
@@ -45,9 +57,15 @@ class Uncertainty:
         """Bounds on the errors of an estimated state, shape (6,)."""
         return np.concatenate([np.broadcast_to(part, 3) for part in (self.position, self.velocity)])
 
+    def predicted(self, inspection: Inspection) -> Array:
+        """Bounds (6,) on the errors of a state that is moved to when the call was due."""
+        system = replace(inspection.system, w_max=self.disturbance)
+        worst = self.thrusters.error(system.u_max)
+        return prediction_error(system, self.estimate, worst, self.jitter)
+
     @property
     def exact(self) -> bool:
-        """Whether nothing is unknown."""
+        """Whether states, thrust and motion are known exactly."""
         return not self.estimate.any() and self.disturbance == 0 and self.thrusters.exact
 
 
@@ -83,66 +101,116 @@ class Tube:
         The most thrust per axis [N] that it asks for.
     widest : ndarray, shape (2,)
         Bounds for ever, under full thrust.
+    closed : ndarray, shape (6, 6)
+        What a period with feedback makes of an error.
+    astray : ndarray, shape (1, 2)
+        Errors [m], [m/s] that a deputy may have when its state is known again, and be within the tube ever
+        after: those of `MEMORY` seconds without feedback. Negative where not everything is exact.
     """
 
     def __init__(self, held: Held, unknown: Uncertainty, response: float) -> None:
         q, D, n = held.inspection, held.period, held.inspection.mean_motion
-        (Phi, Gamma), errors, eta = held.motion, unknown.thrusters, unknown.estimate
+        (Phi, Gamma), errors, eta = held.motion, unknown.thrusters, unknown.predicted(q)
         self._period, self._grow = D, np.exp((2 + np.sqrt(3)) * n * D)
         self.gain = -q.mass * np.hstack([np.eye(3) / response**2, 2 * np.eye(3) / response])
-        scale = np.repeat([response, 1.0], 3)
-        loop = Decay(Phi + Gamma @ self.gain, np.vstack([np.eye(6), self.gain]), scale)
+        self.closed, scale = Phi + Gamma @ self.gain, np.repeat([response, 1.0], 3)
+        loop = Decay(self.closed, np.vstack([np.eye(6), self.gain]), scale)
         powers = loop.powers
         # Acceleration per newton that is asked for (2-norm), and whatever is asked for.
         self.share = (errors.along + np.sqrt(3) * errors.across) / q.mass
         always = unknown.disturbance + np.sqrt(3) * (errors.bit + TOLERANCE) / q.mass
-        full = np.sqrt(3) * q.thrust_max
-        kick = self._grow * np.array([D**2 / 2, D])
+        full, self._hold = np.sqrt(3) * q.thrust_max, float(np.linalg.norm(held.still, 2))
+        kick, step = self._grow * np.array([D**2 / 2, D]), self._grow * np.array([D, 1.0])
+        self._step = step
         missed = np.array([np.linalg.norm(held.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max
-        gains, by_slip = _pushed(powers, *kick), _pushed(powers, *missed)
+        gains, steps = _pushed(powers, *kick), _pushed(powers, *step)
+        # Velocity per newton by which thrust changes late; changes of each period while a deputy is held.
+        self._late, turns = unknown.jitter / q.mass, self._hold * n * D * q.distance_max
         axes = np.cumsum(np.abs(powers @ Gamma @ self.gain) @ eta, axis=0)
         axes = axes + np.abs(powers @ (Phi * eta)).sum(-1)
         axes = np.vstack([np.abs(powers[0]) @ eta, axes])
         known = np.stack([length(axes[:, :3]), length(axes[:, 3:6]), axes[:, 6:].max(axis=1)], axis=1)
-        known[1:] += np.cumsum(by_slip, axis=0)
-        total = np.vstack([np.zeros(3), np.cumsum(gains, axis=0)])
+        known[1:] += np.cumsum(_pushed(powers, *missed), axis=0)
+        total, late = (np.vstack([np.zeros(3), np.cumsum(part, axis=0)]) for part in (gains, steps))
+        known += always * total + self._late * turns * late
         # What the powers that are left out add, for ever.
         size = length((Gamma @ self.gain * eta).T / scale).sum() + length((Phi * eta).T / scale).sum()
         size += np.hypot(*((missed + (always + self.share * full) * kick) / (response, 1.0)))
-        left = loop.left * size
-        rest = np.array([length(left[:3]), length(left[3:6]), left[6:].max()])
-        most = known + (always + self.share * full) * total
-        self.feedback = float(most[:, 2].max() + rest[2] + (np.abs(self.gain) @ eta).max())
-        base = known + (always + self.share * np.sqrt(3) * self.feedback) * total
+        stepped = np.hypot(step[0] / response, step[1])
+        rest = _sizes(loop.left * (size + self._late * turns * stepped))
+        varied = self._late * VARIATION * q.thrust_max
+        # Without a state there is no feedback: the error that a deputy may have when it is known again.
+        blocks = [[np.linalg.norm(Phi[i : i + 3, j : j + 3], 2) for j in (0, 3)] for i in (0, 3)]
+        self._free, self._slip = np.array(blocks), missed + always * kick + self._late * turns * step
+        self.astray = (known.max(axis=0) + rest)[None, :2] if unknown.exact else np.full((1, 2), -np.inf)
+        if unknown.exact:
+            for _ in range(int(np.ceil(MEMORY / D))):
+                self.astray = self.astray @ self._free.T + self._slip
+            known += _pushed(powers, *self.astray[0]).max(axis=0)
+        most = known + self.share * full * total
+        most = most.max(axis=0) + varied * (steps.max(axis=0) + _sizes(loop.later) * stepped) + rest
+        # Feedback changes from period to period as well, by twice its largest value.
+        again = self._late * 2 * np.sqrt(3) * (late[-1, 2] + _sizes(loop.left)[2] * stepped)
+        if again > 0.5 or unknown.jitter > D / 2:
+            raise ScenarioError("jitter", unknown.jitter, f"must be well below the period of {D:g} s")
+        self.feedback = float((most[2] + (np.abs(self.gain) @ eta).max()) / (1 - again))
+        often = self._late * 2 * np.sqrt(3) * self.feedback
+        base = known + self.share * np.sqrt(3) * self.feedback * total + often * late
+        rest += often * _sizes(loop.left) * stepped + varied * _sizes(loop.later) * stepped
         base = np.vstack([base, base.max(axis=0) + rest])
         self._base = np.maximum.accumulate(base, axis=0)[:, :2]
-        self._gains, self._total = np.maximum.accumulate(gains[::-1])[::-1, :2], total[-1, :2]
+        self._gains, self._steps = (
+            np.maximum.accumulate(part[::-1])[::-1, :2] for part in (gains, self._late * steps)
+        )
+        self._total = total[-1, :2]
         extra = np.sqrt(3) * self.feedback * (1 / q.mass + self.share) + always + held.uneven * q.distance_max
-        self._extra = float(extra)
+        self._extra = float(extra + 4 / D * (often + self._late * turns))
         self._spin = np.sqrt(3) * n
-        self._hold = float(np.linalg.norm(held.still, 2))
-        self.widest = self._spread(self._base[-1] + self.share * full * self._total, self.share * full)
+        widest = self._base[-1] + self.share * full * self._total + 2 * full * self._steps[0]
+        self.widest = self._spread(widest, self.share * full + 8 / D * self._late * full)
 
-    def around(self, u: Array, far: Array) -> Array:
+    def around(self, u: Array, far: Array, before: Array | None = None) -> Array:
         """Bounds over every period of plans that ask for u (L, N, 3) [N], and for ever, (L+1, N, 2).
 
         From when they were made; then they hold at `far` (N,) [m]. Samples and all between them are counted.
+        The thrust `before` (N, 3) [N] is given where the plans begin at another time than the call.
         """
-        L, base = len(u), self._base
+        L, base, step = len(u), self._base, self._late
         at = np.repeat(base[np.minimum(np.arange(L + 1), len(base) - 1), None], len(far), axis=1)
         ever = np.repeat(base[-1:], len(far), axis=0)
         missed = self.share * np.vstack([length(u), self._hold * far])
-        for i, j in np.ndindex(len(far), 2 if self.share > 0 else 0):
+        change = length(np.diff(u, axis=0, prepend=u[:1] if before is None else before[None]))
+        change = np.vstack([change, length(u[-1]) + self._hold * far])
+        for i, j in np.ndindex(len(far), 2 if self.share > 0 or step > 0 else 0):
             at[1:, i, j] += np.convolve(missed[:-1, i], self._gains[:L, j])[:L]
-        if self.share > 0:
-            ever += at[-1] - base[min(L, len(base) - 1)] + missed[-1, :, None] * self._total
+            at[1:, i, j] += np.convolve(change[:-1, i], self._steps[:L, j])[:L]
+        if self.share > 0 or step > 0:
+            ever += at[-1] - base[min(L, len(base) - 1)]
+            ever += missed[-1, :, None] * self._total + change[-1, :, None] * self._steps[0]
+        # Late or early, a change is between samples, before its own or after it.
+        missed = missed + 2 / self._period * step * (change + np.vstack([change[1:], change[-1:]]))
         return self._spread(np.concatenate([np.maximum(at[1:], at[:-1]), ever[None]]), missed)
+
+    def ahead(self, astray: Array, known: NDArray[np.bool_], error: Array, change: Array) -> Array:
+        """Bounds (N, 2) on errors a period later: with feedback on an `error` (N, 6) that is `known` (N,).
+
+        The others have no feedback, and errors of at most `astray` (N, 2). By changes of thrust early or late
+        their velocity is off by a `change` (N,) [m/s].
+        """
+        followed = length((error @ self.closed.T).reshape(-1, 2, 3))
+        left = np.where(known[:, None], followed, astray @ self._free.T)
+        return np.asarray(left + self._slip + change[:, None] * self._step)
 
     def _spread(self, error: Array, missed: Array | float) -> Array:
         """Bounds (..., 2) at samples, and what thrusters miss [m/s^2], made bounds of all between as well."""
         between = error[..., 1] + self._spin * error[..., 0] + (missed + self._extra) * self._period / 2
         between = between * self._grow
         return np.stack([error[..., 0] + between * self._period / 2, between], axis=-1)
+
+
+def _sizes(outputs: Array) -> Array:
+    """Lengths of the position and the velocity, and the largest thrust per axis, of outputs (9,)."""
+    return np.array([length(outputs[:3]), length(outputs[3:6]), outputs[6:].max()])
 
 
 def _pushed(powers: Array, place: float, speed: float) -> Array:

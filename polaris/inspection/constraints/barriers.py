@@ -1,4 +1,4 @@
-"""Barriers about the positions: spheres (h1, h2, h6) and sun cones (h4, h5), and what every barrier offers.
+"""Constraints on positions: spheres (phi1, phi2, phi6) and sun cones (phi4, phi5).
 
 They brake before a boundary: `Braking` is the speed from which a spacecraft can still stop.
 
@@ -9,51 +9,17 @@ phi, of the control-invariant h, of their gradients and explicit changes with ti
 curvature of h between samples.
 """
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
 from ..vectors import CENTRE, dot, length, rounded_length, turning
+from .constraint import Evaluation, Printed, join
 from .motion import Motion
-
-
-class Evaluation(NamedTuple):
-    """A barrier, or the constraint that it keeps, at some states (..., 6).
-
-    Its value (...), >= 0 inside; the gradient (..., 6) by the state; the partial derivative with respect to
-    time [1/s], (...) or a number.
-    """
-
-    h: Array
-    gradient: Array
-    change: Array | float
-
-
-class Barrier(ABC):
-    """A constraint ``phi(t, z) >= 0`` and a control-invariant ``h(t, z) >= 0`` that keeps it."""
-
-    @property
-    def repeat(self) -> int:
-        """Rows per state."""
-        return 1
-
-    @abstractmethod
-    def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
-        """Evaluate h at states of shape (..., 6) and sun angles [rad] that broadcast against (...)."""
-
-    def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M on ``-d^2 h / dt^2``; ``-inf`` where h cannot become negative within the period."""
-        raise TypeError(f"no bound for {type(self).__name__}")
-
-
-def join(by_position: Array, by_velocity: Array) -> Array:
-    """A gradient from its halves, (..., 3) each."""
-    return np.concatenate([by_position, by_velocity], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,17 +99,31 @@ class Braking:
         return np.where((self(closest)[0] + slowest >= 0) & (closest >= 0), -np.inf, M)
 
 
+def sun_angle(vectors: Array, sun: Array) -> Array:
+    """Angle [rad] between vectors and the direction of the sun; pi where a vector is zero."""
+    x, y = np.cos(sun), np.sin(sun)
+    along = vectors[..., 0] * x + vectors[..., 1] * y
+    across = np.hypot(vectors[..., 1] * x - vectors[..., 0] * y, vectors[..., 2])
+    angle = np.arctan2(across, along)  # as accurate near 0 as anywhere, unlike the arc cosine of eq. 16
+    return np.where((along == 0) & (across == 0), np.pi, angle)
+
+
 @dataclass(frozen=True, eq=False)
-class Radial(Barrier):
+class Radial(Printed):
     """Stop before a sphere: h1 (eq. 29), h2 (eq. 30) from outside (`side` +1), h6 (eq. 36) from inside (-1).
 
     ``h = s(delta) + d(delta)/dt`` with ``delta = side (norm(p) - radius)`` [m]; the braking has a_max for one
     deputy, 2 a_max for two that both brake.
     """
 
+    COLUMNS: ClassVar[tuple[str, ...]] = ("radius", "braking", "side")
     radius: Array | float
     braking: Braking
     side: Array | float = 1.0
+
+    def value(self, z: Array, sun: ArrayLike = 0.0) -> Array:
+        """Return phi1, phi2 or phi6 [m] (eqs. 12, 13, 19)."""
+        return np.asarray(self.side * (length(z[..., :3]) - self.radius))
 
     def __call__(self, z: Array, sun: ArrayLike = 0.0) -> Evaluation:
         """Evaluate at states of shape (..., 6)."""
@@ -156,7 +136,7 @@ class Radial(Barrier):
         return Evaluation(speed + self.side * away, gradient, 0.0)
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M; see `Barrier.curvature`."""
+        """Bound M; see `Constraint.curvature`."""
         distance, outward = rounded_length(z[..., :3], CENTRE)
         delta = np.asarray(self.side * (distance - self.radius))
         rate = np.asarray(self.side * dot(outward, z[..., 3:]))
@@ -164,7 +144,7 @@ class Radial(Barrier):
 
 
 @dataclass(frozen=True, eq=False)
-class SunCone(Barrier):
+class SunCone(Printed):
     """Stop before the cone of positions from which the sensor would see the sun: h4, h5 (eqs. 33 to 35).
 
     The cone has its apex at the origin, its axis along ``-r_s`` (`side` +1) or ``r_s`` (-1) and half the
@@ -177,10 +157,21 @@ class SunCone(Barrier):
     choice of the nearer jumps where they are equally near.
     """
 
+    COLUMNS: ClassVar[tuple[str, ...]] = ("braking", "side")
     half_angle: float
     mean_motion: float
     braking: Braking
     side: Array | float = 1.0
+
+    @property
+    def row(self) -> str:
+        """Name of its rows; for pairs with the side."""
+        return super().row + (("+" if self.side == 1 else "-") if self.pair else "")
+
+    def value(self, z: Array, sun: ArrayLike = 0.0) -> Array:
+        """Return phi4, or the part of phi5 of its side [rad] (eqs. 15 to 18)."""
+        angle = sun_angle(-z[..., :3], np.asarray(sun, dtype=float))
+        return np.asarray(np.where(np.asarray(self.side) > 0, angle, np.pi - angle) - self.half_angle)
 
     @cached_property
     def _turn(self) -> Array:
@@ -223,7 +214,7 @@ class SunCone(Barrier):
         return Evaluation(speed + c * away - s * forward, gradient, -dot(gradient, turned))
 
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
-        """Bound M; see `Barrier.curvature`."""
+        """Bound M; see `Constraint.curvature`."""
         n = self.mean_motion
         delta, normal, _, _, radius = self._geometry(z[..., :3], sun)
         rate = dot(normal, z[..., 3:] - (z @ self._turn)[..., :3])

@@ -17,13 +17,13 @@ from ...model.system import Array
 from ..closest import ClosestApproach, map_norms
 from ..inspection import Inspection
 from ..vectors import CENTRE, STANDSTILL, dot
-from .allowable_set import FAMILIES, KINDS
 from .barriers import Radial, SunCone
+from .constraint import Constraint
 from .motion import Motion, SampledData
 from .passive import Passive, PassiveSegments
 from .speeds import Velocity
-from .strengthening import PRESETS, Strengthening, evaluate
-from .table import Index, Table
+from .strengthening import FAMILIES, Strengthening, evaluate, preset
+from .table import Group, Index, Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,13 @@ class Rows:
 
 
 class Families(Table):
-    """The constraints h1 to h11 of all deputies and pairs, in one fixed order of rows.
+    """The constraints h1 to h11 of all deputies and pairs, and one's own, in one fixed order of rows.
 
     Parameters
     ----------
     inspection : Inspection
     strengthening : str or mapping from family to Strengthening
-        A preset's name, or one function for each of `FAMILIES`.
+        A preset's name, or one function for each of `FAMILIES`; those of one's own constraints may be in it.
     without : collection of str
         Families left out.
     sampled : SampledData, optional
@@ -77,16 +77,22 @@ class Families(Table):
     ) -> None:
         if sampled is not None:
             sampled.growth(inspection.mean_motion)  # refuses periods that are too long
-        self.sampled, self.alpha = sampled, _checked(strengthening)
+        self.sampled, self.alpha = sampled, _checked(strengthening, inspection.constraints, sampled)
         self.approach = approach = ClosestApproach(inspection.mean_motion, inspection.passive_time)
         beyond = np.inf if exact or sampled is not None else self._beyond(inspection, approach)
         super().__init__(inspection, without, approach, sampled is not None, beyond)
         self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
-        self._rank = np.array([KINDS[name].rank for name in self.family], dtype=np.intp)
+        self._rank = np.array([one.rank for one in self.constraints], dtype=np.intp)
         self._largest = np.sqrt(3) * inspection.thrust_max / inspection.mass  # acceleration by thrust
         self.loops: Any = loops("polaris.inspection.loops")
         if self.loops:
             self._fixed, self._about = self._for_loops(), approach.loops
+        own: list[Group] = [group for group in self.groups if group.rows.start >= self.known]
+        self._by_formulas = own if self.loops else self.groups
+        for group in own if sampled is not None else ():
+            if type(group.barrier).curvature is Constraint.curvature:
+                rule = "must have a curvature: conditions are to hold between samples"
+                raise ScenarioError("constraints", group.barrier.label, rule)
 
     def _beyond(self, q: Inspection, approach: ClosestApproach) -> float:
         """From which value on a passive constraint allows every input: it then need not be exact."""
@@ -115,26 +121,26 @@ class Families(Table):
         """The arguments of `polaris.inspection.loops.rows` that are always the same."""
         q, exact, maps = self.inspection, -np.inf, np.zeros((0, 4, 6))
         flights: tuple[float, ...] = (0.0, 0.0, 0.0)
-        table, values = [], np.zeros((len(self.family), 9))
-        for group in self.groups:
+        table, values = [], np.zeros((self.known, 9))
+        for group in (group for group in self.groups if group.rows.stop <= self.known):
             barrier, size = group.barrier, group.rows.stop - group.rows.start
             table += [self.loops.FORMULAS[type(barrier).__name__]] * size
             radius = barrier.axis if isinstance(barrier, Velocity) else getattr(barrier, "radius", 0.0)
             values[group.rows, 0] = np.repeat(np.broadcast_to(radius, size // barrier.repeat), barrier.repeat)
             if isinstance(barrier, (Radial, SunCone)):
                 values[group.rows, 1], values[group.rows, 2] = barrier.braking.acceleration, barrier.side
-            if isinstance(barrier, Passive):
-                exact = barrier.beyond + float(np.max(barrier.radius))
             if isinstance(barrier, PassiveSegments):
                 flights, maps = barrier.numbers
-        values[:, 3:] = np.array(self._alpha).T
+            elif isinstance(barrier, Passive):
+                exact = barrier.beyond + float(np.max(barrier.radius))
+        values[:, 3:] = np.array(self._alpha).T[: self.known]
         about_rows = (q.mean_motion, 1 / q.mass, q.smoothing, q.return_speed, q.field_of_view / 2)
         about_speeds = (CENTRE, STANDSTILL, q.docking_speed, q.nu_1, q.speed_max, exact)
         periods: tuple[float, ...] = (0.0, 0.0, 0.0)
         if self.sampled:
             periods = (self.sampled.period, self.sampled.share, self.sampled.growth(q.mean_motion))
         numbers = np.array([*about_rows, *about_speeds, *periods, self._largest, *flights])
-        return q.pairs, np.stack([table, self.place], axis=1), values, numbers, maps
+        return q.pairs, np.stack([table, self.place[: self.known]], axis=1), values, numbers, maps
 
     def rank(self, h: Array) -> Index:
         """Which row gives way to which, least last; shape (..., M) as h.
@@ -166,27 +172,39 @@ class Families(Table):
 
         For sampled data they hold for every thrust, or, if it is given, for a thrust `held` (..., N, 3) [N].
         """
-        q = self.inspection
-        if self.loops:
-            return self._by_loops(plain(x), np.asarray(sun, dtype=float), held)
+        q, sun = self.inspection, np.asarray(sun, dtype=float)
+        if x.shape[-2:] != (q.deputies, 6):
+            raise ScenarioError("x", x.shape, f"must have shape (..., {q.deputies}, 6), one row per deputy")
+        parts = [self._by_loops(plain(x), sun, held)] if self.loops else []
+        if self._by_formulas:
+            parts.append(self._by_formula(x, sun, held))
+        if len(parts) == 1:
+            return parts[0]
+        both = zip(*((rows.h, rows.G, rows.bound) for rows in parts), strict=True)
+        return Rows(*(np.concatenate(pair, axis=x.ndim - 2) for pair in both))
+
+    def _by_formula(self, x: Array, sun: Array, held: Array | None) -> Rows:
+        """Rows of the groups that loops have not."""
+        q, first = self.inspection, self._by_formulas[0].rows.start
         every = self.stack(x)
         drift = every @ q.system.A.T
-        sun = np.asarray(sun)[..., None]
+        sun = sun[..., None]
         motion = self._motion(every, drift, held)
-        shape = (*x.shape[:-2], len(self.family))
+        shape = (*x.shape[:-2], len(self.family) - first)
         h, rate, M = np.empty(shape), np.empty(shape), np.zeros(shape)
         G = np.empty((*shape, 3))
-        for group in self.groups:
-            barrier, rows = group.barrier, (..., group.rows)
+        for group in self._by_formulas:
+            barrier, where = group.barrier, slice(group.rows.start - first, group.rows.stop - first)
+            rows = (..., where)
             z, moved = every[..., group.at, :], drift[..., group.at, :]
             h[rows], gradient, change = barrier(z, sun)
-            G[..., group.rows, :] = gradient[..., 3:]
+            G[..., where, :] = gradient[..., 3:]
             moved = np.repeat(moved, barrier.repeat, axis=-2) if barrier.repeat > 1 else moved
             rate[rows] = dot(gradient, moved) + change
             if motion is not None:
                 M[rows] = barrier.curvature(z, sun, motion[group.at])
         G *= 1 / q.mass
-        alpha = evaluate(h, *self._alpha)
+        alpha = evaluate(h, *(part[first:] for part in self._alpha))
         bound = -rate - alpha
         if self.sampled is not None:  # or -L_f h - share h / D if that is larger; and M D / 2 more
             D = self.sampled.period
@@ -208,12 +226,13 @@ class Families(Table):
         return self.sampled.motion(every, drift, q.mean_motion, thrust)
 
 
-def _checked(strengthening: str | Mapping[str, Strengthening]) -> dict[str, Strengthening]:
+def _checked(
+    strengthening: str | Mapping[str, Strengthening], own: Collection[Constraint], sampled: SampledData | None
+) -> dict[str, Strengthening]:
+    own_alpha = {one.family or one.label: one.alpha for one in own}
     if isinstance(strengthening, str):
-        if strengthening not in PRESETS:
-            raise ScenarioError("strengthening", strengthening, f"must be one of {', '.join(PRESETS)}")
-        return dict(PRESETS[strengthening])
+        return preset(strengthening, sampled is not None) | own_alpha
     missing = [name for name in FAMILIES if name not in strengthening]
     if missing:
         raise ScenarioError("strengthening", sorted(strengthening), f"{missing[0]} is missing")
-    return {name: strengthening[name] for name in FAMILIES}
+    return {name: strengthening.get(name) or own_alpha[name] for name in (*FAMILIES, *own_alpha)}

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,23 +10,32 @@ from numpy.typing import ArrayLike
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
 from ..vectors import dot, rounded_length
-from .barriers import Barrier, Evaluation
+from .constraint import Evaluation, Printed
 from .motion import Motion
 
 BOW = 0.01  # least distance [m] by which a free flight is assumed to stray from its chords
 
 
 @dataclass(frozen=True, eq=False)
-class Passive(Barrier):
+class Passive(Printed):
     """Clear of a sphere for T seconds without thrust: ``inf norm(p(t)) - radius`` [m] over free flight.
 
     Values larger than `beyond` [m] need not be exact: they may come out smaller, but not below it, and then
     without a gradient.
     """
 
+    COLUMNS: ClassVar[tuple[str, ...]] = ("radius",)
     radius: Array | float
     approach: ClosestApproach
     beyond: float = np.inf
+
+    def value(self, z: Array, sun: ArrayLike = 0.0) -> Array:
+        """Return phi7 or phi8 [m] (eqs. 21, 22)."""
+        return np.asarray(self.approach(z, np.inf).distance - self.radius)
+
+    def sampled(self) -> "PassiveSegments":
+        """Return the form in conditions on chords."""
+        return PassiveSegments(self.radius, self.approach, label=self.label)
 
     @cached_property
     def _largest(self) -> float:
@@ -45,7 +55,7 @@ class Passive(Barrier):
 
 
 @dataclass(frozen=True, eq=False)
-class PassiveSegments(Barrier):
+class PassiveSegments(Passive):
     """Passively safe manoeuvres as conditions on chords: two per stretch of each free flight.
 
     Over a stretch of length L the flight leaves its chord by at most ``L^2 / 8`` times its acceleration,
@@ -56,9 +66,6 @@ class PassiveSegments(Barrier):
     period. The directions at the next sample are the best for the chords then, and the bow is a function of
     the state: h at the next sample is no less than what was left of it. Each flight has its radius [m].
     """
-
-    radius: Array | float
-    approach: ClosestApproach
 
     @property
     def repeat(self) -> int:

@@ -2,22 +2,31 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
-from ..vectors import CENTRE, STANDSTILL, dot, rounded_length
-from .barriers import Barrier, Evaluation, join
+from ..vectors import CENTRE, STANDSTILL, dot, length, rounded_length
+from .constraint import Evaluation, Printed, join
 from .motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
-class Speed(Barrier):
+class Speed(Printed):
     """Slower when nearer: h3 = phi3 (eq. 14), ``nu_0 + nu_1 norm(p) - norm(v)``; nu_0 [m/s], nu_1 [1/s]."""
 
     docking_speed: float
     slope: float
+
+    def value(self, z: Array, sun: ArrayLike = 0.0) -> Array:
+        """Return phi3 [m/s] (eq. 14)."""
+        return np.asarray(self.docking_speed + self.slope * length(z[..., :3]) - length(z[..., 3:]))
+
+    def sampled(self) -> "SpeedInSquares":
+        """Return the form in squares."""
+        return SpeedInSquares(self.docking_speed, self.slope, label=self.label)
 
     def _parts(self, z: Array) -> tuple[Array, Array, Array, Array]:
         """Allowed speed and the direction outwards; the speed and its direction."""
@@ -59,11 +68,20 @@ class SpeedInSquares(Speed):
 
 
 @dataclass(frozen=True, eq=False)
-class Velocity(Barrier):
+class Velocity(Printed):
     """Structural limit [m/s] along an axis: h9 to h11 = phi9 to phi11 (eq. 23), ``v_max^2 - v_axis^2``."""
 
+    COLUMNS: ClassVar[tuple[str, ...]] = ("axis",)
     axis: int | NDArray[np.intp]
     limit: float
+
+    def value(self, z: Array, sun: ArrayLike = 0.0) -> Array:
+        """Return phi9, phi10 or phi11 [m^2/s^2] (eq. 23)."""
+        return np.asarray(self.limit**2 - dot(z[..., 3:], self.direction) ** 2)
+
+    def sampled(self) -> "VelocitySide":
+        """Return the form on the nearer side."""
+        return VelocitySide(self.axis, self.limit, label=self.label)
 
     @cached_property
     def direction(self) -> Array:

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...model.checks import number
+from ...model.checks import number, one_of
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from .allowable_set import FAMILIES
 
 
 @dataclass(frozen=True)
@@ -94,6 +93,7 @@ _AFRL = {
     "deputy_passive": _FAR,
     "velocity": Strengthening((0.1, 0.0, 0.01), 1e-3, 10.0, 0.01),
 }
+FAMILIES = tuple(_AFRL)
 PRESETS: dict[str, dict[str, Strengthening]] = {
     "afrl": _AFRL,
     "afrl-one": {**_AFRL, "speed": Strengthening((0.05, 0.0, 0.005), 1e-3, 10.0, 0.01)},
@@ -106,6 +106,13 @@ PRESETS: dict[str, dict[str, Strengthening]] = {
 ``afrl-one`` and ``afrl-five``: those of its authors' library, in its code for one deputy and in that for
 five, which differ in the speed limit and in the bias of the keep-in zone. ``afrl``: the speed of the one
 for five, the bias of that for one. ``polaris``: as ``afrl`` with quicker velocity limits; those of ``afrl``
-hold back thrust that other constraints need, at speeds far from the limit. ``linear``: ``0.3 h`` throughout,
-for conditions that hold between samples (`SampledData`), which need no bias.
+hold back thrust that other constraints need, at speeds far from the limit; for conditions that hold between
+samples (`SampledData`) it is ``linear``, as functions that are flat near the boundary let the thrust chatter
+then. ``linear``: ``0.3 h`` throughout.
 """
+
+
+def preset(name: str, sampled: bool) -> dict[str, Strengthening]:
+    """Return the functions of a named set, by family, for conditions between samples or at samples only."""
+    one_of("strengthening", name, PRESETS)
+    return dict(PRESETS["linear" if sampled and name == "polaris" else name])

@@ -1,9 +1,9 @@
 """All constraints of an inspection problem as rows in one fixed order: whom each concerns, its formula."""
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,24 +12,13 @@ from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach
 from ..inspection import Inspection
-from .allowable_set import FAMILIES
-from .barriers import Barrier, Braking, Radial, SunCone
-from .passive import Passive, PassiveSegments
-from .speeds import Speed, SpeedInSquares, Velocity, VelocitySide
+from .barriers import Braking, Radial, SunCone
+from .constraint import Constraint, Printed
+from .passive import Passive
+from .speeds import Speed, Velocity
+from .strengthening import FAMILIES
 
 Index = NDArray[np.intp]
-
-
-class _Member(NamedTuple):
-    """A constraint of all deputies or pairs: what it is called behind ``h``, its places, its parameters."""
-
-    family: str
-    number: str
-    places: Index
-    values: tuple[float, ...]
-
-
-Formula = tuple[Callable[..., Barrier], list[_Member]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,53 +28,40 @@ class Group:
     The places are a slice if they follow each other: a view is quicker than a copy.
     """
 
-    barrier: Barrier
+    barrier: Constraint
     at: Index | slice
     rows: slice
 
 
-def _formulas(q: Inspection, approach: ClosestApproach, sampled: bool, beyond: float) -> list[Formula]:
-    """The formulas, from columns of parameters, and the constraints that have them."""
-    alone, pairs = np.arange(q.deputies), q.deputies + np.arange(len(q.pairs))
+def printed(q: Inspection, approach: ClosestApproach | None = None, beyond: float = np.inf) -> list[Printed]:
+    """Return the paper's constraints; those on free flights only with their closest `approach`."""
     braking = partial(Braking, depth=q.smoothing, back=q.return_speed)
-    speed, velocity = (SpeedInSquares, VelocitySide) if sampled else (Speed, Velocity)
-
-    def passive(radius: Array) -> Barrier:
-        return PassiveSegments(radius, approach) if sampled else Passive(radius, approach, beyond)
-
-    spheres = [
-        _Member("chief_separation", "1", alone, (q.separation, q.a_max, 1.0)),
-        _Member("deputy_separation", "2", pairs, (q.deputy_separation, 2 * q.a_max, 1.0)),
-        _Member("keep_in", "6", alone, (q.distance_max, q.a_inside, -1.0)),
+    cone = partial(SunCone, q.field_of_view / 2, q.mean_motion, braking(q.a_max))
+    found: list[Printed] = [
+        Radial(q.separation, braking(q.a_max), 1.0, label="phi1"),
+        Radial(q.deputy_separation, braking(2 * q.a_max), 1.0, label="phi2"),
+        Radial(q.distance_max, braking(q.a_inside), -1.0, label="phi6"),
+        cone(1.0, label="phi4"),
+        cone(1.0, label="phi5"),
+        cone(-1.0, label="phi5"),
     ]
-    cones = [
-        _Member("sun", "4", alone, (q.a_max, 1.0)),
-        _Member("deputy_sun", "5+", pairs, (q.a_max, 1.0)),
-        _Member("deputy_sun", "5-", pairs, (q.a_max, -1.0)),
-    ]
-    axes = [_Member("velocity", str(9 + axis), alone, (axis,)) for axis in range(3)]
-    flights = [
-        _Member("passive", "7", alone, (q.separation,)),
-        _Member("deputy_passive", "8", pairs, (q.deputy_separation,)),
-    ]
-    return [
-        (lambda radius, a, side: Radial(radius, braking(a), side), spheres),
-        (lambda a, side: SunCone(q.field_of_view / 2, q.mean_motion, braking(a), side), cones),
-        (passive, flights),
-        (lambda: speed(q.docking_speed, q.nu_1), [_Member("speed", "3", alone, ())]),
-        (lambda axis: velocity(axis.astype(np.intp), q.speed_max), axes),
-    ]
+    if approach is not None:
+        found.append(Passive(q.separation, approach, beyond, label="phi7"))
+        found.append(Passive(q.deputy_separation, approach, beyond, label="phi8"))
+    found.append(Speed(q.docking_speed, q.nu_1, label="phi3"))
+    return found + [Velocity(axis, q.speed_max, label=f"phi{9 + axis}") for axis in range(3)]
 
 
 class Table:
-    """The constraints of all deputies and pairs, in one fixed order of M rows.
+    """The constraints of all deputies and pairs, in one fixed order of M rows: the paper's, then one's own.
 
-    Families `without` are left out; `approach` and `beyond` are as in `Passive`. Where they are `sampled`,
-    barriers have the forms that bound their curvature.
-
+    Families `without` are left out, free flights also where no `approach` is given; it and `beyond` are as in
+    `Passive`. Where they are `sampled`, barriers have the forms that bound their curvature.
 
     Attributes
     ----------
+    constraints : tuple of Constraint, length M
+        Of each row.
     labels, family : tuple of str, length M
         Of each row: its name, as in ``h1[2]`` or ``h5+[0,3]`` (``5+`` and ``5-`` are the two cones of a
         pair), and its family.
@@ -93,47 +69,68 @@ class Table:
         The deputies a row concerns; second is -1 where there is one only.
     place : ndarray of int, shape (M,)
         Where each is in the stack; `everyone` (N + P, 2) are the deputies of all places.
+    known : int
+        How many of the rows are the paper's.
     """
 
     def __init__(
         self,
         inspection: Inspection,
         without: Collection[str],
-        approach: ClosestApproach,
-        sampled: bool,
-        beyond: float,
+        approach: ClosestApproach | None = None,
+        sampled: bool = False,
+        beyond: float = np.inf,
     ) -> None:
+        own = inspection.constraints
+        families = (*FAMILIES, *(one.family or one.label for one in own))
         for name in without:
-            if name not in FAMILIES:
-                raise ScenarioError("without", name, f"must be one of {', '.join(FAMILIES)}")
+            if name not in families:
+                raise ScenarioError("without", name, f"must be one of {', '.join(families)}")
         self.inspection = inspection
         alone = np.arange(inspection.deputies)
         self.everyone = np.concatenate([np.stack([alone, np.full_like(alone, -1)], axis=1), inspection.pairs])
         self.groups: list[Group] = []
-        rows: list[tuple[str, str, np.intp]] = []
-        for make, members in _formulas(inspection, approach, sampled, beyond):
-            kept = [m for m in members if m.family not in without and len(m.places)]
-            if not kept:
-                continue
-            size = [len(m.places) for m in kept]
-            columns = zip(*(m.values for m in kept), strict=True)
-            barrier = make(*(np.repeat(column, size) for column in columns))
-            place = np.concatenate([m.places for m in kept])
-            straight = np.array_equal(place, np.arange(place[0], place[-1] + 1))
-            at = slice(int(place[0]), int(place[-1]) + 1) if straight else place
-            of_each = ((m.family, f"h{m.number}", k) for m in kept for k in m.places)
-            start = len(rows)
-            rows += [row for row in of_each for _ in range(barrier.repeat)]
-            self.groups.append(Group(barrier, at, slice(start, len(rows))))
-        if not rows:
+        self._rows: list[tuple[Constraint, int]] = []
+        alike: dict[type, list[Constraint]] = {}
+        for one in printed(inspection, approach, beyond):
+            alike.setdefault(type(one), []).append(one)
+        for members in alike.values():
+            self._add([one.sampled() if sampled else one for one in members if one.family not in without])
+        self.known = len(self._rows)
+        for single in own:
+            if (single.family or single.label) not in without:
+                self._add([single.sampled() if sampled else single])
+        if not self._rows:
             raise ScenarioError("without", sorted(without), "must leave a constraint")
-        self.family = tuple(family for family, _, _ in rows)
-        self.place = np.array([place for _, _, place in rows])
+        self.constraints = tuple(one for one, _ in self._rows)
+        self.family = tuple(one.family or one.label for one in self.constraints)
+        self.place = np.array([place for _, place in self._rows])
         self.first, self.second = np.ascontiguousarray(self.everyone[self.place].T)
         self.labels = tuple(
-            f"{number}[{i},{j}]" if j >= 0 else f"{number}[{i}]"
-            for (_, number, _), i, j in zip(rows, self.first, self.second, strict=True)
+            f"{one.row}[{i},{j}]" if j >= 0 else f"{one.row}[{i}]"
+            for one, i, j in zip(self.constraints, self.first, self.second, strict=True)
         )
+
+    def _add(self, members: list[Constraint]) -> None:
+        """Add the rows of constraints of one formula."""
+        N, P = self.inspection.deputies, len(self.inspection.pairs)
+        ranges = [np.arange(N, N + P) if one.pair else np.arange(N) for one in members]
+        if not (size := [len(places) for places in ranges if len(places)]):
+            return
+        members = [one for one, places in zip(members, ranges, strict=True) if len(places)]
+        place, barrier = np.concatenate(ranges), members[0]
+        if isinstance(barrier, Printed):
+            columns = {
+                name: _column([getattr(one, name) for one in members], size) for name in barrier.COLUMNS
+            }
+            barrier = replace(barrier, **columns)
+        straight = np.array_equal(place, np.arange(place[0], place[-1] + 1))
+        at = slice(int(place[0]), int(place[-1]) + 1) if straight else place
+        start = len(self._rows)
+        of_each = [one for one, count in zip(members, size, strict=True) for _ in range(count)]
+        for one, k in zip(of_each, place.tolist(), strict=True):
+            self._rows += [(one, k)] * barrier.repeat
+        self.groups.append(Group(barrier, at, slice(start, len(self._rows))))
 
     def among(self, *families: str) -> NDArray[np.bool_]:
         """Which rows are of some families, shape (M,)."""
@@ -149,3 +146,10 @@ class Table:
     def relative(self, x: Array) -> Array:
         """State or input that each row is about, shape (..., M, d), of those of the deputies (..., N, d)."""
         return self.stack(x).take(self.place, axis=-2)
+
+
+def _column(values: list[Any], size: list[int]) -> Any:
+    """One value for each row, of those of members of some sizes."""
+    if isinstance(values[0], Braking):
+        return replace(values[0], acceleration=_column([one.acceleration for one in values], size))
+    return np.repeat(values, size)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...model.checks import of_kind
 from ...model.system import Array
 from ...rta.one_call import Answer, Backup, CallByCall, named
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
@@ -40,6 +41,7 @@ class ActiveSetFilter(CallByCall):
     def __init__(
         self, filtering: Centralized | Decentralized, backup: Backup | None = None, sun_start: float = 0.0
     ) -> None:
+        of_kind("filtering", filtering, Centralized | Decentralized)
         self.filtering, self.backup, self.sun_start = filtering, backup, sun_start
         self.families, self.inspection = filtering.families, filtering.families.inspection
         sampled = self.families.sampled
@@ -61,7 +63,8 @@ class ActiveSetFilter(CallByCall):
         """Forget the last states: a new flight begins."""
         self._receiver.forget()
 
-    def _answer(self, got: Received) -> Answer:
+    def decide(self, got: Received) -> Answer:
+        """Answer a call that has been received, by this filter or by one that rests on it."""
         notes: list[str] = []
         desired, on_backup, regular = got.wanted, self._nobody, got.whole
         if not regular:
@@ -95,6 +98,8 @@ class ActiveSetFilter(CallByCall):
         if answer.short:
             notes.append(f"no input satisfies all conditions: least violation, misses {_told(answer.missed)}")
         return answer
+
+    _answer = decide
 
     def _active(self, rows: Rows, u: Array) -> tuple[str, ...]:
         """Constraints whose condition holds with equality, and thrust limits that are reached."""

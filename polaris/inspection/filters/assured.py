@@ -6,11 +6,12 @@ proven before is flown on. Proofs are in ``docs/inspection-theory.md``, section 
 """
 
 from abc import abstractmethod
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.checks import non_negative, whole
+from ...model.checks import of_kind
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import Answer, CallByCall, Switch, named
@@ -18,48 +19,90 @@ from ...rta.received import Received
 from ..backup.all_time import AllTime
 from ..backup.planner import Planner, Proven
 from ..constraints.families import Families
+from ..constraints.motion import SampledData
 from ..vectors import length
+from .asif import ActiveSetFilter
 from .explicit import Centralized, Decentralized
 
 Some = NDArray[np.bool_]
 Tried = tuple[Array, Proven, Some]  # thrust, what is known of it, and whose proposal it is
 
 HALVINGS = 6  # halvings of the way from the backup's thrust to the wanted one
+RETURN = 10.0
+"""Time [s] in which `Explicit` goes back from a plan to what it proposes; less is rougher."""
 FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s
 
 
 class Assured(CallByCall):
-    """What the four filters share: the plan that is proven, and that nothing is applied before its rest is.
+    """Base of the four filters: they apply nothing before a plan after it is proven.
 
-    ``status``: "desired", "filtered", "backup" (some fly their plan), "coast" (no state known). ``margins``
+    ``status``: "desired", "filtered", "backup" (some fly their plan), or that of the recovery. ``margins``
     are lower bounds, over all time, of the constraints along what will be flown if the backup takes over
-    after the period. A deputy whose state is not known flies its plan. `Decision.unproven` is false once a
-    plan has been proven, as long as the states are known within their bounds and calls come each period;
-    without errors of any kind states may be missing, too. ``log`` holds the switches of filters that latch.
+    after the period. ``log`` holds the switches of filters that latch.
+
+    `Decision.unproven` is false once a plan has been proven, as long as states are known within their
+    bounds and calls come in time, within `Uncertainty.jitter`. A deputy whose state is not known flies its
+    plan. Where everything is exact that is proven too, until the error that grows without feedback exceeds
+    `Tube.astray`: for about a minute on end (`polaris.rta.received.MEMORY`).
+
+    Where no plan is proven, as from outside of the constraints, the answer is that of the `recovery` filter,
+    unproven, until a plan is proven.
+
+    Parameters
+    ----------
+    planner : Planner
+    recovery : Centralized or Decentralized, optional
+        Default: `Centralized`, preset ``linear``, for sampled data.
+
+    Raises
+    ------
+    ScenarioError
+        If an argument is of another kind, or the recovery is for another problem, period or other families.
     """
 
-    def __init__(self, planner: Planner) -> None:
+    def __init__(self, planner: Planner, recovery: Centralized | Decentralized | None = None) -> None:
+        of_kind("planner", planner, Planner)
         self.planner, self.brake, self.check = planner, planner.brake, planner.check
         self.inspection, self.period = self.brake.inspection, self.brake.period
-        super().__init__(self.inspection, self.period)
+        late = 2 * self.brake.uncertainty.jitter
+        if recovery is None:
+            sampled = SampledData(self.period + late)
+            recovery = Centralized(Families(self.inspection, "linear", self.check.without, sampled))
+        of_kind("filtering", recovery, Centralized | Decentralized)
+        self._check_families(recovery.families)
+        tightened = recovery.families.sampled
+        if tightened and not -1e-9 * self.period <= tightened.period - self.period <= late + 1e-9:
+            rule = f"must be the planner's, {self.period:g} s, or up to {late:g} s more"
+            raise ScenarioError("filtering.families.sampled.period", tightened.period, rule)
+        self.recovery = ActiveSetFilter(recovery, sun_start=self.check.sun_start)
+        super().__init__(self.inspection, self.period, late)
         self.log: list[Switch] = []
-        self.take_over(None, np.nan)
+        self._applied = np.zeros((self.inspection.deputies, 3))
+        self._astray = np.zeros((self.inspection.deputies, 2))
+        self.take_over(None)
 
-    def take_over(self, plan: Proven | None, t: float) -> None:
-        """From the time t [s] on a plan is flown that has been proven."""
-        self.plan, self._due = plan, t
+    def _check_families(self, families: Families) -> None:
+        """Refuse families of another problem than the planner's."""
+        of_kind("families", families, Families)
+        if families.inspection != self.inspection:
+            rule = "must be the planner's problem: the same deputies and parameters"
+            raise ScenarioError("families.inspection", families.inspection, rule)
+
+    def take_over(self, plan: Proven | None) -> None:
+        """Fly a plan that has been proven, from its time on."""
+        self.plan, self._followed = plan, np.ones(self.inspection.deputies, dtype=bool)
 
     @abstractmethod
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
         """Thrust (N, 3) and whose of it is to be tried; the others fly their plan."""
 
     def _refused(self, got: Received, who: Some, reason: str) -> None:
-        """Those whose proposal is not proven."""
+        """Take note of those whose proposal is not proven."""
         return
 
     def _answer(self, got: Received) -> Answer:
         notes: list[str] = []
-        kept = self._kept(got, notes)
+        now, (got, kept, within) = got, self._kept(got, notes)
         if kept is None and not got.estimated.any():
             every = np.ones(len(got.u), dtype=bool)
             return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
@@ -69,74 +112,80 @@ class Assured(CallByCall):
         backup = self.brake.follow(x, kept.plan)
         able = got.known & got.given
         proposed, who = self._proposal(got, able, backup)
-        u, found, flown = self._tried(got, x, proposed, who & able, backup, kept)
-        # A state that is not known is where its plan has it, if that was proven and nothing else acts.
-        # So is none that begins anew, where others may go on as before.
-        sure = found.good and not alone and bool((got.known | (sure & self.brake.uncertainty.exact)).all())
+        u, found, flown = self._tried(got, now, x, proposed, who & able, backup, kept)
+        # Nobody who begins anew is sure of others, who may go on as before.
+        sure = found.good and not alone and bool(within.all())
         if not sure:
             notes.append("no plan is known to be safe for all time")
-        after, tube = self.planner.extended(found, 3)
-        self.take_over(found._replace(plan=after[1:], tube=tube[1:]) if sure else None, got.t + self.period)
         labels = np.array(self.check.labels)
         active = tuple(labels[found.margins < 0].tolist()) if not found.good else ()
-        intervened = (u != got.wanted).any(axis=1) | ~able
-        none, margins = np.zeros(len(u), dtype=bool), named(self.check.labels, found.margins)
-        return Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
+        margins = named(self.check.labels, found.margins)
+        after, tube = self.planner.extended(found, 3)
+        later = Proven(after[1:], tube[1:], found.margins, found.t + self.period)
+        self.take_over(later if found.good else None)
+        self._followed = got.known & within
+        if found.good:
+            none, intervened = np.zeros(len(u), dtype=bool), (u != got.wanted).any(axis=1) | ~able
+            answer = Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
+        else:
+            recovery = self.recovery.decide(now)
+            notes += recovery.notes
+            answer = replace(recovery, margins=margins, notes=notes, active=active, unproven=True)
+        error, change = np.where(flown[:, None], 0.0, x - found.plan[0]), length(answer.u - self._applied)
+        change *= abs(now.t - got.t) / self.inspection.mass
+        self._astray = self.brake.tube.ahead(self._astray, got.known, error, change)
+        self._applied = answer.u
+        return answer
 
-    def _kept(self, got: Received, notes: list[str]) -> Proven | None:
-        """The plan that was proven, from now on; None where there is none, or a state is not within it."""
-        plan = self.plan
-        if plan is None or abs(got.t - self._due) > 1e-6 * self.period:
-            return None
-        if (self.near(got.x, plan) | ~got.known).all():
-            return plan
-        notes.append("a state is farther from its plan than is possible")
-        return None
+    def _kept(self, got: Received, notes: list[str]) -> tuple[Received, Proven | None, Some]:
+        """Return the call as of the time at which it was due, the plan, and who is surely within its tube.
+
+        No plan where there is none, the call is out of time, or a state is known not to be within the tube.
+        """
+        plan, tolerance = self.plan, max(self.brake.uncertainty.jitter, 1e-6 * self.period)
+        if plan is None or not abs(got.t - plan.t) <= tolerance:
+            return got, None, got.known
+        moved = got
+        if got.t != plan.t:  # where the thrust of the period before leads, or came from
+            Phi, Gamma = self.inspection.held(plan.t - got.t)
+            moved = replace(got, t=plan.t, x=got.x @ Phi.T + self._applied @ Gamma.T)
+        if not (self.near(moved.x, plan) | ~got.known).all():
+            notes.append("a state is farther from its plan than is possible")
+            return got, None, got.known
+        off, most = length((moved.x - plan.plan[0]).reshape(-1, 2, 3)), self.brake.tube.astray
+        within = (self._astray <= most).all(axis=1)
+        within |= got.known & (self._followed | (off <= most).all(axis=1))
+        return (got, None, got.known) if got.known.all() and not within.all() else (moved, plan, within)
 
     def near(self, x: Array, plan: Proven) -> Some:
-        """Whether estimates (N, 6) are as near to their plans as what is not known allows."""
-        off, error = np.abs(x - plan.plan[0]), self.brake.uncertainty.estimate
+        """Return whose estimates (N, 6) are as near to their plans as what is not known allows."""
+        off, error = np.abs(x - plan.plan[0]), self.brake.estimate
         near = length(off[:, :3]) <= plan.tube[0, :, 0] + length(error[:3]) + FAR
         return np.asarray(near & (length(off[:, 3:]) <= plan.tube[0, :, 1] + length(error[3:]) + 1e-3 * FAR))
 
+    def _find(self, got: Received, now: Received, x: Array, u: Array, kept: Proven, who: Some) -> Proven:
+        """A plan after thrust u; where nobody keeps the one there was, from the time of the call."""
+        if who.all() and not self.planner.mixed:
+            return self.planner.find(now.t, now.x, u)
+        before = None if now.t == got.t else self._applied
+        return self.planner.find(got.t, x, u, kept, ~who, before)
+
     def _tried(
-        self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
+        self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
     ) -> Tried:
         """The proposal of as many as it is proven for."""
         while who.any():
             u = np.where(who[:, None], proposed, backup)
-            found = self.planner.find(got.t, x, u, kept, ~who)
+            found = self._find(got, now, x, u, kept, who)
             if found.good:
                 return u, found, who
-            concerned = _concerned(self.check, found.margins < 0, len(who)) & who
-            dropped = concerned if concerned.any() else who
+            dropped = concerned(self.check, found.margins < 0, len(who)) & who
+            dropped = dropped if dropped.any() else who
             worst = int(found.margins.argmin())
             reason = f"{self.check.labels[worst]} would be {found.margins[worst]:.3g}"
             self._refused(got, dropped, reason)
             who = who & ~dropped
         return backup, kept, who
-
-
-class Explicit(Assured):
-    """The nearest thrust that keeps every barrier (eq. 5), where a plan after it is proven.
-
-    Parameters
-    ----------
-    planner : Planner
-    filtering : Centralized or Decentralized
-    """
-
-    def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
-        super().__init__(planner)
-        self.filtering = filtering
-
-    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
-        q = self.inspection
-        wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
-        sun = q.sun_angle([got.t], self.check.sun_start)
-        found = self.filtering.batch(got.x[None], sun, wanted[None])
-        good = np.isfinite(found.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
-        return np.where(good[:, None], found.u[0], backup), good
 
 
 class Implicit(Assured):
@@ -145,141 +194,69 @@ class Implicit(Assured):
     Parameters
     ----------
     planner : Planner
+    recovery : Centralized or Decentralized, optional
+        As of `Assured`.
     """
 
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
         return np.where(able[:, None], got.u, backup), able
 
     def _tried(
-        self, got: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
+        self, got: Received, now: Received, x: Array, proposed: Array, who: Some, backup: Array, kept: Proven
     ) -> Tried:
-        u, found, passed = super()._tried(got, x, proposed, who, backup, kept)
+        u, found, passed = super()._tried(got, now, x, proposed, who, backup, kept)
         back = who & ~passed
         low, high = 0.0, 1.0
         for _ in range(HALVINGS if back.any() else 0):
             share = (low + high) / 2
             part = np.where(back[:, None], backup + share * (proposed - backup), proposed)
             part = np.where(who[:, None], part, backup)
-            tried = self.planner.find(got.t, x, part, kept, ~who)
+            tried = self._find(got, now, x, part, kept, who)
             if tried.good:
                 u, found, passed, low = part, tried, who, share
             else:
                 high = share
+        self._cut(back, low)
         return u, found, passed
 
+    def _cut(self, who: Some, share: float) -> None:
+        """Take note of those who were proven for a share of the way only."""
+        return
 
-class _Latching(Assured):
-    """A deputy whose wanted thrust is not passed is on backup until it would have been for some time."""
 
-    def __init__(self, planner: Planner, dwell: float) -> None:
-        super().__init__(planner)
-        self.dwell = non_negative("dwell", dwell, "s")
-        self.latched = np.zeros(self.inspection.deputies, dtype=bool)
-        self._clear_since = np.full(self.inspection.deputies, np.nan)
+class Explicit(Implicit):
+    """The nearest thrust that keeps every barrier (eq. 5), where a plan after it is proven.
 
-    @abstractmethod
-    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
-        """Deputies (N,) that a period of thrust (N, 3) takes to their margin, or to their release; what."""
+    Otherwise as far on the way to it as is proven, and from there back to it within `RETURN`: a deputy that
+    takes turns with its plan has its thrust change from period to period. Not in a group that loses messages,
+    whose members must answer the same to the same messages.
+
+    Parameters
+    ----------
+    planner : Planner
+    filtering : Centralized or Decentralized
+    """
+
+    def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
+        super().__init__(planner, filtering)
+        self.filtering, self._share = filtering, np.ones(self.inspection.deputies)
 
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
-        proposed = np.where(able[:, None], got.u, backup)
-        clear = self.latched & able
-        if clear.any():
-            clear &= ~self._troubled(got, proposed, spare=True)[0]
-        if not got.steady:
-            self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
-        since = np.where(np.isnan(self._clear_since), got.t, self._clear_since)
-        self._clear_since = np.where(clear, since, np.nan)
-        self._switch(clear & (got.t - since >= self.dwell), got.t, "desired", f"clear for {self.dwell:g} s")
-        while (who := able & ~self.latched).any():
-            troubled, what = self._troubled(got, np.where(who[:, None], proposed, backup), spare=False)
-            if not troubled.any():
-                break
-            self._switch(troubled & who if (troubled & who).any() else who, got.t, "backup", what)
-        return proposed, who
+        q = self.inspection
+        wanted = np.where(able[:, None], np.clip(got.wanted, -1e6 * q.thrust_max, 1e6 * q.thrust_max), backup)
+        sun = q.sun_angle([got.t], self.check.sun_start)
+        found = self.filtering.batch(got.x[None], sun, wanted[None])
+        good = np.isfinite(found.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
+        u, share = np.where(good[:, None], found.u[0], backup), self._share[:, None]
+        u = np.where(share < 1, backup + share * (u - backup), u)
+        self._share = np.minimum(self._share + self.period / RETURN, 1.0)
+        return u, good
 
-    def _refused(self, got: Received, who: Some, reason: str) -> None:
-        self._switch(who, got.t, "backup", reason)
-
-    def _switch(self, who: Some, t: float, to: str, reason: str) -> None:
-        self.latched[who] = to == "backup"
-        self._clear_since[who] = np.nan
-        self.log += [Switch(t, int(i), to, reason) for i in np.flatnonzero(who)]
+    def _cut(self, who: Some, share: float) -> None:
+        if not self.planner.mixed:
+            self._share[who] *= share
 
 
-class SimplexExplicit(_Latching):
-    """Passes the wanted thrust while barriers stay at their margin, and a plan after it is proven.
-
-    Parameters
-    ----------
-    planner : Planner
-    families : Families
-        The constraints h1 to h11.
-    margin, release : float
-        Least value of every h, in its unit, for passing and for handing back.
-    dwell : float
-        For so long all must have been at `release` before a deputy is handed back [s].
-    looks : int
-        Instants in the coming period at which h is evaluated, evenly spaced, its end among them.
-    """
-
-    def __init__(
-        self,
-        planner: Planner,
-        families: Families,
-        margin: float = 0.0,
-        release: float = 0.05,
-        dwell: float = 30.0,
-        looks: int = 2,
-    ) -> None:
-        super().__init__(planner, dwell)
-        if release < margin:
-            raise ScenarioError("release", release, "must be at least the margin")
-        self.families, self._least = families, (margin, release)
-        self._parts = self.period * np.arange(1, whole("looks", looks, 1) + 1) / looks
-        self._moves = [self.inspection.held(float(part)) for part in self._parts]
-
-    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
-        rows = self.families
-        states = np.stack([got.x @ Phi.T + u @ Gamma.T for Phi, Gamma in self._moves])
-        h = rows(states, self.inspection.sun_angle(got.t + self._parts, self.check.sun_start)).h.min(axis=0)
-        worst = int(h.argmin())
-        bad = ~(h >= self._least[spare])
-        return _concerned(rows, bad, len(u)), f"{rows.labels[worst]} would be {h[worst]:.3g}"
-
-
-class SimplexImplicit(_Latching):
-    """Passes the wanted thrust while a plan after it is proven.
-
-    Parameters
-    ----------
-    planner : Planner
-    release_distance, release_speed : float
-        Least bounds for handing back of distances [m] and of speeds [m/s].
-    dwell : float
-        [s]
-    """
-
-    def __init__(
-        self,
-        planner: Planner,
-        release_distance: float = 2.0,
-        release_speed: float = 0.02,
-        dwell: float = 30.0,
-    ) -> None:
-        super().__init__(planner, dwell)
-        distance = non_negative("release_distance", release_distance, "m")
-        speed = non_negative("release_speed", release_speed, "m/s")
-        self._release = np.where(self.check.about_speed, speed, distance)
-        self._release[self.check.about_thrust] = 0.0
-
-    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
-        if not spare:
-            return np.zeros(len(u), dtype=bool), ""  # what is not proven is refused
-        found = self.planner.find(got.t, got.x, u)
-        return _concerned(self.check, ~(found.margins >= self._release), len(u)), ""
-
-
-def _concerned(rows: AllTime | Families, chosen: Some, deputies: int) -> Some:
+def concerned(rows: AllTime | Families, chosen: Some, deputies: int) -> Some:
     """Deputies of the chosen rows, shape (N,)."""
     return np.isin(np.arange(deputies), np.concatenate([rows.first[chosen], rows.second[chosen]]))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.checks import of_kind, one_of
 from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
@@ -57,10 +58,12 @@ class Centralized:
     """
 
     def __init__(self, families: Families) -> None:
+        of_kind("families", families, Families)
         self.families, self.loops = families, loops(LOOPS)
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
+        shaped_as(x, desired)
         rows = self.families(x, sun)
         u, status = self.project(rows, desired)
         if self.families.sampled is not None and status.max() >= SHORT:
@@ -129,8 +132,8 @@ class Decentralized:
     """
 
     def __init__(self, families: Families, sharing: str = "coasting") -> None:
-        if sharing not in SHARINGS:
-            raise ScenarioError("sharing", sharing, f"must be one of {', '.join(SHARINGS)}")
+        of_kind("families", families, Families)
+        one_of("sharing", sharing, SHARINGS)
         self.families, self.sharing, self.loops = families, sharing, loops(LOOPS)
         N, first, second = families.inspection.deputies, families.first, families.second
         self._mine = np.array([np.flatnonzero((first == i) | (second == i)) for i in range(N)])
@@ -140,6 +143,7 @@ class Decentralized:
 
     def batch(self, x: Array, sun: Array, desired: Array) -> Filtered:
         """Filter inputs of shape (R, N, 3) at states (R, N, 6) and sun angles (R,) [rad]."""
+        shaped_as(x, desired)
         rows, limit = self.families(x, sun), self.families.inspection.thrust_max
         bounds, agreed = self._shares(rows, desired.shape[1])
         if self.loops:
@@ -192,6 +196,13 @@ class Decentralized:
 def make_filter(families: Families, sharing: str) -> Centralized | Decentralized:
     """The filter ``centralized``, or the decentralized one that shares as its name says, if there is one."""
     return Centralized(families) if sharing == CENTRALIZED else Decentralized(families, sharing)
+
+
+def shaped_as(x: Array, desired: Array) -> None:
+    """Refuse inputs that are not those of states (R, N, 6)."""
+    if x.ndim != 3 or desired.shape != (*x.shape[:2], 3):
+        rule = f"must have shape (R, N, 3) for states of shape (R, N, 6), here {x.shape}"
+        raise ScenarioError("desired", desired.shape, rule)
 
 
 def _unchanged(u: Array, desired: Array) -> Statuses:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...model.checks import shaped
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import FARTHEST
@@ -58,23 +59,24 @@ class Member:
     """
 
     def __init__(self, me: int, rule: Explicit | Implicit, t: float, x: Array) -> None:
-        self.me, self.rule, self.brake = me, rule, rule.brake
-        found = rule.planner.find(t, x)
-        if not rule.planner.mixed:
-            raise ScenarioError("rule", type(rule).__name__, "needs a planner that is mixed")
         if not isinstance(rule, Explicit | Implicit):
             raise ScenarioError("rule", type(rule).__name__, "must answer the same to the same messages")
+        if not rule.planner.mixed:
+            raise ScenarioError("rule", type(rule).__name__, "needs a planner that is mixed")
+        self.me, self.rule, self.brake = me, rule, rule.brake
+        found = rule.planner.find(t, shaped("x", x, (rule.inspection.deputies, 6)))
         if not found.good:
             worst = int(found.margins.argmin())
             told = f"{rule.check.labels[worst]} would be {found.margins[worst]:.3g}"
             raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {told}")
         self._none = np.zeros(len(rule.check.labels))
         self._due, self._flown = t, self._part(found)
+        self._astray = np.zeros((1, 2))
         self.moved = self.unproven = False
 
     def message(self, x: Array, wanted: Array) -> Message:
         """What to tell all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
-        plan, tube, _ = self._flown
+        plan, tube = self._flown[:2]
         return Message(self._due, np.array(x, dtype=float), np.array(wanted, dtype=float), plan, tube)
 
     def decide(self, t: float, told: Sequence[Message | None]) -> Array:
@@ -86,31 +88,32 @@ class Member:
         if own is None:
             raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
         heard = [message for message in told if message is not None and abs(message.t - t) <= 1e-6 * D]
+        seen, flown, astray = _known(own.x), self._flown, self._astray
+        x = np.where(seen, own.x, flown.plan[0])
+        self._astray = self.brake.tube.ahead(astray, np.array([seen]), x - flown.plan[0], np.zeros(1))
         on_time, self._due = abs(t - self._due) <= 1e-6 * D, (t if np.isfinite(t) else self._due) + D
         if on_time and len(heard) == len(told) and all(_known(message.x) for message in heard):
-            plans = [Proven(message.plan, message.tube, np.zeros(0)) for message in heard]
+            plans = [Proven(message.plan, message.tube, np.zeros(0), t) for message in heard]
             count = max(len(each.plan) for each in plans)
             longer, tubes = zip(*(self.rule.planner.extended(each, count) for each in plans), strict=True)
             now = heard[0].t  # clocks may differ by rounding; all who move go by the same
-            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none), now)
-            x, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
-            decision = self.rule.filter(now, x, wanted)
+            self.rule.take_over(Proven(np.hstack(longer), np.hstack(tubes), self._none, now))
+            states, wanted = np.array([m.x for m in heard]), np.array([m.wanted for m in heard])
+            decision = self.rule.filter(now, states, wanted)
             if self.rule.plan is not None:  # it has been proven
                 self.moved, self._flown = True, self._part(self.rule.plan)
                 self.unproven &= bool(decision.on_backup[self.me])
                 return np.asarray(decision.u[self.me])
-        seen, flown = _known(own.x), self._flown
-        x = np.where(seen, own.x, flown.plan[0])
-        known = on_time and (seen or self.brake.uncertainty.exact)
+        known = on_time and (seen or bool((astray <= self.brake.tube.astray).all()))
         self.moved, self.unproven = False, self.unproven or not (known and self.rule.near(x, flown).all())
         later = self.rule.planner.extended(flown, 3)
-        self._flown = Proven(later[0][1:], later[1][1:], self._none)
+        self._flown = Proven(later[0][1:], later[1][1:], self._none, self._due)
         return np.asarray(self.brake.follow(x, flown.plan)[0])
 
     def _part(self, found: Proven) -> Proven:
         """The part of the plans of all that is this deputy's."""
         mine = slice(self.me, self.me + 1)
-        return Proven(found.plan[:, mine], found.tube[:, mine], self._none)
+        return Proven(found.plan[:, mine], found.tube[:, mine], self._none, found.t)
 
 
 def _known(x: Array) -> bool:

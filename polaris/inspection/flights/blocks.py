@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...rta.projection import SHORT
-from ..constraints.allowable_set import CONSTRAINTS, allowable
+from ..constraints.allowable_set import allowable
+from ..constraints.constraint import CONSTRAINTS
 from ..constraints.families import Families
 from .judge import keepers
 from .simulation import BatchFilter, Flights, Observer, Step, fly
@@ -39,7 +40,7 @@ class Outcome:
     @property
     def least(self) -> dict[str, Array]:
         """Least value of each constraint that is judged, shape (R,)."""
-        every = {name: self.columns[f"least_{name}"] for name in CONSTRAINTS}
+        every = {name[6:]: values for name, values in self.columns.items() if name.startswith("least_")}
         return {name: values for name, values in every.items() if not np.isnan(values).all()}
 
     @property
@@ -121,7 +122,7 @@ class Recorder:
             "interventions_share": self.changed / self.steps,
             **{f"delta_v_{i}_m_s": spent for i, spent in enumerate(self.delta_v.T)},
         }
-        for name in CONSTRAINTS:
+        for name in dict.fromkeys((*CONSTRAINTS, *self.keepers)):
             kept = self.keepers.get(name)
             found[f"least_{name}"] = nothing if kept is None else kept.value
             found[f"time_{name}_s"] = nothing if kept is None else kept.time

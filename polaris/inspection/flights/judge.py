@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.system import Array
-from ..constraints.allowable_set import KINDS, PASSIVE, allowable
+from ..constraints.allowable_set import allowable
+from ..constraints.constraint import KINDS, PASSIVE
 from ..constraints.families import Families
 from ..constraints.table import Index
 from .simulation import InspectionRun
@@ -74,8 +75,11 @@ class Keeper:
 def keepers(families: Families, runs: int = 1) -> dict[str, Keeper]:
     """One for each constraint that the families keep."""
     alone, pairs = np.split(families.everyone, [families.inspection.deputies])
-    kept = [kind for family, kind in KINDS.items() if family in families.family]
-    return {name: Keeper(pairs if kind.pair else alone, runs) for kind in kept for name in kind.phi}
+    own = families.inspection.constraints
+    every = [(name, kind.family, kind.pair) for name, kind in KINDS.items()]
+    every += [(one.label, one.family or one.label, one.pair) for one in own]
+    kept = [(name, pair) for name, family, pair in every if family in families.family]
+    return {name: Keeper(pairs if pair else alone, runs) for name, pair in kept}
 
 
 def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
@@ -84,7 +88,8 @@ def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
     The families are all constraints, nothing tightened and none left out; `between` is the number of instants
     inside each period that are judged, too.
     """
-    rows = {name: np.flatnonzero(families.among(name)) for name in KINDS if name in families.family}
+    order = (name for name in families.alpha if name in families.family)
+    rows = {name: np.flatnonzero(families.among(name)) for name in order}
     barriers = {name: Keeper(families.everyone[families.place[chosen]]) for name, chosen in rows.items()}
     constraints = keepers(families)
     for t, x, sun, sampled in _instants(run, between):

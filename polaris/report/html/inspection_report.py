@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ...inspection.constraints.allowable_set import PASSIVE, allowable
+from ...inspection.constraints.allowable_set import allowable
+from ...inspection.constraints.constraint import PASSIVE
 from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.inspection import Inspection
 from ...model.checks import counted

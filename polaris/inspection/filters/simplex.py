@@ -1,0 +1,136 @@
+"""Switching filters with a proven answer: the desired thrust passes as it is, or a plan is flown."""
+
+from abc import abstractmethod
+
+import numpy as np
+
+from ...model.checks import non_negative, whole
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...rta.one_call import Switch
+from ...rta.received import Received
+from ..backup.planner import Planner
+from ..constraints.families import Families
+from .assured import Assured, Some, concerned
+from .explicit import Centralized, Decentralized
+
+
+class _Latching(Assured):
+    """A deputy whose wanted thrust is not passed is on backup until it would have been for some time."""
+
+    def __init__(
+        self, planner: Planner, dwell: float, recovery: Centralized | Decentralized | None = None
+    ) -> None:
+        super().__init__(planner, recovery)
+        self.dwell = non_negative("dwell", dwell, "s")
+        self.latched = np.zeros(self.inspection.deputies, dtype=bool)
+        self._clear_since = np.full(self.inspection.deputies, np.nan)
+
+    @abstractmethod
+    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
+        """Deputies (N,) that a period of thrust (N, 3) takes to their margin, or to their release; what."""
+
+    def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
+        proposed = np.where(able[:, None], got.u, backup)
+        clear = self.latched & able
+        if clear.any():
+            clear &= ~self._troubled(got, proposed, spare=True)[0]
+        if not got.steady:
+            self._clear_since[:] = np.nan  # nothing has lasted across a break of the clock
+        since = np.where(np.isnan(self._clear_since), got.t, self._clear_since)
+        self._clear_since = np.where(clear, since, np.nan)
+        self._switch(clear & (got.t - since >= self.dwell), got.t, "desired", f"clear for {self.dwell:g} s")
+        while (who := able & ~self.latched).any():
+            troubled, what = self._troubled(got, np.where(who[:, None], proposed, backup), spare=False)
+            if not troubled.any():
+                break
+            self._switch(troubled & who if (troubled & who).any() else who, got.t, "backup", what)
+        return proposed, who
+
+    def _refused(self, got: Received, who: Some, reason: str) -> None:
+        self._switch(who, got.t, "backup", reason)
+
+    def _switch(self, who: Some, t: float, to: str, reason: str) -> None:
+        self.latched[who] = to == "backup"
+        self._clear_since[who] = np.nan
+        self.log += [Switch(t, int(i), to, reason) for i in np.flatnonzero(who)]
+
+
+class SimplexExplicit(_Latching):
+    """Passes the wanted thrust while barriers stay at their margin, and a plan after it is proven.
+
+    Parameters
+    ----------
+    planner : Planner
+    families : Families
+        The constraints h1 to h11.
+    margin, release : float
+        Least value of every h, in its unit, for passing and for handing back.
+    dwell : float
+        For so long all must have been at `release` before a deputy is handed back [s].
+    looks : int
+        Instants in the coming period at which h is evaluated, evenly spaced, its end among them.
+    recovery : Centralized or Decentralized, optional
+        As of `Assured`.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        families: Families,
+        margin: float = 0.0,
+        release: float = 0.05,
+        dwell: float = 30.0,
+        looks: int = 2,
+        recovery: Centralized | Decentralized | None = None,
+    ) -> None:
+        super().__init__(planner, dwell, recovery)
+        if release < margin:
+            raise ScenarioError("release", release, "must be at least the margin")
+        self._check_families(families)
+        self.families, self._least = families, (margin, release)
+        self._parts = self.period * np.arange(1, whole("looks", looks, 1) + 1) / looks
+        self._moves = [self.inspection.held(float(part)) for part in self._parts]
+
+    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
+        rows = self.families
+        states = np.stack([got.x @ Phi.T + u @ Gamma.T for Phi, Gamma in self._moves])
+        h = rows(states, self.inspection.sun_angle(got.t + self._parts, self.check.sun_start)).h.min(axis=0)
+        worst = int(h.argmin())
+        bad = ~(h >= self._least[spare])
+        return concerned(rows, bad, len(u)), f"{rows.labels[worst]} would be {h[worst]:.3g}"
+
+
+class SimplexImplicit(_Latching):
+    """Passes the wanted thrust while a plan after it is proven.
+
+    Parameters
+    ----------
+    planner : Planner
+    release_distance, release_speed : float
+        Least bounds for handing back of distances [m] and of speeds [m/s].
+    dwell : float
+        [s]
+    recovery : Centralized or Decentralized, optional
+        As of `Assured`.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        release_distance: float = 2.0,
+        release_speed: float = 0.02,
+        dwell: float = 30.0,
+        recovery: Centralized | Decentralized | None = None,
+    ) -> None:
+        super().__init__(planner, dwell, recovery)
+        distance = non_negative("release_distance", release_distance, "m")
+        speed = non_negative("release_speed", release_speed, "m/s")
+        self._release = np.where(self.check.about_speed, speed, distance)
+        self._release[self.check.about_thrust] = 0.0
+
+    def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
+        if not spare:
+            return np.zeros(len(u), dtype=bool), ""  # what is not proven is refused
+        found = self.planner.find(got.t, got.x, u)
+        return concerned(self.check, ~(found.margins >= self._release), len(u)), ""

@@ -1,0 +1,167 @@
+"""Constraints of one's own: one class each, kept by the filters, judged and sampled like the paper's."""
+
+import numpy as np
+import pytest
+
+from polaris.inspection import (
+    Constraint,
+    Evaluation,
+    Families,
+    Flights,
+    InitialConditions,
+    Inspection,
+    SampledData,
+    allowable,
+    build_filter,
+    fly_block,
+    fly_one,
+)
+from polaris.inspection.closest import ClosestApproach
+from polaris.inspection.constraints.constraint import KINDS
+from polaris.inspection.constraints.table import printed
+from polaris.inspection.filters.explicit import make_filter
+from polaris.inspection.flights.judge import judge
+from polaris.model import compiled
+from polaris.model.errors import ScenarioError
+
+
+class Ceiling(Constraint):
+    """Nobody above 50 m cross-track."""
+
+    label, meaning, unit, rank = "ceiling", "height cross-track", "m", 3
+
+    def value(self, z, sun=0.0):
+        return 50.0 - z[..., 2]
+
+    def __call__(self, z, sun=0.0):
+        gradient = np.broadcast_to([0, 0, -0.05, 0, 0, -1.0], z.shape)
+        return Evaluation(0.05 * self.value(z) - z[..., 5], gradient, 0.0)
+
+    def curvature(self, z, sun, motion):
+        return 0.05 * motion.acceleration + motion.jerk
+
+
+class Tether(Ceiling):
+    """No pair farther apart than 200 m along-track."""
+
+    label, pair, family = "tether", True, "formation"
+
+    def value(self, z, sun=0.0):
+        return 200.0**2 - z[..., 1] ** 2
+
+    def __call__(self, z, sun=0.0):
+        gradient = np.zeros(z.shape)
+        gradient[..., 1], gradient[..., 4] = -0.1 * z[..., 1] - 2 * z[..., 4], -2 * z[..., 1]
+        return Evaluation(0.05 * self.value(z) - 2 * z[..., 1] * z[..., 4], gradient, 0.0)
+
+    def curvature(self, z, sun, motion):
+        v, a, far = motion.speed, motion.acceleration, np.abs(z[..., 1]) + motion.speed * motion.period
+        return 2 * (0.05 * (v * v + far * a) + 3 * v * a + far * motion.jerk)
+
+
+class Bare(Ceiling):
+    curvature = Constraint.curvature
+
+
+Q = Inspection(deputies=2, constraints=(Ceiling(), Tether()))
+START = np.array([[0.0, -300.0, 20.0, 0, 0, 0], [0.0, -400.0, -30.0, 0, 0, 0]])
+
+
+class Upwards:
+    """Full thrust up, and away from each other."""
+
+    def __call__(self, t, x):
+        return np.broadcast_to([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]], (*x.shape[:-1], 3)).copy()
+
+
+def flown(q, kind, sampled=True):
+    families = Families(q, "linear", sampled=SampledData(1.0) if sampled else None)
+    flights = Flights(q, START[None], np.zeros(1), 200.0, 1.0, Upwards())
+    return judge(
+        fly_one(flights, make_filter(families, kind)), Families(q, "linear", exact=True), 4
+    ).constraints
+
+
+@pytest.mark.parametrize("loops", [True, False])
+@pytest.mark.parametrize("kind", ["centralized", "consensus"])
+def test_one_class_is_kept_and_judged(kind, loops, monkeypatch):
+    monkeypatch.setattr(compiled, "wanted", lambda: loops)
+    least = flown(Q, kind)
+    assert list(least) == [*KINDS, "ceiling", "tether"]
+    assert min(one.value for one in least.values()) >= 0
+    assert least["ceiling"].value < 5 and least["tether"].value < 5000  # flown against
+
+
+def test_without_them_both_are_violated():
+    found = flown(Inspection(deputies=2), "centralized")
+    assert list(found) == list(KINDS) and found["phi6"].value >= 0
+    x = fly_one(
+        Flights(Q, START[None], np.zeros(1), 200.0, 1.0, Upwards()),
+        make_filter(Families(Q, "linear", without=("ceiling", "formation")), "centralized"),
+    ).x
+    phi = allowable(Q, x, np.zeros(len(x)))
+    assert phi["ceiling"].min() < 0 and phi["tether"].min() < 0
+
+
+@pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
+def test_rows_of_loops_and_formulas_agree(sampled, monkeypatch):
+    rows = []
+    for loops in (True, False):
+        monkeypatch.setattr(compiled, "wanted", lambda loops=loops: loops)
+        families = Families(Q, "linear", sampled=sampled, exact=True)
+        assert bool(families.loops) == loops
+        rows.append(families(START[None] + np.linspace(0, 9, 4)[:, None, None], np.zeros(4)))
+    for name in ("h", "G", "bound"):
+        np.testing.assert_allclose(getattr(rows[0], name), getattr(rows[1], name), rtol=1e-9, atol=1e-9)
+    assert families.labels[-3:] == ("ceiling[0]", "ceiling[1]", "tether[0,1]")
+    assert families.rank(np.ones(len(families.labels)))[-3:].tolist() == [6, 6, 6]
+
+
+def test_the_call_of_a_filter_names_them():
+    f = build_filter("centralized", Q, 1.0)
+    answer = f.filter(0.0, START + np.array([0, 0, 25.0, 0, 0, 0]), np.ones((2, 3)))
+    assert answer.margins["ceiling[0]"] == pytest.approx(0.25)
+    assert "ceiling[0]" in answer.active and answer.intervened[0]
+
+
+def test_many_flights_are_drawn_and_judged_by_them():
+    q = Inspection(deputies=2, constraints=(Ceiling(),))
+    families = Families(q, "linear")
+    x, sun = InitialConditions(families, 0, 512).first(8)
+    assert (x[..., 2] <= 50).all()
+    outcome = fly_block(Flights(q, x, sun, 10.0), make_filter(families, "centralized"))
+    assert "ceiling" in outcome.least and outcome.columns["least_ceiling"].shape == (8,)
+
+
+def test_the_papers_are_instances_of_the_same_protocol():
+    made = printed(Inspection(), ClosestApproach(0.001027, 500.0))
+    assert {one.label for one in made} == set(KINDS) and all(isinstance(one, Constraint) for one in made)
+    z = np.array([200.0, -300.0, 100.0, 0.1, 0.2, -0.1])
+    for one in made:
+        value = one.value(z)
+        found = one(z) if one.repeat == 1 else None
+        assert value.shape == () and (found is None or found.gradient.shape == (6,))
+        assert one.sampled().label == one.label and one.family == KINDS[one.label].family
+
+
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (lambda: Families(Inspection(constraints=(Bare(),)), sampled=SampledData(1.0)), "curvature"),
+        (lambda: build_filter("explicit", Q), "for all time"),
+        (lambda: Inspection(constraints=(Ceiling(), Ceiling())), "labels, each different"),
+        (lambda: Inspection(constraints=(Ceiling,)), "must be a Constraint"),
+        (lambda: build_filter("central", Q), "must be one of"),
+        (lambda: Families(Q, without=("roof",)), "must be one of .*formation"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, match):
+    with pytest.raises(ScenarioError, match=match):
+        make()
+
+
+@pytest.mark.parametrize("kind", ["centralized", "decentralized", "explicit", "implicit", "simplex_explicit"])
+def test_one_call_builds_every_kind(kind):
+    f = build_filter(kind, Inspection(deputies=2), 0.5, sun_start=0.3, without=("sun",))
+    answer = f.filter(0.0, START, np.zeros((2, 3)))
+    assert not answer.unproven and not any(name.startswith(("h4", "phi4")) for name in answer.margins)
