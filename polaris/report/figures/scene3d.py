@@ -9,9 +9,11 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from ...model.system import Array
 from ...runs.picture import Picture
 from ..scene.geometry import closed, faces, gapped
-from ..scene.items import Item, Scene, by_mode
-from ..scene.palette import BLACK, GREEN, GREY, ORANGE, RED, mode_colour, tint
+from ..scene.items import Item, Scene, alone, by_mode
+from ..scene.palette import BLACK, GREEN, GREY, LOOKS, RED, mode_colour, tint
 from ..scene.scene import describe, over_time
+from .cuts import OUT_OF_FRAME
+from .labels import name
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows, new_figure
 
 
@@ -56,19 +58,34 @@ def frame_axes(ax: Any, labels: Any, low: Array, high: Array) -> None:
         ticks.set_major_locator(MaxNLocator(4 if axis == "x" else 3))
 
 
+def _line(ax: Any, scene: Scene, points: Array, label: str, **look: Any) -> None:
+    """Draw a line as far as it is in the box, and mark where it leaves."""
+    slack = 1e-9 * (scene.high - scene.low)
+    inside: Any = np.all((points >= scene.low - slack) & (points <= scene.high + slack), axis=1)
+    if not inside.any():
+        return
+    ax.plot(*np.where(inside[:, None], points, np.nan).T, label=label, **look)
+    known: Any = np.isfinite(points).all(axis=1)
+    cut = inside & (np.append(~inside[1:] & known[1:], False) | np.append(False, ~inside[:-1] & known[:-1]))
+    if cut.any():
+        label = "_" if any(one.get_label() == OUT_OF_FRAME for one in ax.lines) else OUT_OF_FRAME
+        ax.plot(*points[cut].T, "D", ms=2, color=look["color"], label=label, gid="cut")
+
+
 def _paths(ax: Any, scene: Scene) -> None:
-    for item in scene.of("reference"):
-        ax.plot(*item.points.T, ls=DOTS, color=GREY, lw=1.0, label="reference")
-    for item in scene.of("tail"):
-        ax.plot(*item.points.T, ls=DOTS, color=tint(GREY, 0.6), lw=0.7)
-    alone, flown = scene.flown("experimental"), scene.flown("polaris")
-    if alone is not None:
-        ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, label="U alone")
+    for item in scene.of("reference", "tail"):
+        colour, width = (GREY, 1.0) if item.role == "reference" else (tint(GREY, 0.6), 0.7)
+        _line(ax, scene, item.points, LOOKS[item.role].legend, ls=DOTS, color=colour, lw=width)
+    for one in alone(scene.picture):
+        path = scene.placed(scene.picture.positions(one.flights), one.flights.times)
+        _line(ax, scene, path, one.short, color=one.colour, lw=0.9, ls=DASHES)
+    flown = scene.flown("polaris")
     if flown is not None:
         for mode, piece in by_mode(scene.picture, flown).items():
-            name = f"under {scene.picture.mode_name(mode)}"
-            ax.plot(*piece.T, color=mode_colour(mode), lw=1.5, label=name)
-    ax.scatter(*scene.safe_path()[0], color=BLACK, s=8, depthshade=False)
+            _line(ax, scene, piece, f"under {scene.picture.mode_name(mode)}", color=mode_colour(mode), lw=1.5)
+    start = scene.safe_path()[:1]
+    ax.scatter(*start[0], color=BLACK, s=8, depthshade=False)
+    name(ax, "start", start, BLACK)
 
 
 def _goal(ax: Any, scene: Scene) -> None:
@@ -97,19 +114,14 @@ def _solids(ax: Any, item: Item, scene: Scene) -> None:
         many = Poly3DCollection(polygons, linewidth=0.35, facecolor=face, edgecolor=edge)
         ax.add_collection3d(many, autolim=False)
     if shown:
-        _name(ax, item.name, shown[-1].points)
+        name(ax, item.name + (f" ({OUT_OF_FRAME})" if item.cut else ""), shown[-1].points, RED)
 
 
 def _sides(ax: Any, item: Item, scene: Scene) -> None:
     """Edges of a keep-in set."""
     if item.shape is not None and _seen(item.points, scene):
         ax.plot(*item.points.T, color=RED, lw=0.6, alpha=0.6, ls=LONG)
-        _name(ax, item.name.removesuffix(": its sides"), item.points)
-
-
-def _name(ax: Any, name: str, points: Array) -> None:
-    """Write a name at the highest point."""
-    ax.text(*points[np.nanargmax(points[:, 2])], f" {name}", color=RED, fontsize=7, va="bottom")
+        name(ax, item.name.replace(": its sides", " (stay inside)"), item.points, RED)
 
 
 def _seen(points: Array, scene: Scene) -> bool:
