@@ -1,4 +1,4 @@
-"""Figures can be read: names apart and whole, everything drawn is explained, nothing is cut without a mark."""
+"""Figures can be read: names apart and whole, all that is drawn explained, no set cut without a mark."""
 
 import itertools
 from dataclasses import replace
@@ -8,26 +8,25 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from polaris.report.figures import FIGURES
 from polaris.report.figures.cuts import OUT_OF_FRAME
 from polaris.report.figures.style import DASHES, style
 from polaris.report.scene.items import alone, closeups
-from polaris.report.scene.palette import BLACK, GREEN, GREY
+from polaris.report.scene.palette import mode_colour
 from polaris.runs.picture import SlicePicture, directions
 from polaris.runs.picturing import picture_of
-from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.simulation.baselines import Flights
 
+from ..kept import scheduled
 from ..polaris.test_figures import over, random_picture
 from ..polaris.tiny import flown, synthesised
 
 SEEDS = (0, 1, 2, 5, 8, 11, 17)
 """On the line, in the plane, in space and in Hill's frame."""
 MANY = [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(90) if i not in SEEDS)]
-BUNDLED = ("static", "keep_out", "dynamic", "hold_point", "robot")
 POINT = 150 / 72  # pixels
 
 
@@ -74,7 +73,7 @@ def texts_of(figure):
                 for text in (tick.label1, tick.label2)
                 if not low <= tick.get_loc() <= high or not tick.get_visible()
             }
-        hidden |= set() if ax.axison else set(ax.findobj(Text))
+        hidden |= set() if getattr(ax, "_axis3don", ax.axison) else set(ax.findobj(Text))
     return [(one, one.get_window_extent(renderer)) for one in found if one not in hidden]
 
 
@@ -86,7 +85,32 @@ def assert_texts_are_apart(figure):
         assert box.x1 <= figure.bbox.x1 + slack and box.y1 <= figure.bbox.y1 + slack, one
     for (one, a), (other, b) in itertools.combinations(found, 2):
         wide, high = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
-        assert min(wide, high) <= slack, (one, other)
+        if min(wide, high) > slack:
+            assert one.get_rotation() % 90 or other.get_rotation() % 90, (one, other)
+            assert apart(corners(one, figure), corners(other, figure)) > -slack, (one, other)
+
+
+def corners(text, figure):
+    """Corners (4, 2) of a text that is turned."""
+    angle, renderer = text.get_rotation(), figure._get_renderer()
+    box = text.get_window_extent(renderer)
+    middle = (box.min + box.max) / 2
+    text.set_rotation(0)
+    half = text.get_window_extent(renderer).size / 2
+    text.set_rotation(angle)
+    c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    return middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]] @ np.array([[c, s], [-s, c]])
+
+
+def apart(one, other):
+    """Gap between two rectangles (4, 2), along the side that shows most of it."""
+    sides = [
+        edge / np.linalg.norm(edge) for box in (one, other) for edge in (box[1] - box[0], box[2] - box[1])
+    ]
+    ends = [
+        ((one @ side).min(), (one @ side).max(), (other @ side).min(), (other @ side).max()) for side in sides
+    ]
+    return max(max(c - b, a - d) for a, b, c, d in ends)
 
 
 def colours_of(artist):
@@ -218,3 +242,77 @@ def test_the_small_scene_can_be_read(name):
     assert_texts_are_apart(figure)
     if name == "scene":
         assert_can_be_read(figure)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["static", "keep_out", "dynamic", "hold_point", "robot"])
+def test_bundled_scenes_can_be_read(scenario):
+    picture = picture_of(scheduled(scenario)[1])
+    assert_can_be_read(draw(picture))
+    assert_u_alone_is_in_every_panel(picture)
+    for name in ("scene_3d", "modes", "margin"):
+        assert_texts_are_apart(draw(picture, name))
+
+
+def assert_u_alone_is_in_every_panel(picture):
+    """Every panel with an unsafe set has U alone, unless it never comes into that part of space."""
+    main, *panels = draw(picture).axes
+    (u,) = alone(picture)
+    assert len(dashed(main, u.colour)) == 1
+    path = picture.positions(u.flights)
+    for ax, one in zip(panels, closeups(picture), strict=True):
+        gap = one.obstacle.signed_distance(u.flights.times, path, picture.system)
+        if one.axes is None or np.any(gap < 0):
+            assert dashed(ax, u.colour), one
+
+
+def dashed(ax, colour):
+    """Paths of U alone in axes."""
+    with style():
+        look = Line2D([], [], ls=DASHES, lw=0.9)
+    own = [one for one in ax.lines if one.get_color() == colour and one._dash_pattern == look._dash_pattern]
+    low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
+    return [
+        one for one in own if np.any(np.all((one.get_xydata() > low) & (one.get_xydata() < high), axis=1))
+    ]
+
+
+def test_u_alone_flies_through_a_set_beside_the_path_that_passes_it():
+    picture = over(60.0)
+    times = np.linspace(0, picture.duration, 81)
+    states = np.linspace([-300.0, 0, 0, 1, 0, 0], [300.0, 0, 0, 1, 0, 0], 81)[None]
+    ones = np.ones((3, 81))
+    flights = Flights("fast", ("nominal",), times, states, np.zeros((1, 80, 3)), np.ones(20, dtype=int), ones)
+    picture = replace(picture, controllers=("safety", "fast"), flights={"experimental": flights})
+    assert len(closeups(picture)) == 1
+    assert_u_alone_is_in_every_panel(picture)
+
+
+def test_each_of_several_experimental_controllers_is_named_and_drawn_alone():
+    base = tiny()
+    one = base.flights["experimental"]
+    flights = {
+        **base.flights,
+        "experimental": replace(one, controller="a"),
+        "second": replace(one, controller="b"),
+    }
+    picture = replace(base, controllers=("safety", "a", "b"), flights=flights)
+    for name in ("scene", "scene_3d", "distance"):
+        figure = draw(picture, name)
+        names = [text.get_text() for text, _ in texts_of(figure)]
+        assert {"U alone (a)", "U alone (b)"} <= set(names), name
+    assert [one.colour for one in alone(picture)] == [mode_colour(1), mode_colour(2)]
+    assert [one.short for one in alone(base)] == ["U alone"]
+
+
+def test_names_have_the_same_places_in_every_format_and_follow_the_view(tmp_path):
+    figure = draw(crowded(1))
+    (ax,) = figure.axes
+    figure.set_layout_engine(None)
+    before = [text.get_position() for text in ax.texts]
+    figure.savefig(tmp_path / "a.pdf")
+    assert [text.get_position() for text in ax.texts] == before
+    ax.set_xlim(*(0.7 * np.array(ax.get_xlim())))
+    figure.draw_without_rendering()
+    assert [text.get_position() for text in ax.texts] != before
+    assert_texts_are_apart(figure)

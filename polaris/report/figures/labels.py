@@ -24,6 +24,7 @@ ANCHORS = 24  # points along an outline beside which its name may stand
 RINGS = (0.0, 0.7, 1.6, 3.0, 5.0, 8.0)  # further distances to the anchor, in heights of the text
 SIDES = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))  # above first, then right
 WITHIN = [(x, y) for x in (0, 0.25, -0.25, 0.4, -0.4) for y in (0, 0.25, -0.25)]  # places in a large set
+TRIED = 300  # cheapest places of which the first with a free leader is taken
 LEADER = 7.0  # a name further than this from its anchor is led to it by a line [pt]
 CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; each point of distance
 
@@ -145,7 +146,7 @@ class Labels(Artist):
             room.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
             label.text.set_position(ax.transAxes.inverted().transform(at))
             if np.isfinite(leader).all():
-                along = leader[0] + np.linspace(0, 1, 20)[:, None] * (leader[1] - leader[0])
+                along = leader[0] + np.linspace(0, 1, 8)[:, None] * (leader[1] - leader[0])
                 room.taken += [np.array([*one, *one]) for one in along]
                 leaders.append((ax.transAxes.inverted().transform(leader), label.text.get_color()))
         self._leaders = leaders
@@ -177,9 +178,10 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
     crossed = room.crossed(low - point, high + point)
-    cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0)) + 10.0 * room.under(leaders)
+    cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
-    best = int(np.argmin(np.round(cost, 6)))
+    best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
+    best = best[int(np.argmax(~room.under(leaders[best])))]  # the first that is led to clear of other names
     return at[best], leaders[best]
 
 
