@@ -312,6 +312,7 @@ def test_names_have_the_same_places_in_every_format_and_follow_the_view(tmp_path
     before = [text.get_position() for text in ax.texts]
     figure.savefig(tmp_path / "a.pdf")
     assert [text.get_position() for text in ax.texts] == before
+    figure.set_layout_engine("constrained")
     ax.set_xlim(*(0.7 * np.array(ax.get_xlim())))
     figure.draw_without_rendering()
     assert [text.get_position() for text in ax.texts] != before

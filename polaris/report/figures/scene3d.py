@@ -19,7 +19,7 @@ from .labels import name
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows, new_figure, shortened, text_width
 
 USUAL = 0.3  # width of ticks for which the margins have room [in]
-MARGINS, BELOW = (0.25, 0.55), 0.44  # room beside the box and below it for ticks and labels [in]
+MARGINS, BELOW = (0.25, 0.62), 0.44  # room beside the box and below it for ticks and labels [in]
 HIGHEST, NARROW = 2.2, 2.4  # of a box as it is drawn: greatest height; width with room for two ticks [in]
 
 
@@ -92,7 +92,7 @@ def frame_axes(ax: Any, labels: Any, low: Array, high: Array) -> Array:
         ticks.set_major_locator(MaxNLocator(4 if axis == "x" else 3))
         texts = ticks.get_major_formatter().format_ticks(ticks.get_majorticklocs())
         more[k] = max(max(map(text_width, texts)) - USUAL, 0.0) * (1.0 if axis == "z" else 0.5)
-        pad = (-6 if axis == "z" else -2) + 48 * more[k]
+        pad = (-3 if axis == "z" else -2) + 48 * more[k]
         getattr(ax, f"set_{axis}label")(label, fontsize=7, labelpad=pad)
         ax.tick_params(axis=axis, labelsize=7, pad=-2 if axis == "z" else -3)
         ticks.set_pane_color((1, 1, 1, 0))
