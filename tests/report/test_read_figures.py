@@ -133,7 +133,9 @@ def alike(colour, other):
 
 def extents_px(artist):
     paths = [artist.get_path()] if isinstance(artist, (Line2D, Patch)) else artist.get_paths()
-    points = np.vstack([artist.get_transform().transform(path.vertices) for path in paths])
+    known = [artist.get_transform().transform(path.vertices) for path in paths]
+    s = np.linspace(0, 1, 40)[:, None, None]
+    points = np.vstack([known[0], *(((1 - s) * one[:-1] + s * one[1:]).reshape(-1, 2) for one in known)])
     return points[np.isfinite(points).all(axis=1)]
 
 

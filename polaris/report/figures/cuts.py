@@ -42,7 +42,9 @@ def mark_cuts(ax: Any) -> list[Any]:
         )
         parts = [to_data.transform(part) for part in polylines(artist)]
         for (axis, side), known in places.items():
-            cut = [_crossings(part, axis, limits[axis, side], limits[1 - axis], closed) for part in parts]
+            cut = [
+                _crossings(part, axis, side, limits[axis, side], limits[1 - axis], closed) for part in parts
+            ]
             for at in sorted(one for part in cut for one in part):
                 near = (
                     other
@@ -70,15 +72,15 @@ def _is_face(artist: Any) -> bool:
     return isinstance(artist, Patch) and not artist.get_linewidth()
 
 
-def _crossings(part: Array, axis: int, side: float, along: Array, closed: bool) -> list[float]:
+def _crossings(part: Array, axis: int, upper: int, side: float, along: Array, closed: bool) -> list[float]:
     """Where a line crosses one side of the frame; of a set the middle of what the side cuts of it."""
     if closed and len(part):
         part = np.vstack([part, part[:1]])
-    beyond = part[:, axis] - side
-    beyond[np.abs(beyond) < ROUNDING * (abs(side) + np.ptp(along))] = 0.0  # it ends there
-    before, after = beyond[:-1], beyond[1:]
-    cross = np.flatnonzero(before * after < 0)
-    share = before[cross] / (before[cross] - after[cross])
+    value = part[:, axis] - side
+    slack = ROUNDING * (abs(side) + np.ptp(along))  # it may end at the frame
+    beyond = value > slack if upper else value < -slack
+    cross = np.flatnonzero((beyond[:-1] != beyond[1:]) & np.isfinite(value[:-1] + value[1:]))
+    share = value[cross] / (value[cross] - value[cross + 1])
     at = np.sort(part[cross, 1 - axis] + share * (part[cross + 1, 1 - axis] - part[cross, 1 - axis]))
     low, high = along.min(), along.max()
     if not closed or len(at) % 2:

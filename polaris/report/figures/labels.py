@@ -181,6 +181,7 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
+    best = best[clash[best] <= clash[best[0]]]
     best = best[int(np.argmax(~room.under(leaders[best])))]  # the first that is led to clear of other names
     return at[best], leaders[best]
 

@@ -19,7 +19,7 @@ from .labels import name
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, legend_rows, new_figure, shortened, text_width
 
 USUAL = 0.3  # width of ticks for which the margins have room [in]
-MARGINS, BELOW = (0.25, 0.62), 0.44  # room beside the box and below it for ticks and labels [in]
+MARGINS, BELOW = (0.25, 0.62), 0.5  # room beside the box and below it for ticks and labels [in]
 HIGHEST, NARROW = 2.2, 2.4  # of a box as it is drawn: greatest height; width with room for two ticks [in]
 
 
@@ -56,7 +56,7 @@ def fit_box(ax: Any, size: Array, top: float, more: Array) -> None:
     The figure becomes as high as that takes, `top` [in] for a legend and `more` (3,) for wide ticks included.
     """
     figure = ax.figure
-    (left, right), bottom, width = MARGINS, BELOW + float(more[:2].max()), figure.get_figwidth()
+    (left, right), bottom, width = MARGINS, BELOW + 1.6 * float(more[:2].max()), figure.get_figwidth()
     right += float(more[2])
     zoom = 1.0
     for _ in range(4):
@@ -71,6 +71,9 @@ def fit_box(ax: Any, size: Array, top: float, more: Array) -> None:
     if extent[0] < NARROW:
         for axis in (ax.xaxis, ax.yaxis):
             axis.get_major_locator().set_params(nbins=2)
+    if extent[0] < NARROW or more[:2].any():  # ticks of two axes meet at a corner
+        end = ax.get_xlim()[1] - 0.2 * np.ptp(ax.get_xlim())
+        ax.set_xticks([tick for tick in ax.get_xticks() if tick <= end])
     low = corners.min(axis=0)
     height = bottom + extent[1] + top
     square = ax.get_position(original=True).size * figure.get_size_inches()

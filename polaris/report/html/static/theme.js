@@ -15,7 +15,7 @@ function luminance(rgb) {
 function onDark(rgb) {
   if (Math.max(...rgb) - Math.min(...rgb) < 12) return mixed(INK, PAPER, rgb[1] / 255);
   let share = 0;
-  const least = 4 * (luminance(PAPER) + 0.05) - 0.05;
+  const least = 5 * (luminance(PAPER) + 0.05) - 0.05;
   while (luminance(mixed(rgb, [255, 255, 255], share)) < least && share < 1) share += 0.05;
   return mixed(rgb, [255, 255, 255], share);
 }
