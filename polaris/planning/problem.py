@@ -6,6 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from reach.brief import brief
+
 from ..model.checks import non_negative, number, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
@@ -109,6 +111,7 @@ class Progress:
     gap: float = np.inf
 
 
+@brief
 @dataclass(frozen=True)
 class PlannerOptions:
     """How to solve.
@@ -176,6 +179,7 @@ class Stage:
     nodes: int
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A certified plan: every number below was re-computed from the inputs, not read from a solver.

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from reach.brief import brief
+
 from ..model.errors import ScenarioError
 from ..model.version import versions
 from ..scenario.scenario import Scenario
@@ -40,6 +42,7 @@ class RunKind:
     summary: str = "summary.json"
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class RunFolder:
     """A run folder on disk.

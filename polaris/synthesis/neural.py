@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from reach.brief import brief
 from reach.networks.loop import ORDER, NetworkLoop
 from reach.networks.network import Activation, Affine, Network
 from reach.numerics.errors import Unresolved
@@ -30,6 +31,7 @@ WIDER = 0.02
 otherwise, so that its bands are others than these."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class NeuralController:
     """``u = clip(policy)``, renewed at the start of every control period and held.

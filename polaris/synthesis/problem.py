@@ -6,6 +6,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from reach.brief import brief
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
 from ..model.allocation import Allocation
@@ -32,6 +33,7 @@ class PoweredAbort:
     required: bool = False  # whether a schedule with a step from which it is not proven is refused
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Input of Algorithm 1.

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..brief import brief
 from ..numerics.checks import Array, as_vector, check_fields, checked, finite_fields, per_row, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
@@ -104,6 +105,7 @@ _FUNCTIONS: dict[str, Callable[[Activation, Array], Array]] = {
 }
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Affine:
     """A layer ``W x + b``.
@@ -132,6 +134,7 @@ class Affine:
         return np.asarray(x @ self.W.T + self.b)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Network:
     """A chain of affine layers and activations.

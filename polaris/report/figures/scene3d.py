@@ -73,7 +73,7 @@ def fit_box(ax: Any, size: Array, top: float, more: Array) -> None:
             axis.get_major_locator().set_params(nbins=2)
     if extent[0] < NARROW or more[:2].any():  # ticks of two axes meet at a corner
         end = ax.get_xlim()[1] - 0.2 * np.ptp(ax.get_xlim())
-        ax.set_xticks([tick for tick in ax.get_xticks() if tick <= end])
+        ax.set_xticks([tick for tick in ax.get_xticks() if ax.get_xlim()[0] <= tick <= end])
     low = corners.min(axis=0)
     height = bottom + extent[1] + top
     square = ax.get_position(original=True).size * figure.get_size_inches()

@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from reach.brief import brief
+
 from ...model.errors import NotCertified, ScenarioError
 from ...model.version import version
 from ..arrays import read_arrays
@@ -31,6 +33,7 @@ from .plan import CampaignPlan
 MANIFEST = "manifest.json"
 
 
+@brief
 @dataclass(frozen=True)
 class CampaignFolder:
     """A campaign on disk.
