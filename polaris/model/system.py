@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from reach.brief import brief
 from reach.numerics.linear import discretize
 
 from .acceleration import acceleration_input
@@ -47,6 +48,7 @@ def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
     return array
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
     """A linear control system with bounded input and bounded disturbance (section II).

@@ -4,9 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reach.brief import brief
+
 from .system import Array
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class TimedPolytope:
     """An over-approximation of one unsafe set in position and time.

@@ -7,6 +7,8 @@ from typing import Literal
 
 import numpy as np
 
+from reach.brief import brief
+
 from ..model.checks import non_negative, number, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
@@ -110,6 +112,7 @@ class Progress:
     gap: float = np.inf
 
 
+@brief
 @dataclass(frozen=True)
 class PlannerOptions:
     """How to solve.
@@ -183,6 +186,7 @@ class Stage:
     nodes: int
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A certified plan: every number below was re-computed from the inputs, not read from a solver.

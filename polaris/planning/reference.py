@@ -6,6 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 
+from reach.brief import brief
 from reach.numerics.linear import discretize, growth
 
 from ..model.system import Array, LinearSystem
@@ -19,6 +20,7 @@ def _held(system: LinearSystem, delta: float, q: int) -> tuple[Array, Array]:
     return np.array(moved), np.array(pushed)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A trajectory that obeys the undisturbed dynamics, with piecewise constant input (D2C).

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from reach.brief import brief
+
 from ..model.checks import one_of, whole
 from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
@@ -27,6 +29,7 @@ Tuning = Mapping[str, float]
 SHOWN = 3  # runs per method kept for pictures
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """All methods on one scene.

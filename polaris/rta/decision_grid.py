@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
 from reach.numerics.linear import discretize
 
 from ..model.checks import non_negative, of_kind, positive
@@ -28,6 +29,7 @@ PERIOD = 1.0  # longest decision period chosen by default [s]
 WHOLE = 1e-9  # relative tolerance on "divides"
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class DecisionGrid:
     """A schedule's scene, on a grid fine enough for every decision.

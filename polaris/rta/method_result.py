@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ..model.distances import count_switches
 from ..model.system import Array
 from ..simulation.metrics import Metrics, finite, mean_interval, possible, violation_interval
@@ -44,6 +46,7 @@ LEAST = ("min_distance_m", "mean_distance_m", "min_ttc_s", "min_ttc_free_drift_s
 PER_RUN = (*LEAST, "switches", "delta_v_m_s", "deviation")  # metrics of which every run has its own
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class MethodResult:
     """All flights of one method.

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from reach.brief import brief
+
 from ..model.errors import ScenarioError
 from ..model.files import load_json
 from ..model.version import versions
@@ -46,6 +48,7 @@ class RunKind:
         return (*self.files, self.summary)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class RunFolder:
     """A run folder on disk.

@@ -10,6 +10,8 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
+from reach.brief import brief
+
 from ..model.errors import ScenarioError
 from ..model.files import parse_toml
 from .fields import ScenarioPart
@@ -40,6 +42,7 @@ def kept(build: Callable[[Owner], Built]) -> Callable[[Owner], Built]:
     return method
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Scenario(ABC):
     """A validated scenario; subclasses, one for each kind, build what it describes.

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ..model.checks import of_kind
 from ..model.system import Array
 from ..synthesis.schedule import Schedule
@@ -16,6 +18,7 @@ from .simulate import simulate
 BATCH = 1000  # runs simulated at a time, to bound the memory used
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Flights:
     """Some simulated runs of one controller or method, and the envelope of all of them.
@@ -50,6 +53,7 @@ class Flights:
     input_range: Array | None = None
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Flown:
     """What one controller did.

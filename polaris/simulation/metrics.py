@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ..model.system import Array
 
 DEFINITIONS = {
@@ -40,6 +42,7 @@ POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(
 """Least and largest value of metrics that cannot have any; no confidence bound lies outside."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Metrics:
     """Metrics of every run of one controller.

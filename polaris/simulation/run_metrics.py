@@ -6,6 +6,8 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ..model.checks import of_kind
 from ..model.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
 from ..model.free_drift import drift_ttc
@@ -19,6 +21,7 @@ PART = 250
 """Runs evaluated at a time, to bound the memory used."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Runs:
     """Simulated closed loops.

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, binom
 
+from reach.brief import brief
+
 from ..model.checks import number
 from ..model.errors import ScenarioError
 from ..model.system import Array
@@ -34,6 +36,7 @@ FEW = slice(7, None, -1)  # of a batch, those about which boxes are asked on the
 ROUNDED = 1e-6  # by how much commands may be off then, as a share of the limits
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Sampled:
     """What becomes of a scenario with black boxes.

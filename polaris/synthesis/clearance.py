@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
 from reach.sets.zonotope import Zonotope
 
 from ..model.system import Array
@@ -63,6 +64,7 @@ def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool =
     return Tube(rows, need + ROUNDING * np.abs(need))
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Clearance:
     """Room around the reference: per cell one separating facet for every unsafe set, and thrust.

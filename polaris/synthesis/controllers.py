@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from reach.brief import brief
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
@@ -27,6 +28,7 @@ ORDER, WIDE = 25.0, 200.0
 """Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class TubeSegment:
     """Reachable set of one controller over one planning step, sound in continuous time.
@@ -75,6 +77,7 @@ class Controller(Protocol):
         ...
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class AffineController(AffineLaw):
     """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, unlimited or clipped to the thrust limits.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reach.brief import brief
 from reach.numerics.linear import powers
 
 from ..model.checks import one_of
@@ -14,6 +15,7 @@ from ..model.tolerances import ROUNDING
 from .tracking import Tracking
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class ErrorBounds:
     """ISS bounds on the error ``e = x - xi`` (Lemma 1; theory, items 1 to 4), w being all that disturbs it.

@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from reach.brief import brief
 from reach.sets.zonotope import Zonotope
 
 from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
@@ -33,6 +34,7 @@ LESSER = (0.35, 0.25, 0.15)
 """The same where no safe reference is found with the first of them: the less feedback, the less errors."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Safety:
     """Output of Algorithm 1.

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from reach.brief import brief
 from reach.networks.layers import Activation, Affine
 from reach.networks.loop import ORDER, NetworkLoop
 from reach.networks.network import Network
@@ -31,6 +32,7 @@ WIDER = 0.02
 otherwise, so that its bands are others than these."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class NeuralController:
     """``u = clip(policy)``, renewed at the start of every control period and held.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reach.brief import brief
 from reach.networks.network import Network
 from reach.networks.precision import MORE
 
@@ -75,6 +76,7 @@ def stacked(inputs: tuple[str, ...], parts: dict[str, Array]) -> Array:
     return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen], axis=-1)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Policy:
     """``u = output_scale * network(input_scale * z)``, before the thrusters clip it.

@@ -6,6 +6,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from reach.brief import brief
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
 from ..model.allocation import Allocation
@@ -33,6 +34,7 @@ class PoweredAbort:
     velocity_tolerance: float | None = None  # as `Problem.goal_velocity_tolerance` [m/s]
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Input of Algorithm 1.

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
 from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
@@ -27,6 +28,7 @@ from .recoverable import Margin, RecoverableSet
 from .spending import Spell, spent
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Step:
     """One step of the schedule.
@@ -82,6 +84,7 @@ class Statement:
     attempts: int
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """A switching schedule L with everything its proof rests on.
@@ -115,6 +118,19 @@ class Schedule:
     library: tuple["Schedule", ...] = ()
     worth: Callable[[Mapping[int, float], float, float], float] | None = None
     statement: Statement | None = None
+
+    def _brief(self) -> Mapping[str, object]:
+        """Return what a session and a notebook show."""
+        arrival = self.arrival if self.guarantee == "proved" else None
+        return {
+            "guarantee": self.guarantee,
+            "controllers": tuple(controller.name for controller in self.controllers),
+            "share_of_U": f"{self.share():.1%}",
+            "switches": self.switches,
+            "steps": len(self.steps),
+            "duration_s": len(self.steps) * self.safety.problem.delta,
+            "goal_reached_by_s": arrival.by if arrival else None,
+        }
 
     @property
     def guarantee(self) -> str:

@@ -6,6 +6,7 @@ from itertools import chain
 
 import numpy as np
 
+from reach.brief import brief
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
@@ -59,6 +60,7 @@ def choose_feedback(system: LinearSystem, gains: list[Array], delta: float, peri
     return Feedback(int(np.clip(np.ceil(delta * fastest / 0.25), 2, 200)))
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Tracking:
     """The tracker, and everything about its error that later stages need.

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from reach.brief import brief
+
 from ..model.checks import non_negative
 from ..model.distances import UNKNOWN, count_switches, mode_shares
 from ..model.errors import ScenarioError
@@ -47,6 +49,7 @@ class Spread:
         return cls(float(values.min()), mean, float(values.max()), when, min(share, 1.0))
 
 
+@brief
 @dataclass(frozen=True)
 class Separation:
     """One agent against one unsafe set, or another agent, whose kind is ``agent``."""
@@ -62,6 +65,7 @@ class Separation:
         return {"kind": self.kind} | {key: None if of is None else vars(of) for key, of in spreads.items()}
 
 
+@brief
 @dataclass(frozen=True)
 class AgentMetrics:
     """Metrics of one agent."""
@@ -89,6 +93,7 @@ class AgentMetrics:
         }
 
 
+@brief
 @dataclass(frozen=True)
 class TraceMetrics:
     """Metrics of a trace.

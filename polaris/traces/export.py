@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reach.brief import brief
+
 from ..model.errors import ScenarioError
 from ..model.obstacle import Obstacle, RigidObstacle
 from ..model.obstacles import BallObstacle, BoxObstacle
@@ -17,6 +19,7 @@ from ..model.tolerances import TIME
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTrace, RectangleTrace, Trace
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Export:
     """A run as a trace."""

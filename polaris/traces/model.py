@@ -7,6 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from reach.brief import brief
+
 from ..model.checks import MOST_ROWS
 from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
@@ -40,6 +42,7 @@ def _rows(where: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]
     return array
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class AgentTrace:
     """Where one agent was and who flew it.
@@ -126,6 +129,7 @@ class CentredTrace(UnsafeTrace):
         return int(self.centers.shape[1])
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class PointTrace(CentredTrace):
     """A point to stay away from; `centers` has shape (M, d) [m]."""
@@ -133,6 +137,7 @@ class PointTrace(CentredTrace):
     set_type: ClassVar[str] = "point"
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class BallTrace(CentredTrace):
     """A ball; `centers` has shape (M, d), `radii` (M,) [m], >= 0.
@@ -154,6 +159,7 @@ class BallTrace(CentredTrace):
             object.__setattr__(self, "velocities", given)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class RectangleTrace(CentredTrace):
     """An axis-aligned box; `centers` and full `lengths` have shape (M, d) [m], lengths >= 0."""
@@ -167,6 +173,7 @@ class RectangleTrace(CentredTrace):
         self._sizes("lengths", self.lengths)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class PolytopeTrace(UnsafeTrace):
     """``A p <= b``, bounded or not.
@@ -209,6 +216,7 @@ class PolytopeTrace(UnsafeTrace):
 AnySet = PointTrace | BallTrace | RectangleTrace | PolytopeTrace
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Trace:
     """Agents, at least one, and unsafe sets, by name."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..brief import brief
 from ..numerics.checks import Array, as_array, as_numbers, check_fields, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
@@ -16,6 +17,7 @@ from ..sets.zonotope import Zonotope
 from ..tubes.systems import LinearSystem
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Mode:
     """One way of moving: an affine system, and the region in which it may go on.
@@ -51,6 +53,7 @@ class Mode:
             require_single(f"the invariant of mode {self.name!r}", self.invariant, self.system.dim)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Transition:
     """A jump ``x+ = R x + r + w`` from one mode to another.

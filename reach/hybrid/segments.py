@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..brief import brief
 from ..numerics.checks import Array, Index
 from ..numerics.errors import ReachError
 from ..sets.clipping import clip, strips
@@ -13,6 +14,7 @@ from ..tubes.flowpipes import Flowpipes
 from .automaton import Mode
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Segment:
     """One mode, followed from a stack of N start sets over K time steps.
@@ -67,6 +69,7 @@ class Segment:
         return np.asarray(np.where(self.alive[..., None], values, -np.inf).max(axis=(0, 1)))
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class HybridTube:
     """Segments that together hold every trajectory up to the horizon.

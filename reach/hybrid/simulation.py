@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from ..brief import brief
 from ..numerics.checks import Array, as_array, checked
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import dense
@@ -22,6 +23,7 @@ MOST_SAMPLES = 10_000_000
 Policy = Literal["first", "last", "random"]
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Visit:
     """A stay in one mode.
@@ -48,6 +50,7 @@ class Visit:
     uncertain: Array | None = None
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class HybridTrajectory:
     """One trajectory: visits one after the other.

@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from ..brief import brief
 from ..numerics.checks import Array, Index, as_count, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.rounding import gamma
@@ -28,6 +29,7 @@ CORNERS = 8  # directions in which corners of the initial set are tried
 PART = 20_000  # sets that are cut at once
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class HybridVerdict:
     """Answer of `verify_hybrid`; true only if proven.

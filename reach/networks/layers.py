@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..brief import brief
 from ..numerics.checks import Array, check_fields, finite_fields
 from ..numerics.errors import ReachError
 
@@ -105,6 +106,7 @@ _FUNCTIONS: dict[str, Callable[[Activation, Array], Array]] = {
 }
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Affine:
     """A layer ``W x + b``.
@@ -155,6 +157,7 @@ class Affine:
         return np.asarray(weights @ self.W)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Diagonal:
     """A layer ``scale * x + b`` that takes every component for itself.

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..brief import brief
 from ..numerics.checks import Array, as_vector, checked, per_row, require_single
 from ..numerics.errors import ReachError, Unresolved
 from ..numerics.rounding import gamma
@@ -19,6 +20,7 @@ from .precision import FORMATS, MORE, READ, Rounding
 MOST_ENTRIES = 2**26  # most numbers in the generators of one enclosure: 512 MiB
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Network:
     """A chain of affine or elementwise layers and activations.

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..brief import brief
 from ..numerics.checks import Array, checked, require_single
 from ..numerics.rounding import gamma
 from .convex import SetOperators
@@ -15,6 +16,7 @@ from .lazy import AffineImage, MinkowskiSum
 from .zonotope import Zonotope
 
 
+@brief
 @dataclass(frozen=True)
 class NormBracket:
     """``lower <= max norm(x, 2) <= upper``.

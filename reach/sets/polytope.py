@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..brief import brief
 from ..numerics.checks import Array, as_factor, as_map, as_vector, checked, finite_fields
 from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
@@ -21,6 +22,7 @@ from .interval import Interval
 FLATNESS = 1e-9  # an inscribed radius above minus this, relative to the offsets, counts as 'not empty'
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class HPolytope(SetOperators):
     """``{x : A x <= b}``; may be unbounded, flat or empty.

@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..brief import brief
 from ..numerics import checks
 from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
@@ -22,6 +23,7 @@ from .stacks import Generated, as_center_and_sizes
 FLAT = 1e-9  # ratio of singular values (axes scaled to unit size) below which a zonotope is treated as flat
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Zonotope(Generated):
     """``{c + G b : |b_i| <= 1}``, or a stack of such sets.

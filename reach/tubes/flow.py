@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
 
+from ..brief import brief
 from ..numerics.checks import Array, checked
 from ..numerics.errors import ReachError
 from ..numerics.linear import discretize, growth, powers, require_square
@@ -18,6 +19,7 @@ from ..sets.ellipsoid import ball_generators
 from ..sets.zonotope import Zonotope
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class LinearFlow:
     """Motion of ``e' = A e + B u + D w + E v`` under the feedback ``u = -K e``, node by node.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
+from ..brief import brief
 from ..numerics.checks import Array, per_row
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import dense, times
@@ -23,6 +24,7 @@ ENTRIES = 1_000_000  # numbers handled at once where a stack is worked through i
 HALVINGS = 16  # a step is halved at most this often to meet a tolerance
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Flowpipes:
     """Sets that hold ``x(t)`` over time steps, for every one of N start sets.

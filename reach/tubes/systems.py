@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from ..brief import brief
 from ..numerics.checks import Array, as_array, as_numbers, finite_fields, require_single
 from ..numerics.errors import ReachError
 
@@ -16,6 +17,7 @@ FILLED = 0.25  # share of entries from which a matrix in a sparse container is h
 FILLED_MOST = 1000  # most states for which it is: beyond, exponentials cost more than they save
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Signal:
     """Values joined by straight lines, constant before the first and after the last.
@@ -82,6 +84,7 @@ def _require_pairs(t: Array, values: Array) -> None:
         raise ReachError(f"a signal needs times (k,) and values (k, m), got {t.shape} and {values.shape}")
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
     """``x' = A x + B (u_0(t) + u) + c`` with an unknown input ``u(t)`` in U at every instant.

@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.linalg import expm
 from scipy.sparse.linalg import expm_multiply
 
+from ..brief import brief
 from ..numerics.checks import Array, as_array, checked, require_single
 from ..numerics.errors import ReachError
 from ..numerics.exponentials import dense, times
@@ -24,6 +25,7 @@ DENSE_MOST = 400  # states up to which a simulation forms exponentials
 STEPS = 256  # steps of a worst case if no tolerance is given
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """One motion of a system.

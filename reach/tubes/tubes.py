@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..brief import brief
 from ..numerics.checks import Array, as_directions, as_frame, as_numbers, checked, per_row, require_single
 from ..numerics.errors import ReachError
 from ..sets.convex import ConvexSet
@@ -19,6 +20,7 @@ from .stepping import Steps, row_bounds, warn_if_wide
 from .systems import LinearSystem
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class SupportTube:
     """Bounds on ``d x(t)`` for rows d, at nodes and over every interval between them.
@@ -129,6 +131,7 @@ def tube_of(
     return SupportTube(coarse.times, D, upper, attained, between, coarse.bow + coarse.bend)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class ZonotopeTube:
     """Zonotopes that hold ``x(t)`` at nodes and over every interval between them.

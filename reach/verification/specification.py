@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from ..brief import brief
 from ..numerics.checks import Array, as_numbers
 from ..numerics.errors import ReachError
 from ..sets.polytope import HPolytope
@@ -40,6 +41,7 @@ class Never(Specification):
     """The state never enters a polytope (its boundary belongs to it)."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """Answer of `verify`; true only if proven.

@@ -458,7 +458,7 @@ def test_a_set_passed_above_has_a_close_up_that_shows_the_gap():
     main, close = figure.axes
     assert "ball (see a)" in [text.get_text() for text in main.texts]
     assert (
-        close.get_title(loc="left") == "(a) ball\n300 s: 20 m apart"
+        close.get_title(loc="left") == "(a) ball\n○ 300 s: 20 m apart"
         and close.get_ylabel() == "Position z (m)"
     )
     assert_well_drawn(figure)

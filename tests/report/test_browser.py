@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import socket
 import time
@@ -69,6 +70,23 @@ def in_space(tmp_path_factory):
     """The address of a report with a scene in space."""
     place = tmp_path_factory.mktemp("space") / "flight"
     command = f"run inspection --set flight.duration_s=20 --out {place} --no-figures -q"
+    assert CliRunner().invoke(cli.app, command.split()).exit_code == 0
+    return write_report(place).as_uri()
+
+
+@pytest.fixture(scope="module")
+def fuel(tmp_path_factory):
+    """The address of a report of a flight into the fuel limit."""
+    place = tmp_path_factory.mktemp("fuel") / "flight"
+    assert CliRunner().invoke(cli.app, f"run fuel-limit --out {place} --no-figures -q".split()).exit_code == 0
+    return write_report(place).as_uri()
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """The address of a report of many flights: tables alone."""
+    place = tmp_path_factory.mktemp("many") / "runs"
+    command = f"run inspection-monte-carlo --set campaign.runs=2 --out {place} --no-figures -q"
     assert CliRunner().invoke(cli.app, command.split()).exit_code == 0
     return write_report(place).as_uri()
 
@@ -248,26 +266,104 @@ const seen = [play.textContent];
 })();"""
 
 
-OVERFLOW = """return [document.documentElement.scrollWidth - window.innerWidth,
+OVERFLOW = """return [document.documentElement.scrollWidth - arguments[0],
   ...[...document.querySelectorAll('.scroll')].map((one) => one.scrollWidth - one.clientWidth)];"""
+
+WIDTHS = (390, 700, 1280)
+
+
+@pytest.fixture
+def screen(browser):
+    """Set width [px], colour scheme and medium of the page that is opened next."""
+
+    def choose(width, scheme, medium="screen"):
+        size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 500}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        scheme = [{"name": "prefers-color-scheme", "value": scheme}]
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": medium, "features": scheme})
+
+    yield choose
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+LUMINANCES = r"""const light = (colour) => {
+  const found = (colour || '').match(/[\d.]+/g);
+  if (!found || colour.startsWith('#')) return null;
+  const [r, g, b] = found.slice(0, 3).map((v) => (v <= 10 ? v / 3295 : ((v / 255 + 0.055) / 1.055) ** 2.4));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const seen = (selector, key) => [...document.querySelectorAll(selector)]
+  .filter((one) => one.getClientRects().length).map((one) => light(getComputedStyle(one)[key]));
+return { paper: seen('body', 'backgroundColor'), ink: seen('h1, h2, h3, p, td, th, li, dd, button', 'color'),
+  plots: seen('.main-svg', 'backgroundColor'), words: seen('#timelines text', 'fill'),
+  lines: seen('.scatterlayer .js-line', 'stroke') };"""
+
+
+def contrast(a, b):
+    return (max(a, b) + 0.05) / (min(a, b) + 0.05)
+
+
+def assert_readable(browser, dark):
+    """Texts and lines stand out against the page, which is dark or light all over."""
+    found = browser.execute_script(LUMINANCES)
+    (paper,) = found["paper"]
+    assert (paper < 0.05) if dark else (paper > 0.9)
+    assert all(one is None or abs(one - paper) < 0.01 or one == 0 for one in found["plots"])
+    assert found["ink"] and min(contrast(one, paper) for one in found["ink"]) > 4
+    assert found["words"] and min(contrast(one, paper) for one in found["words"]) > 2.4
+    assert found["lines"] and min(contrast(one, paper) for one in found["lines"]) > (2 if dark else 1.2)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_report_fits_a_phone_in_light_and_dark(browser, page, screen, scheme):
+    screen(390, scheme)
+    open_page(browser, page)
+    assert max(browser.execute_script(OVERFLOW, 390)) <= 0
+    scene = (
+        "const box = document.getElementById('scene').getBoundingClientRect(); return [box.left, box.right]"
+    )
+    left, right = browser.execute_script(scene)
+    assert left >= 0 and right <= 390
+    assert_readable(browser, scheme == "dark")
+    assert_quiet(browser)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [700, 1400])
-def test_nothing_is_wider_than_the_window(browser, page, comparison, width):
-    before = browser.get_window_size()
-    try:
-        browser.set_window_size(width, 900)
-        for address in (page, comparison):
+@pytest.mark.parametrize("kind", ["page", "comparison", "in_space", "fuel", "campaign"])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_wider_than_the_window(browser, screen, request, kind, width):
+    address = request.getfixturevalue(kind)
+    for scheme in ("light", "dark"):
+        screen(width, scheme)
+        if kind == "campaign":
+            browser.get(address)  # tables alone
+        else:
             open_page(browser, address)
-            browser.execute_script(
-                "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
-            )
-            assert max(browser.execute_script(OVERFLOW)) <= 0
-            image = "return [...document.querySelectorAll('img')].map((one) => one.naturalWidth)"
-            assert all(wide > 0 for wide in browser.execute_script(image))
-    finally:
-        browser.set_window_size(before["width"], before["height"])
+        browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+        assert max(browser.execute_script(OVERFLOW, width)) <= 0
+        image = "return [...document.querySelectorAll('img')].map((one) => one.naturalWidth)"
+        assert all(wide > 0 for wide in browser.execute_script(image))
+        if kind in ("page", "comparison"):
+            assert_readable(browser, scheme == "dark")
+        text = browser.execute_script("return document.body.innerText")
+        assert "{'" not in text and not re.search(r"\de-1[0-9]\b", text)
+
+
+@pytest.mark.slow
+def test_a_dark_page_follows_the_scheme_and_prints_light(browser, page, screen):
+    screen(1280, "dark")
+    open_page(browser, page)
+    assert_readable(browser, dark=True)
+    screen(1280, "light")
+    wait(browser, "return document.getElementById('timelines').layout.paper_bgcolor === '#fff'")
+    assert_readable(browser, dark=False)
+    screen(1280, "dark")
+    wait(browser, "return document.getElementById('timelines').layout.paper_bgcolor !== '#fff'")
+    browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    screen(1280, "dark", medium="print")
+    wait(browser, "return document.getElementById('timelines').layout.paper_bgcolor === '#fff'")
+    assert_readable(browser, dark=False)
 
 
 @pytest.mark.slow

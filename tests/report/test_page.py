@@ -381,7 +381,7 @@ def test_flight_of_deputies(inspections, tmp_path):
         assert min(lines[row["constraint"]]["y"]) == pytest.approx(
             row["least_at_samples"], rel=1e-5, abs=1e-9
         )
-        assert f"{row['least']:.4g} {row['unit']}" in told
+        assert f"{row['least']:.4g} {row['unit']}".replace("^2", "²") in told
     assert "No constraint is violated" in told and "What is claimed" in told
 
 

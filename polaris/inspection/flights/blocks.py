@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ...model.system import Array
 from ...rta.projection import SHORT
 from ..constraints.allowable_set import allowable
@@ -20,6 +22,7 @@ NEAR = 60.0
 """Closest approaches in free flight [m] up to which they are told exactly; beyond, a lower bound is told."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What came of R runs under one filter.

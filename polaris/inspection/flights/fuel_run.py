@@ -7,6 +7,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reach.brief import brief
+
 from ...model.checks import vector
 from ...model.errors import ScenarioError
 from ...model.system import Array
@@ -31,6 +33,7 @@ class Prediction:
     delta_v: Array
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class FuelRun:
     """A flight of one deputy under `polaris.inspection.filters.fuel.FuelLimit`.

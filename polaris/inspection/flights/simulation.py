@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ...model.checks import positive, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
@@ -77,6 +79,7 @@ class Errors:
         return np.asarray(u + self.unknown.thrusters.error(u) * self._signs(u.shape) + push)
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Flights:
     """R flights of N deputies that are to be flown.
@@ -174,6 +177,7 @@ def fly(flights: Flights, filtering: BatchFilter, *observers: Observer, between:
     return x
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class InspectionRun:
     """One flight of N deputies, with everything that figures show.

@@ -11,14 +11,18 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from ...model.checks import counted
 from ...runs.comparison import ComparisonPicture
-from ..scene.items import under_mode
+from ..scene.items import alone, under_mode
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
+from .cuts import mark_cuts
 from .scene import draw_unsafe
-from .style import ABOVE, DOTS, WIDTH, dot, new_figure, printing, shortened
+from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened
 from .view import View
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
+TITLES = ((GREEN, "with a proof"), (RED, "without a proof"))
+REFERENCE: Mapping[str, Any] = {"color": GREY, "lw": 0.6, "ls": DOTS}
+ALONE: Mapping[str, Any] = {"lw": 0.6, "ls": DASHES}
 
 Methods = Sequence[Mapping[str, Any]]
 
@@ -48,7 +52,7 @@ def _tradeoffs(methods: Methods) -> Any:
     """Metrics of every method with intervals."""
     methods = _available(methods)
     panels = [panel for panel in PANELS if any(method["metrics"].get(panel[0]) for method in methods)]
-    figure = new_figure(0.6 + 0.22 * len(methods), 7.2)
+    figure = new_figure(0.8 + 0.22 * len(methods), 7.2)
     y = -np.arange(len(methods))
     if not panels:
         return figure
@@ -75,7 +79,10 @@ def _tradeoffs(methods: Methods) -> Any:
         ax.set_xlabel(label)
         ax.grid(True, axis="x")
         ax.tick_params(axis="y", length=0)
-    axes[0].set_yticks(y, [shortened(str(method["name"]), 1.9) for method in methods])
+    axes[0].set_yticks(y, [shortened(str(method["name"]), 2.4) for method in methods])
+    handles = [dot("o", colour, 3.2, f"mean, {name}") for colour, name in TITLES]
+    handles += [Line2D([], [], color=GREY, lw=1.4, label="95 % bounds"), dot("|", GREY, 6, "worst run")]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=7)
     return figure
 
 
@@ -84,37 +91,48 @@ def _paths(found: ComparisonPicture) -> Any:
     picture, methods, shown = found.run.picture(), _available(found.table["methods"]), found.shown
     if picture.system.d == 1:
         return None
-    view, alone = View(describe(picture), mute=True), replace(picture, tube=None, slices=None)
+    bare = replace(picture, tube=None, slices=None)
+    view = View(describe(bare), mute=True)
     columns = 3 if view.aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
-    figure = new_figure(rows * (width / columns * view.aspect + 0.28) + 0.5, width)
+    figure = new_figure(rows * (width / columns * view.aspect + 0.4) + 0.7, width)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     flat, frame = picture.frame.flat, picture.frame
     for ax in grid.flat[len(methods) :]:
         ax.set_axis_off()
+    cut: list[Any] = []
     for ax, method in zip(grid.flat, methods, strict=False):
         ax.set_aspect("equal")
         ax.set(xlim=view.span[0], ylim=view.span[1])
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
-        told = "" if one is None else f": {float(one.nearest[0].min()):.3g} m"
-        name = shortened(str(method["name"]), width / columns - 0.9) + told
-        ax.set_title(name, fontsize=7, color=GREEN if method["guarantee"] == "proved" else RED)
+        told = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
+        title = f"{shortened(str(method['name']), width / columns - 0.45)}\n{told}"
+        ax.set_title(
+            title, fontsize=7, linespacing=1.1, pad=3, color=GREEN if method["guarantee"] == "proved" else RED
+        )
         ax.tick_params(labelsize=6)
-        ax.plot(*picture.path()[0][:, flat].T, color=GREY, lw=0.6, ls=DOTS, zorder=2)
+        ax.plot(*picture.path()[0][:, flat].T, **REFERENCE, zorder=2)
+        for u in [] if one is None else alone(picture):  # beside every method
+            ax.plot(*picture.positions(u.flights)[:, flat].T, color=u.colour, **ALONE, zorder=3)
         own: Any = {} if one is None else {"polaris": one}
-        draw_unsafe(ax, describe(replace(alone, flights=own)), view)
+        draw_unsafe(ax, describe(replace(bare, flights=own)), view)
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
                 chosen = one.modes[0] > 0 if mode > 0 else one.modes[0] == mode
                 if chosen.any():
                     ax.plot(*under_mode(flown, chosen).T, color=colour, lw=1.1, zorder=4)
+        cut = mark_cuts(ax) or cut
     figure.supxlabel(frame.labels[0], fontsize=7)
     figure.supylabel(frame.labels[1], fontsize=7)
     handles = [Line2D([], [], color=colour, lw=1.4, label=name) for _, colour, name in MODES]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=7)
+    handles.append(Line2D([], [], label="reference", **REFERENCE))
+    handles += [Line2D([], [], color=u.colour, label=u.short, **ALONE) for u in alone(picture)]
+    handles.append(dot("o", RED, 3, "nearest to a moving set", mfc="white"))
+    handles += [*cut, *(dot("s", colour, 4, name) for colour, name in TITLES)]
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=7)
     return figure
 
 

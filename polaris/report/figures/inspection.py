@@ -149,7 +149,7 @@ def _path(ax: Any, run: FuelRun) -> None:
     half = 0.5 * np.maximum(size, 0.55 * size.max())
     (x0, y0), (x1, y1) = middle - half, middle + half
     ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="Along-track (m)", ylabel="Radial (m)")
-    ax.set_aspect("equal")
+    ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
     ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
     ax.figure.colorbar(lines, ax=ax, label="Time (s)", aspect=20, pad=0.03)

@@ -5,7 +5,7 @@ written at the set and at the chaser's place. Dashed: keep-in sets, and sets tha
 be passed. A thin line about another satellite is where it is known to be.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,11 @@ from matplotlib.path import Path
 
 from ...model.system import Array
 from ...runs.picture import Picture, taking_over
-from ..scene.items import Item, Scene
-from ..scene.palette import BLACK, DARK_OLIVE, GREEN, GREY, LOOKS, OLIVE, ORANGE, RED, mode_colour, tint
+from ..scene.items import Item, Scene, alone
+from ..scene.palette import BLACK, DARK_OLIVE, DULL_RED, GREEN, GREY, LOOKS, OLIVE, RED, mode_colour, tint
 from ..scene.scene import describe
 from . import style
+from .cuts import mark_cuts
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_figure, shortened
 from .view import LETTERS, View, draw_closeup
 
@@ -34,13 +35,14 @@ def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> 
     # One close-up is as wide as the figure.
     panel = 1.15 if wide == 2 else 1.3
     grid = figure.add_gridspec(1 + rows, wide, height_ratios=[3.0, *[panel] * rows])
-    ax = figure.add_subplot(grid[0, :])
-    top = draw_scene(ax, scene, lettered=True)
+    ax, handles = figure.add_subplot(grid[0, :]), []
     for i, one in enumerate(found):
         last = wide == 2 and i == len(found) - 1 and i % 2 == 0
         place = grid[1 + i // wide, :] if last else grid[1 + i // wide, i % wide]
         across = 2.8 if wide == 1 or last else 1.25
-        draw_closeup(figure.add_subplot(place), picture, one, LETTERS[i], panel / across, across)
+        own = figure.add_subplot(place)
+        handles += draw_closeup(own, picture, one, LETTERS[i], panel / across, across)
+    top = draw_scene(ax, scene, handles, lettered=True)
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
     main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
@@ -49,26 +51,31 @@ def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> 
     return figure
 
 
-def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
-    """Draw all in the plane (or over time), close-ups perhaps lettered; height of the legend [in]."""
+def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: bool = False) -> float:
+    """Draw all in the plane (or over time), close-ups perhaps lettered; height of the legend [in].
+
+    The legend also has the handles of others, each name once.
+    """
     view = View(scene)
     if scene.time_axis is None:
         ax.set_aspect("equal")
     ax.set(xlim=view.span[0], ylim=view.span[1], xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
-    handles = [handle for draw in drawers for handle in draw(ax, scene, view)]
+    found = [handle for draw in drawers for handle in draw(ax, scene, view)]
     for item in scene.of("initial"):
         if scene.time_axis is None:
             _outline(ax, item.points, 0.6, "-", BLACK, 5)
         else:
             ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
-    draw_unsafe(ax, scene, view, lettered)
-    found = scene.picture.printed_slices() if scene.time_axis is None else ()
-    for one in sorted(found, key=lambda one: float(np.prod(np.ptp(one.outline, axis=0)))):  # least room first
+    found += draw_unsafe(ax, scene, view, lettered)
+    slices = scene.picture.printed_slices() if scene.time_axis is None else ()
+    for one in sorted(
+        slices, key=lambda one: float(np.prod(np.ptp(one.outline, axis=0)))
+    ):  # least room first
         colour = DARK_OLIVE if one.mode is None else mode_colour(one.mode)
         if len(view.seen(one.outline)):
-            view.label(ax, taking_over(one.time, one.mode), view.clip(one.outline), colour)
+            view.label(ax, taking_over(one.time, one.mode), one.outline, colour)
     if scene.picture.system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
         system, origin = scene.picture.system, np.zeros(scene.picture.system.d)
@@ -76,7 +83,8 @@ def draw_scene(ax: Any, scene: Scene, lettered: bool = False) -> float:
         # Else an unsafe set round the target has its own name there.
         if np.all(np.array(near) > 0) and view.contains(np.zeros(2)):
             view.label(ax, "target", np.zeros((1, 2)), BLACK)
-    return style.legend_above(ax, handles, 2)
+    found += mark_cuts(ax)
+    return style.legend_above(ax, list({one.get_label(): one for one in (*found, *handles)}.values()), 3)
 
 
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
@@ -101,7 +109,13 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
         _outline(ax, outline, 0.35 if one.mode is None else 0.7, "-", rim, 1.1)
         at = scene.placed(one.place[None], when)
         ax.plot(*at.T, "o", ms=2.6, mfc=look.colour, mec=DARK_OLIVE, mew=0.6, zorder=6)
-    return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend)] if seen else []
+    if not seen:
+        return []
+    chaser = style.dot("o", look.colour, 2.6, "chaser then", mec=DARK_OLIVE, mew=0.6)
+    return [
+        Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend),
+        *([chaser] if printed else []),
+    ]
 
 
 def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
@@ -155,42 +169,49 @@ def _outline(
 def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
     handles = []
-    for item in scene.of("reference", "tail"):
-        if item.role == "tail":
-            ax.plot(*item.points.T, zorder=2.6, color=tint(GREY, 0.6), lw=0.7, ls=DOTS)
-            continue
-        ax.plot(*item.points.T, zorder=4.5, color=GREY, lw=1.1, ls=DOTS)
-        handles.append(Line2D([], [], label=LOOKS["reference"].legend, color=GREY, lw=1.1, ls=DOTS))
-    alone = scene.flown("experimental")
-    if alone is not None:
-        ax.plot(*alone.T, color=ORANGE, lw=0.9, ls=DASHES, zorder=3.5)
-        if view.contains(alone).sum() > 1:
-            handles.append(Line2D([], [], color=ORANGE, lw=0.9, ls=DASHES, label="U alone"))
+    looks: dict[str, dict[str, Any]] = {
+        "reference": {"color": GREY, "lw": 1.1, "ls": DOTS},
+        "tail": {"color": tint(GREY, 0.6), "lw": 0.7, "ls": DOTS},
+    }
+    for item in scene.of(*looks):
+        ax.plot(*item.points.T, zorder=4.5 if item.role == "reference" else 2.6, **looks[item.role])
+        if view.contains(item.points).sum() > 1:
+            handles.append(Line2D([], [], label=LOOKS[item.role].legend, **looks[item.role]))
+    for one in alone(scene.picture):
+        look: dict[str, Any] = {"color": one.colour, "lw": 0.9, "ls": DASHES}
+        path = scene.placed(scene.picture.positions(one.flights), one.flights.times)
+        ax.plot(*path.T, zorder=3.5, **look)
+        if view.contains(path).sum() > 1:
+            handles.append(Line2D([], [], label=one.short, **look))
     picture, flown = scene.picture, scene.safe_path()
     for mode in draw_safe_path(ax, picture, flown):
         name = f"under {picture.mode_name(mode)}"
         handles.append(Line2D([], [], color=mode_colour(mode), lw=1.5, label=name))
     if scene.time_axis is None:
-        ax.plot(*flown[-1], marker="s", color=BLACK, ms=2.6, zorder=6)
-        ax.plot(*flown[0], marker="o", color=BLACK, ms=2.6, zorder=6)
+        for text, marker, place in (("start", "o", flown[0]), ("end", "s", flown[-1])):
+            ax.plot(*place, marker=marker, color=BLACK, ms=2.6, zorder=6)
+            view.label(ax, text, place[None], BLACK)
     return handles
 
 
-def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> None:
-    """Draw every unsafe set and keep-in set with its name."""
+def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> list[Any]:
+    """Draw every unsafe set and keep-in set with its name; a handle of covers, if there are any."""
+    cover = False
     for item in scene.items:
         if item.role == "unsafe" and scene.time_axis == 0:
             _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
             for mark in item.marks:
                 view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
         elif item.role == "unsafe":
-            _unsafe(ax, item, view, lettered)
+            cover |= _unsafe(ax, item, view, lettered)
         elif item.role == "keep_in":
             _keep_in(ax, item, view)
+    return [Line2D([], [], color=DULL_RED, lw=0.7, label=LOOKS["cover"].legend)] if cover else []
 
 
-def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
-    """One set at some instants, the most important one first."""
+def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> bool:
+    """Draw one set at some instants, the most important one first; True if a cover is drawn about it."""
+    covered = False
     aside = len(item.passages) > 0
     letters = ", ".join(LETTERS[i] for i in item.passages)
     note = "" if not aside else f" (see {letters})" if lettered else " (out of plane)"
@@ -199,28 +220,28 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> None:
         if not (len(view.seen(outline)) or (not aside and view.within(outline))):
             continue  # out of view; or passed out of the plane, and all of the view
         edge = tint(RED, 1.0 if first else 0.5)
-        view.avoid(view.seen(outline))
         if aside:
             _outline(ax, outline, 0.7, LONG, edge, 1.5)
         else:
             _outline(ax, outline, 0.0, "-", "none", 1.5, tint(RED, 0.45 if first else 0.2))
             _outline(ax, outline, 0.6, "-", edge, 1.6)
         if mark.cover is not None:
-            _outline(ax, mark.cover, 0.5, LONG if aside else "-", RED, 1.6)
-            view.avoid(view.seen(mark.cover))
+            _outline(ax, mark.cover, 0.7, "-", DULL_RED, 1.6)
+            covered |= len(view.seen(mark.cover)) > 1
         parts = [shortened(item.name, 1.5) if first else "", mark.told]
         text = ", ".join(filter(None, parts)) + (note if first else "")
-        view.label(ax, text, view.clip(outline), RED)
+        view.label(ax, text, outline, RED)
     if item.way is not None:
         ax.plot(*item.way.T, color=tint(RED, 0.6), lw=0.6, ls=(0, (1, 2)), zorder=1.4)
     for mark in item.marks:
         if mark.place is not None and view.contains(mark.place):
             ax.plot(*mark.place, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
             view.label(ax, mark.told, mark.place[None], RED)
+    return covered
 
 
 def _keep_in(ax: Any, item: Item, view: View) -> None:
-    """Draw a keep-in set and write its name: on the line in the middle, else at the end that is in view."""
+    """Draw a keep-in set and write its name at the line, as far as it is in view."""
     name, _, inside = item.name.rpartition(" (")
     told = f"{shortened(name, 1.5)} ({inside}"
     if item.shape is not None:
@@ -230,6 +251,4 @@ def _keep_in(ax: Any, item: Item, view: View) -> None:
         return
     seen = view.seen(item.points[:-1])
     if len(seen):
-        far = seen[np.argmax(np.linalg.norm(seen - view.points.mean(axis=0), axis=1))]
-        view.avoid(seen)
-        view.label(ax, told, far[None], RED)
+        view.label(ax, told, seen, RED)

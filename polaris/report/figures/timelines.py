@@ -1,6 +1,7 @@
 """Figures over time: distance and thrust, which controller flies, and how much room is left."""
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,19 +9,21 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from ...model.distances import stretches
+from ...model.system import Array
 from ...runs.picture import Picture
 from ..scene import palette
-from ..scene.palette import BLACK, GREEN, GREY, PILOTS, RED, mode_colour, shades, tint
+from ..scene.items import drawn_pilots
+from ..scene.palette import BLACK, GREEN, GREY, RED, mode_colour, shades, tint
+from .cuts import mark_cuts
+from .labels import name
 from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, step_edges
 
 INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
 
-FLOWN: dict[str, tuple[Any, float, float]] = {
-    "polaris": ("-", 1.6, 3.1),
-    "safety": ((0, (4, 1.2)), 1.0, 3.2),
-    "experimental": ((0, (3, 1, 1, 1)), 1.0, 3.0),
-}
+FLOWN: dict[str, tuple[Any, float, float]] = {"polaris": ("-", 1.6, 3.1), "safety": ((0, (4, 1.2)), 1.0, 3.2)}
 """Dashes, width and order of those that flew."""
+FAR = 3.0  # a velocity change above so many times that of the others leaves the panel
+ALONE = ((0, (3, 1, 1, 1)), 1.0, 3.0)  # the same of experimental controllers on their own
 
 
 def distance_figure(picture: Picture) -> Any:
@@ -40,19 +43,19 @@ def distance_figure(picture: Picture) -> Any:
 def _distance(ax: Any, picture: Picture) -> None:
     """Least distance over runs, band up to the largest."""
     handles, lowest, highest = [], 0.0, 0.0
-    for key, (dashes, width, order) in FLOWN.items():
-        flights, (_, name, colour, _) = picture.flights.get(key), PILOTS[key]
-        if flights is None or not np.all(np.isfinite(flights.nearest)):
+    for one in drawn_pilots(picture):
+        (dashes, width, order), flights, colour = FLOWN.get(one.key, ALONE), one.flights, one.colour
+        if not np.all(np.isfinite(flights.nearest)):
             continue
         least, _, most = flights.nearest
         ax.fill_between(flights.times, least, most, color=tint(colour, 0.25), lw=0, zorder=order - 1)
-        look = {"color": colour, "ls": dashes, "lw": width, "label": name}
+        look = {"color": colour, "ls": dashes, "lw": width, "label": one.short}
         handles += ax.plot(flights.times, least, zorder=order, **look)
         lowest, highest = min(lowest, float(least.min())), max(highest, float(most.max()))
     pad = 0.06 * (highest - lowest) + 1e-9
     bottom = lowest - 2 * pad
     _beyond(ax, 0.0, bottom)
-    _beside(ax, 0.99, 0.0, "unsafe", color=RED, ha="right", va="top")
+    name(ax, "unsafe", _across(picture, (bottom, 0.0)), RED)
     ax.set(xlim=(0, picture.duration), ylim=(bottom, highest + pad), ylabel="Distance (m)")
     ax.grid(True)
     legend_above(ax, handles, 3)
@@ -60,19 +63,29 @@ def _distance(ax: Any, picture: Picture) -> None:
 
 def _spent(ax: Any, picture: Picture) -> None:
     """Velocity change of the first runs as it adds up, what is proven of it, and when the goal is reached."""
-    for key, (dashes, width, order) in FLOWN.items():
-        if key in picture.flights:
-            flights, look = picture.flights[key], {"color": PILOTS[key][2], "ls": dashes, "lw": width}
-            ax.plot(flights.times, picture.velocity_change(flights)[0], zorder=order, **look)
     if picture.delta_v_max is not None:
         ax.axhline(picture.delta_v_max, color=GREY, lw=0.7)
-        _beside(ax, 0.01, picture.delta_v_max, "until the goal at most, proven", color=GREY, va="top")
+        name(ax, "until the goal at most, proven", _across(picture, 2 * (picture.delta_v_max,)), GREY)
+    spent = {one.key: picture.velocity_change(one.flights)[0] for one in drawn_pilots(picture)}
+    shown = [float(spent[key][-1]) for key in FLOWN if key in spent]
+    top = 1.15 * max([picture.delta_v_max or 0.0, *shown])
+    for one in drawn_pilots(picture):
+        (dashes, width, order), line = FLOWN.get(one.key, ALONE), spent[one.key]
+        ax.plot(one.flights.times, line, zorder=order, color=one.colour, ls=dashes, lw=width)
+        if line[-1] > FAR * top > 0:  # else nothing of the others would be seen
+            at = int(np.argmax(line > top))
+            name(
+                ax, f"{one.short}: {line[-1]:.3g} m/s at the end", [[one.flights.times[at], top]], one.colour
+            )
+        else:
+            top = max(top, 1.05 * float(line[-1]))
     if picture.reached is not None:  # at T or later: a line there is seen only if it is at T
         ax.axvline(picture.reached, color=GREEN, lw=1.2, ls=GOAL_DASHES)
     look = {"color": GREEN, "fontsize": 7, "ha": "right", "va": "bottom"}
     ax.text(1.0, 1.01, picture.arrival, transform=ax.transAxes, **look)
-    ax.set(ylim=(0, None), ylabel="Velocity\nchange (m/s)")
+    ax.set(xlim=(0, picture.duration), ylim=(0, top or None), ylabel="Velocity\nchange (m/s)")
     ax.grid(True)
+    mark_cuts(ax)
 
 
 def _input(ax: Any, picture: Picture) -> None:
@@ -83,11 +96,11 @@ def _input(ax: Any, picture: Picture) -> None:
     same = bool(np.all(limit == limit[0]))
     scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)
     handles = []
-    for axis, (name, colour) in enumerate(zip(names, shades((BLACK, "#8C8C8C"), len(names)), strict=True)):
+    for axis, (title, colour) in enumerate(zip(names, shades((BLACK, "#8C8C8C"), len(names)), strict=True)):
         low, high = (step_edges(bound[:, axis]) / scale[axis] for bound in flights.input_range)
         ax.fill_between(flights.times, low, high, step="post", color=tint(GREY, 0.25), lw=0, zorder=2)
         nominal = step_edges(flights.inputs[0][:, axis]) / scale[axis]
-        look = {"color": colour, "ls": INPUT_DASHES[axis % 3], "lw": 1.0, "label": name, "zorder": 3}
+        look = {"color": colour, "ls": INPUT_DASHES[axis % 3], "lw": 1.0, "label": title, "zorder": 3}
         handles += ax.plot(flights.times, nominal, drawstyle="steps-post", **look)
     for side in (-top, top):
         _beyond(ax, side, 1.2 * side)
@@ -131,10 +144,10 @@ def margin_figure(picture: Picture) -> Any:
     names = np.array([limit_group(name) for name in picture.limits])
     place, height = floor - 0.17, 0.12
     for wanted, ends in ((True, palette.INPUT_SHADES), (False, palette.SET_SHADES)):
-        own = [name for name in dict.fromkeys(names) if (name in picture.system.input_names) == wanted]
-        for name, shade in zip(own, shades(ends, len(own)), strict=True):
-            _bars(ax, picture, names == name, (place, height), shade)
-            handles.append(Patch(facecolor=shade, label=name))
+        own = [one for one in dict.fromkeys(names) if (one in picture.system.input_names) == wanted]
+        for one, shade in zip(own, shades(ends, len(own)), strict=True):
+            _bars(ax, picture, names == one, (place, height), shade)
+            handles.append(Patch(facecolor=shade, label=one))
     _beside(ax, -0.015, place + height / 2, "limit", ha="right", va="center")
     label = "Margin (share of room left)"
     ax.set(xlim=(0, picture.duration), ylim=(place - 0.03, 1.0), xlabel="Time (s)", ylabel=label)
@@ -157,6 +170,11 @@ def _bars(
 def _beside(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
     """Write at a share of the width, and a value."""
     ax.text(x, y, text, fontsize=7, transform=ax.get_yaxis_transform(), **look)
+
+
+def _across(picture: Picture, ends: Sequence[float]) -> Array:
+    """Points at these values, from the start to the horizon."""
+    return np.array([(t, end) for end in ends for t in np.linspace(0, picture.duration, 25)])
 
 
 def _beyond(ax: Any, value: float, end: float) -> None:

@@ -1,33 +1,30 @@
-"""The plane that is drawn, where in it there is room for names, and close-ups where it does not tell."""
+"""The plane that is drawn, and close-ups where it does not tell."""
 
 from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
-from matplotlib.patheffects import withStroke
 
 from ...model.system import Array
 from ...runs.picture import Picture, seconds
 from ..scene.geometry import flat_outline
-from ..scene.items import CloseUp, Scene
-from ..scene.palette import BLACK, RED, tint
+from ..scene.items import CloseUp, Scene, alone
+from ..scene.palette import BLACK, DULL_RED, LOOKS, RED, tint
 from ..scene.space import Space, moves
-from .style import draw_safe_path, shortened, text_width
+from .cuts import mark_cuts
+from .labels import name
+from .style import DASHES, draw_safe_path, shortened, text_width
 
 WIDTH = 2.8  # of the axes [in]
-CLASH = 4.0  # what it counts if a name lies on another: more than all else; then a line further off will do
 
 
 class View:
-    """The rectangle that a scene in two axes shows, and what is in it already; a mute one has no names."""
+    """The rectangle that a scene in two axes shows; a mute one has no names."""
 
     def __init__(self, scene: Scene, mute: bool = False) -> None:
         self.low, self.high, self.mute = scene.low, scene.high, mute
         self.span = np.stack([self.low, self.high], axis=1).tolist()
-        flown = [path for key in scene.picture.flights if (path := scene.flown(key)) is not None]
-        drawn = [item.points for item in scene.of("reference", "tail")]
-        self.points = np.vstack([*drawn, *flown])  # what names should not cover, shape (N, 2)
-        self.taken: list[tuple[Array, Array]] = []
 
     @property
     def aspect(self) -> float:
@@ -55,74 +52,41 @@ class View:
         shape = self.aspect if ax.get_aspect() == 1.0 else 0.6
         return np.asarray((self.high - self.low) / (1, shape) / WIDTH)
 
-    def clip(self, outline: Array) -> Array:
-        """Cut an outline to the view."""
-        return np.clip(outline, self.low, self.high)
-
-    def avoid(self, points: Array) -> None:
-        """Keep names off these points, too."""
-        self.points = np.vstack([self.points, points])
-
-    def label(self, ax: Any, text: str, outline: Array, colour: str) -> None:
-        """Write a name beside an outline, or into it if it is large, where fewest lines pass."""
-        if self.mute:
-            return
-        per_inch = self.inch(ax)
-        size, gap = np.array([text_width(text) + 0.04, 8.5 / 72]) * per_inch, 3 / 72 * per_inch
-        low, high = outline.min(axis=0) - gap, outline.max(axis=0) + gap
-        middle = (low + high) / 2 - size / 2
-        sides = np.stack([low - size, middle, high])
-        beside = ((1, 2), (2, 1), (1, 0), (0, 1), (2, 2), (2, 0), (0, 2), (0, 0))  # above first, then right
-        places = around = [sides[list(place), [0, 1]] for place in beside]
-        if np.all(size * (1, 1.8) < high - low):
-            heights = (low[1] + share * (high[1] - low[1]) - size[1] / 2 for share in (0.5, 0.25, 0.75))
-            places = [*(np.array([middle[0], height]) for height in heights), *places]
-
-        def into(place: Array) -> Array:
-            return np.maximum(np.minimum(place, self.high - size), self.low)
-
-        def cost(wanted: Array) -> float:
-            place = into(wanted)
-            crossing = self.points - place
-            over = int(np.count_nonzero(np.all((crossing > 0) & (crossing < size), axis=1)))
-            clash = any(np.all((place < at + own) & (at < place + size)) for at, own in self.taken)
-            return min(over, 20) / 20 + np.any(place != wanted) + CLASH * clash
-
-        if min(map(cost, places)) >= CLASH:
-            off = [np.array([0.0, 1.2 * (row - 1) * size[1]]) for _, row in beside]
-            places = [*places, *map(np.add, around, off)]
-        place = into(min(places, key=cost))
-        self.taken.append((place, size))
-        look = {"ha": "center", "va": "center", "zorder": 8, "clip_on": True}
-        drawn = ax.text(*(place + size / 2), text, color=colour, fontsize=7, **look)
-        drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
+    def label(self, ax: Any, text: str, points: Array, colour: str) -> None:
+        """Write a name at the part of an outline (or a point) that is in the view."""
+        if not self.mute:
+            name(ax, text, np.clip(points, self.low, self.high), colour)
 
 
 LETTERS = "abcdef"
+HERE = "\N{WHITE CIRCLE}"  # where the chaser is at the time in the title of a close-up
 
 
-def draw_closeup(ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float) -> None:
-    """Draw one close-up, wholly within `width` [in], as high as `aspect` times that."""
+def draw_closeup(
+    ax: Any, picture: Picture, one: CloseUp, letter: str, aspect: float, width: float
+) -> list[Any]:
+    """Draw one close-up, wholly within `width` [in], as high as `aspect` times that; handles of its own."""
     apart = f"{one.distance:.3g}" if one.distance < 1000 else f"{one.distance:.0f}"
-    told = f"{seconds(one.time)} s: {apart} m"
+    told = f"{HERE} {seconds(one.time)} s: {apart} m"
     told += " apart" if one.distance < 1000 and text_width(told + " apart") < width else ""
-    name = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
+    title = shortened(f"({letter}) {one.obstacle.name}", 0.9 * width)
     ax.locator_params(nbins=4)
-    ax.set_title(f"{name}\n{told}", fontsize=7, loc="left", linespacing=1.1, pad=3)
+    ax.set_title(f"{title}\n{told}", fontsize=7, loc="left", linespacing=1.1, pad=3)
     labels = ["Time (s)", "Distance (m)"]
     if one.axes is None:
-        _over_time(ax, picture, one)
+        handles = _over_time(ax, picture, one)
     else:
         labels = [picture.frame.labels[picture.frame.axes.index(axis)] for axis in one.axes]
         if moves(one.obstacle, picture):
             labels = [f"Rel. {label[0].lower()}{label[1:]}" for label in labels]
-        _in_plane(ax, picture, one, one.axes, aspect)
+        handles = _in_plane(ax, picture, one, one.axes, aspect)
     ax.set_xlabel(labels[0], fontsize=7)
     ax.set_ylabel(labels[1], fontsize=7)
     ax.grid(True)
+    return handles + mark_cuts(ax)
 
 
-def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: float) -> None:
+def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: float) -> list[Any]:
     times, path = picture.safe_path()
     space, origin = Space.of(picture), np.zeros(picture.system.d)
     if moves(one.obstacle, picture):
@@ -134,7 +98,7 @@ def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: 
     cover = space.cover(one.obstacle, one.time)
     if cover is not None:
         outline = flat_outline(cover[:, axes]) - origin[axes]
-        ax.add_patch(Polygon(outline, facecolor="none", edgecolor=RED, lw=0.5, zorder=1.6))
+        ax.add_patch(Polygon(outline, facecolor="none", edgecolor=DULL_RED, lw=0.7, zorder=1.6))
     near = np.vstack([outline, path[at : at + 1, axes]])
     low, high = near.min(axis=0), near.max(axis=0)
     size, middle = 1.5 * (high - low), (low + high) / 2
@@ -144,9 +108,24 @@ def _in_plane(ax: Any, picture: Picture, one: CloseUp, axes: list[int], aspect: 
     ax.set_aspect("equal")
     draw_safe_path(ax, picture, path[:, axes], one.span)
     ax.plot(*path[at, axes], marker="o", mfc="white", mec=BLACK, mew=0.7, ms=3, zorder=6)
+    body = np.vstack([space.corners(one.obstacle, one.time), *([] if cover is None else [cover])]) - origin
+    for u in alone(picture):  # where it is no further off in depth than the panel shows beside
+        flown = picture.positions(u.flights)
+        if moves(one.obstacle, picture):
+            flown = flown - one.obstacle.centre(u.flights.times, picture.system)
+        far = np.maximum(body.min(axis=0) - half.max() - flown, flown - body.max(axis=0) - half.max())
+        flown[np.any(np.delete(far, axes, axis=1) > 0, axis=1)] = np.nan
+        _alone(ax, flown[:, axes], u.colour)
+    return [] if cover is None else [Line2D([], [], color=DULL_RED, lw=0.7, label=LOOKS["cover"].legend)]
 
 
-def _over_time(ax: Any, picture: Picture, one: CloseUp) -> None:
+def _alone(ax: Any, flown: Array, colour: str) -> None:
+    """Draw the path of U alone, where there is any."""
+    if np.isfinite(flown).any():
+        ax.plot(*flown.T, color=colour, lw=0.9, ls=DASHES, zorder=3.5)
+
+
+def _over_time(ax: Any, picture: Picture, one: CloseUp) -> list[Any]:
     times, path = picture.safe_path()
     distance = one.obstacle.signed_distance(times, path, picture.system)
     a, b = one.span
@@ -155,4 +134,9 @@ def _over_time(ax: Any, picture: Picture, one: CloseUp) -> None:
     ends = times[near[0]], times[near[-1]]
     draw_safe_path(ax, picture, np.column_stack([times, distance]), one.span)
     ax.axhspan(-0.2 * top, 0, color=tint(RED, 0.45), lw=0)
+    ax.plot(one.time, one.distance, marker="o", mfc="white", mec=BLACK, mew=0.7, ms=3, zorder=6)
+    for u in alone(picture):
+        gap = one.obstacle.signed_distance(u.flights.times, picture.positions(u.flights), picture.system)
+        _alone(ax, np.column_stack([u.flights.times, gap]), u.colour)
     ax.set(xlim=ends if ends[0] < ends[1] else None, ylim=(-0.2 * top, top))
+    return []

@@ -1,6 +1,6 @@
 """The page of the inspection problem: a flight, a fuel limit, or a campaign (tables alone)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -83,11 +83,19 @@ def _values(summary: Mapping[str, Any]) -> Markup:
     for key, value in summary.items():
         if key in ELSEWHERE:
             continue
-        for name, one in value.items() if isinstance(value, Mapping) else [("", value)]:
-            unit = "s" if key.endswith("_seconds") else Measure.of(name or key).unit
-            title = " ".join(part for part in (Measure.of(key).title, name.replace("_", " ")) if part)
-            rows.append([Cell(str(title)), number_cell(one, key, unit="" if unit == "%" else unit)])
+        for title, name, one in _flat(Measure.of(key).title, key, value):
+            unit = "s" if key.endswith("_seconds") else Measure.of(name).unit
+            rows.append([Cell(title), number_cell(one, key, unit="" if unit == "%" else unit)])
     return table("Values of summary.json", ["", "value"], rows)
+
+
+def _flat(title: str, key: str, value: Any) -> Iterator[tuple[str, str, Any]]:
+    """Title, key and value of everything in a value of a summary, however deep."""
+    if not isinstance(value, Mapping):
+        yield title, key, "none" if value in ([], ()) else value
+        return
+    for name, one in value.items():
+        yield from _flat(f"{title}, {name.replace('_', ' ')}", name, one)
 
 
 def _studies(summary: Mapping[str, Any]) -> Markup:

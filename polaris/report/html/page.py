@@ -73,6 +73,8 @@ BADGES = {
 """Class and text of a badge, by kind of guarantee."""
 
 MOST = 4  # columns of a table that have room on any screen
+ROUND_OFF = 1e-12  # values below this are what rounding leaves of a zero, in any unit of a metric
+MOST_WHOLE = 1e7  # numbers below this have no exponent
 
 
 @cache
@@ -90,20 +92,36 @@ def macros(name: str = "parts.html") -> Any:
 
 def shown(value: Any, key: str = "", form: str = ".4g", unit: str = "") -> Markup:
     """A value of a file as HTML, numbers in a form with a unit; `ABSENT` says by key what null means."""
-    after = f" {unit}" if unit else ""
+    after = f" {unit}".replace("^2", "²") if unit else ""
     if value is None:
         return _without_number(*ABSENT.get(key, ("none", "no value")))
     if isinstance(value, bool):
         return escape("yes" if value else "no")
     if isinstance(value, (list, tuple)):
         return Markup(", ").join(shown(item, key, form) for item in value) + (after if value else "")
+    if isinstance(value, Mapping):
+        parts = (
+            escape(str(name).replace("_", " ") + " ") + shown(one, key, form) for name, one in value.items()
+        )
+        return Markup(", ").join(parts) + (after if value else "")
     if not isinstance(value, (int, float)):
         return escape(str(value))
     if np.isnan(value):
         return _without_number("none", "no value")
     if np.isinf(value):
         return _without_number(*(("∞", "infinite") if value > 0 else ("−∞", "minus infinite")))
-    return escape((f"{value:d}" if isinstance(value, int) and form == ".4g" else f"{value:{form}}") + after)
+    if form == ".4g":
+        return escape(number(value) + after)
+    return escape(f"{value:{form}}" + after)
+
+
+def number(value: float) -> str:
+    """A number with four digits, whole ones with all; what rounding leaves of a zero is 0."""
+    if isinstance(value, int):
+        return f"{value:d}"
+    if abs(value) < ROUND_OFF:
+        return "0"
+    return f"{value:.0f}" if 1e4 <= abs(value) < MOST_WHOLE else f"{value:.4g}"
 
 
 def _without_number(text: str, why: str) -> Markup:
@@ -208,7 +226,7 @@ def details(summary: str, inner: str) -> Markup:
     return Markup(macros().details(summary, inner))
 
 
-SCRIPTS = ("tables.js", "scene.js", "timelines.js", "main.js")
+SCRIPTS = ("tables.js", "theme.js", "scene.js", "timelines.js", "main.js")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from ...runs.folder import RunFolder
 from ...runs.picture import Picture
 from ...runs.tables import besides, pilots
 from ...synthesis.recoverable import directed
-from ..scene.palette import PILOTS, mode_colour
+from ..scene.items import drawn_pilots
+from ..scene.palette import mode_colour
 from .page import Cell, Measure, Page, badge, macros, reading, table
 from .timelines import Flown, flight_data
 
@@ -34,12 +35,16 @@ def run_page(folder: RunFolder) -> Page:
     summary = folder.summary
     claim, recoverable = summary["guarantee"], str(summary["synthesis"]["recoverable"])
     proved = claim["kind"] == "proved"
-    picture, flown = folder.picture(), []
-    for key, name in reversed(pilots(summary).items()):
-        _, _, colour, dash = PILOTS[key.partition("_")[0]]
-        colour = mode_colour(int(key.partition("_")[2] or 1)) if key.startswith("experimental") else colour
-        look = {"colour": colour, "dash": dash, "on": key == "polaris"}
-        flown.append(Flown(key, name, look, picture.flights[key]))
+    picture = folder.picture()
+    flown = [
+        Flown(
+            one.key,
+            one.name,
+            {"colour": one.colour, "dash": one.dash, "on": one.key == "polaris"},
+            one.flights,
+        )
+        for one in drawn_pilots(picture)
+    ]
     return Page(
         str(summary["title"]),
         (loud(recoverable) if claim["kind"] == "none" else Markup()) + answers(summary, picture),

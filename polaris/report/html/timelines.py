@@ -32,6 +32,7 @@ from .scene import plain, scene_data
 
 MOST = 400  # most samples of a run that are drawn, besides changes of controller
 WHO = "Who flies"
+ROUND_OFF = 1e-9  # inputs below this share of the limit are 0 but for rounding
 
 Drawn = tuple[str, Array, Array | None]
 """Key of a pilot, inputs of its runs (r, N, m), and least and largest over all runs (2, N, m) if known."""
@@ -143,6 +144,7 @@ def limit(y: float, text: str, unsafe: str = "") -> dict[str, Any]:
 
 def panel(key: str, title: str, unit: str, limits: list[dict[str, Any]], series: list[Any]) -> dict[str, Any]:
     """One diagram."""
+    unit = unit.replace("^2", "²")
     return {"key": key, "title": title, "unit": unit, "limits": limits, "series": series}
 
 
@@ -153,13 +155,18 @@ def input_panels(
     found = []
     for axis, (title, end) in enumerate(zip(titles, np.asarray(most).tolist(), strict=True)):
         series = [
-            {"pilot": key, "step": True, "runs": plain(inputs[..., axis])}
+            {"pilot": key, "step": True, "runs": plain(_rounded(inputs[..., axis], end))}
             | ({} if span is None else {"band": plain(span[..., axis])})
             for key, inputs, span in drawn
         ]
         limits = [limit(-end, "", "below"), limit(end, f"limit {end:.4g}", "above")]
         found.append(panel(f"input{axis}", title, unit, limits, series))
     return found
+
+
+def _rounded(values: Array, most: float) -> Array:
+    """Inputs, those that are 0 but for rounding as 0."""
+    return np.where(np.abs(values) < ROUND_OFF * most, 0.0, values)
 
 
 def _spent(most: float | None, series: list[Any]) -> dict[str, Any]:

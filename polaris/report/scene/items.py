@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from ...model.shapes import Ball
 from ...model.system import Array
 from ...runs.picture import Picture
 from .geometry import Shape, flat_outline, gapped
+from .palette import PILOTS, mode_colour
 from .space import Space
 
 if TYPE_CHECKING:
@@ -104,6 +105,36 @@ class Scene:
     def of(self, *roles: str) -> list[Item]:
         """Items of these roles, in their order."""
         return [item for role in roles for item in self.items if item.role == role]
+
+
+class Pilot(NamedTuple):
+    """Who flew: key, name on the page and in print, colour, dashes on the page, and its runs."""
+
+    key: str
+    name: str
+    short: str
+    colour: str
+    dash: str
+    flights: Flights
+
+
+def drawn_pilots(picture: Picture) -> list[Pilot]:
+    """Everyone whose flights a picture holds; several experimental controllers are named."""
+    found, several = [], len(picture.controllers) > 2
+    for key in (key for key in {**PILOTS, **picture.flights} if key in picture.flights):
+        name, short, colour, dash = PILOTS.get(key, PILOTS["experimental"])
+        flights = picture.flights[key]
+        if short == PILOTS["experimental"][1] and several:
+            name = short = f"{short} ({flights.controller})"
+            if flights.controller in picture.controllers:
+                colour = mode_colour(picture.controllers.index(flights.controller))
+        found.append(Pilot(key, name, short, colour, dash, flights))
+    return found
+
+
+def alone(picture: Picture) -> list[Pilot]:
+    """Experimental controllers that flew on their own."""
+    return [one for one in drawn_pilots(picture) if one.key not in ("polaris", "safety")]
 
 
 def modes_per_node(runs: Flights) -> NDArray[np.int_]:

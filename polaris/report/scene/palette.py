@@ -60,7 +60,7 @@ class Look:
 
 LOOKS = {
     "unsafe": Look(RED, "unsafe set", "unsafe", "unsafe"),
-    "cover": Look(DULL_RED, "is within", "", "unsafe"),
+    "cover": Look(DULL_RED, "is within", "satellite is within", "unsafe"),
     "keep_in": Look(RED, "stay inside", "stay inside", "unsafe"),
     "sides": Look(RED, "its sides", "", "unsafe"),
     "goal": Look(GREEN, "goal", "goal", "goal"),
@@ -68,7 +68,7 @@ LOOKS = {
     "start": Look("#404040", "start", "start", "initial"),
     "initial": Look("#404040", "initial set", "", "initial"),
     "reference": Look(GREY, "safe reference", "reference", "reference"),
-    "tail": Look("#B5B5B5", "reference after T", "", "reference"),
+    "tail": Look("#B5B5B5", "reference after T", "reference after T", "reference"),
     "slice": Look(YELLOW, "recoverable set", "recoverable sets", "slice"),
     "tube": Look(SKY, "reachable now", "reachable tube, by mode", "tube"),
     "chief": Look(RED, "chief: keep-out sphere", "chief", "unsafe"),

@@ -52,6 +52,10 @@ class Space:
             else:
                 outline = _within(obstacle, picture, near, reach)
             seen.append(np.clip(outline, low - reach, high + reach))
+        for one in picture.printed_slices() if len(flat) == 2 else ():
+            outline = np.tile(one.place, (len(one.outline), 1))
+            outline[:, flat] = one.outline
+            seen.append(np.clip(outline, low - reach, high + reach))
         points = np.vstack(seen)
         low, high = points.min(axis=0), points.max(axis=0)
         pad = 0.05 * float(np.max((high - low)[flat])) + 1e-9 * (1 + float(np.abs(points).max()))

@@ -9,6 +9,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from reach.brief import brief
+
 from ...model.errors import NoAnswer, PolarisError
 from ...model.system import Array
 from ...model.version import version
@@ -47,6 +49,7 @@ class Task:
     version: str
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """One run of a campaign, flown again."""

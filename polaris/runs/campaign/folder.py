@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from reach.brief import brief
+
 from ...model.errors import NotCertified, ScenarioError
 from ...model.files import parse_json
 from ...model.version import version
@@ -30,6 +32,7 @@ from .formats import FORMATS, usable
 from .plan import CampaignPlan
 
 
+@brief
 @dataclass(frozen=True)
 class CampaignFolder:
     """A campaign on disk.

@@ -8,6 +8,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from reach.brief import brief
+
 from ...model.checks import whole
 from ...model.errors import ScenarioError
 from ...model.version import version
@@ -26,6 +28,7 @@ KINDS: dict[str, type[Kind]] = {kind.name: kind for kind in (ScheduleRuns, Inspe
 BATCH = 250  # runs per task: enough to be worth sending, few enough to lose little with a worker
 
 
+@brief
 @dataclass(frozen=True)
 class CampaignPlan:
     """A campaign, as its manifest keeps it.

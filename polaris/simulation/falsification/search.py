@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from reach.brief import brief
+
 from ...model.checks import of_kind, whole
 from ...model.system import Array
 from ...synthesis.schedule import Schedule
@@ -39,6 +41,7 @@ ROUND = ("worst", "again", "again", "mutate", "mutate", "random", "spending")
 """One round of the search, a batch each."""
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class Falsification:
     """Result of a search.

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from reach.brief import brief
+
 from ...model.errors import ScenarioError
 from ...model.satellite import SatelliteObstacle
 from ...model.system import Array
@@ -19,6 +21,7 @@ from .residual import Residual, residual_bound
 MOST_ROUNDS = 8  # times a bound is raised before it is given up: it feeds back through the tubes, but weakly
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class ModelError:
     """How far the linear model may be off over the states that a schedule visits.

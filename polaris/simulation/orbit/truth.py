@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reach.brief import brief
+
 from ...model.system import Array
 from ...model.thrusters import Thrusters
 from ...synthesis.schedule import Schedule
@@ -21,6 +23,7 @@ from .environment import Environment
 from .frame import frame_rates, near_circular, relative_rate
 
 
+@brief
 @dataclass(frozen=True, eq=False)
 class TrueFlights:
     """Closed loops in the nonlinear motion.

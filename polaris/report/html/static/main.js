@@ -7,7 +7,11 @@ const SWATCH = { unsafe: "#C0202B", goal: "#009E73", initial: "#404040", referen
   tube: "#56B4E9", sun: "#E69F00", keep: "#767676", predicted: "#56B4E9" };
 
 const $ = (id) => document.getElementById(id);
-const short = (value) => (value === null || value === undefined ? "none" : String(Number(Number(value).toPrecision(4))));
+const ROUND_OFF = 1e-12; // below this is what rounding leaves of a zero
+const short = (value) => {
+  if (value === null || value === undefined) return "none";
+  return Math.abs(value) < ROUND_OFF ? "0" : String(Number(Number(value).toPrecision(4)));
+};
 const runOf = (pilot, state) => Math.max(pilot.labels.indexOf(state.run), 0);
 
 function element(tag, properties, ...children) {
@@ -37,15 +41,23 @@ function start() {
     drawing = true;
     requestAnimationFrame(async () => {
       wanted = false;
-      await Plotly.react(scene, sceneTraces(data, state), layout, options);
+      await paintScene();
       drawing = false;
       if (wanted) drawScene();
     });
   }
 
+  const paintScene = () => Plotly.react(scene, themed(sceneTraces(data, state)), themed(layout), options);
+
   async function drawTimelines() {
     const figure = timelineFigure(data, state);
-    await Plotly.react(timelines, figure.traces, figure.layout, { ...options, displayModeBar: false });
+    await Plotly.react(timelines, themed(figure.traces), themed(figure.layout), { ...options, displayModeBar: false });
+  }
+
+  function drawAgain() { // at once: no frame comes between an event and the paper
+    recolour();
+    paintScene();
+    drawTimelines();
   }
 
   function setTime(t) {
@@ -85,6 +97,13 @@ function start() {
   }
 
   controls(data, state, redraw);
+  recolour();
+  DARK.addEventListener("change", drawAgain);
+  [["beforeprint", true], ["afterprint", false]].forEach(([name, on]) => window.addEventListener(name, () => {
+    const before = isDark();
+    printing = on;
+    if (isDark() !== before) drawAgain();
+  }));
   Object.assign($("time"), { min: 0, max: data.end, step: data.end / 1000, value: 0 });
   $("time").addEventListener("input", () => { play(false); setTime(snapped(data, Number($("time").value))); });
   $("play").addEventListener("click", () => play(!state.playing));
@@ -108,7 +127,7 @@ function controls(data, state, redraw) {
     const box = element("input", { type: "checkbox", checked });
     box.addEventListener("change", () => change(box));
     const swatch = element("span", { className: "swatch" });
-    swatch.style.background = colour;
+    swatch.dataset.colour = colour;
     return element("label", {}, box, swatch, name);
   };
   data.pilots.forEach((pilot) => $("pilots").append(tick(pilot.name, pilot.on, pilot.colour, (box) => {
@@ -125,7 +144,7 @@ function controls(data, state, redraw) {
   $("modes").append(element("li", { className: "quiet", textContent: `${data.modes_title}${where}:` }));
   data.modes.forEach((mode) => {
     const swatch = element("span", { className: "swatch" });
-    swatch.style.background = mode.colour;
+    swatch.dataset.colour = mode.colour;
     $("modes").append(element("li", {}, swatch, mode.name));
   });
   [...state.groups].forEach((group) => $("groups").append(tick(GROUPS[group] || group, true, SWATCH[group] || "#767676", (box) => {

@@ -179,7 +179,7 @@ function sceneTraces(data, state) {
 function sceneLayout(data, frame) {
   const { space, axes, range } = data.scene;
   const axis = (k) => ({ title: { text: plain(axes[k]), font: { size: 12 } }, range: range[k], autorange: false,
-    gridcolor: "#E2E2E2", zeroline: false, tickfont: { size: 11 }, nticks: 6 });
+    gridcolor: "#E2E2E2", color: "#444", zeroline: false, tickfont: { size: 11 }, nticks: 6 });
   const common = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "keep", hovermode: "closest",
     font: { family: "system-ui, sans-serif", color: "#222" } };
   if (space === 2) {

@@ -1,6 +1,6 @@
 // Diagrams over time, one above the other with one time axis, and the line that marks the time shown.
 
-const PANEL = 104, ROW = 22;
+const PANEL = 104, ROW = 22, LINE = 16;
 
 function rowsOf(data, state) {
   return state.shown.map((pilot) => plain(pilot.name));
@@ -68,17 +68,31 @@ function rangeOf(panel, traces) {
   return [low - pad, high + pad];
 }
 
+// A title in lines that fit into a narrow window.
+function wrapped(text, most) {
+  const lines = [""];
+  for (const word of text.split(" ")) {
+    const last = lines[lines.length - 1];
+    if (last && last.length + word.length >= most) lines.push(word); else lines[lines.length - 1] = last ? `${last} ${word}` : word;
+  }
+  return lines;
+}
+
 // Names of the lines that belong to no pilot, each beside a piece of its line.
 function linesOf(panel) {
   const own = panel.series.filter((one) => one.pilot === null && !one.bars);
-  return own.map((one) => `<span style="color:${one.colour}">━━</span> ${plain(one.name)}`).join("   ");
+  return own.length ? [own.map((one) => `<span style="color:${one.colour}">━━</span> ${plain(one.name)}`).join("   ")] : [];
 }
 
 function timelineFigure(data, state) {
-  const narrow = window.innerWidth < 600, gap = 46;
+  const narrow = document.documentElement.clientWidth < 600, marks = (data.marks || []).map((one) => plain(one.text));
   const rows = rowsOf(data, state), heights = [ROW * rows.length + 8, ...data.panels.map(() => PANEL)];
-  
-  const total = heights.reduce((sum, h) => sum + h + gap, 0);
+  const titles = [data.modes_title, ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].map((title, n) => {
+    const bold = wrapped(title, narrow ? 34 : 90).map((line) => `<b>${plain(line)}</b>`);
+    return [...bold, ...(n ? linesOf(data.panels[n - 1]) : narrow ? marks : [])];
+  });
+  const gaps = titles.map((lines) => 30 + LINE * Math.max(lines.length - 1, 1));
+  const total = heights.reduce((sum, h, n) => sum + h + gaps[n], 0);
   const layout = { height: total + 46, margin: { l: narrow ? 62 : 78, r: 12, t: 4, b: 44 }, barmode: "overlay", hovermode: "x",
     hoverdistance: -1, showlegend: false, paper_bgcolor: "#fff", plot_bgcolor: "#fff", dragmode: narrow ? false : "zoom",
     font: { family: "system-ui, sans-serif", size: 11, color: "#222" }, uirevision: "keep", annotations: [],
@@ -86,10 +100,10 @@ function timelineFigure(data, state) {
     xaxis: { title: { text: "Time (s)" }, range: [0, data.end], gridcolor: "#E6E6E6", zeroline: false } };
   const traces = [];
   let top = total;
-  [data.modes_title, ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].forEach((title, n) => {
+  titles.forEach((lines, n) => {
     const name = n ? "y" + (n + 1) : "y", yaxis = { gridcolor: "#E6E6E6", zeroline: false, nticks: 5, fixedrange: true };
-    top -= gap - 14;
-    layout.annotations.push({ text: `<b>${plain(title)}</b>` + (n && linesOf(data.panels[n - 1]) ? `<br>${linesOf(data.panels[n - 1])}` : ""), align: "left", xref: "paper", yref: "paper", x: 0, y: top / total, xanchor: "left",
+    top -= gaps[n] - 14;
+    layout.annotations.push({ text: lines.join("<br>"), align: "left", xref: "paper", yref: "paper", x: 0, y: top / total, xanchor: "left",
       yanchor: "bottom", showarrow: false, font: { size: 12 }, borderpad: 2 });
     yaxis.domain = [Math.max(top - heights[n], 0) / total, top / total];
     top -= heights[n] + 14;
@@ -107,7 +121,7 @@ function timelineFigure(data, state) {
     if (one.t <= data.end * 1.001) {
       layout.shapes.push({ type: "line", xref: "x", yref: "paper", x0: one.t, x1: one.t, y0: 0, y1: 1, line: { color: "#009E73", width: 1.5, dash: "dot" } });
     }
-    layout.annotations.push({ text: plain(one.text), xref: "x", yref: "paper", x: Math.min(one.t, data.end), y: 1, xanchor: "right",
+    if (!narrow) layout.annotations.push({ text: plain(one.text), xref: "x", yref: "paper", x: Math.min(one.t, data.end), y: 1, xanchor: "right",
       yanchor: "top", showarrow: false, font: { size: 11, color: "#00694d" } });
   }
   layout.xaxis.anchor = data.panels.length ? "y" + (data.panels.length + 1) : "y";

@@ -1,0 +1,105 @@
+"""Marks where the frame of a figure cuts what is drawn."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.colors import to_hex, to_rgba, to_rgba_array
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from ...model.system import Array
+from ..scene.palette import GREY
+from .labels import polylines
+from .style import dot
+
+OUT_OF_FRAME = "goes on outside"
+MARKERS = {(0, 0): "<", (0, 1): ">", (1, 0): "v", (1, 1): "^"}
+"""Markers of a cut by axis and side."""
+ROUNDING = 1e-6
+APART = 0.03  # least distance of marks of one colour, in shares of the frame
+PALE = 0.75  # a colour lighter than this is not seen as a mark
+
+
+def mark_cuts(ax: Any) -> list[Any]:
+    """Mark where the frame cuts lines and sets, by markers in their colours that point on.
+
+    Returns
+    -------
+    list
+        A handle for the legend; empty if nothing is cut.
+    """
+    limits = np.array([ax.get_xlim(), ax.get_ylim()])
+    apart = APART * np.ptp(limits, axis=1)
+    to_data, places = ax.transData.inverted(), {side: list[tuple[float, str]]() for side in MARKERS}
+    drawn = [one for one in (*ax.lines, *ax.collections, *ax.patches) if not isinstance(one, PathCollection)]
+    drawn = [one for one in drawn if all(one.get_transform().contains_branch_seperately(ax.transData))]
+    for artist in sorted(drawn, key=_is_face):  # a face has the mark of its edge
+        closed, colour, face = (
+            not isinstance(artist, (Line2D, LineCollection)),
+            _colour(artist),
+            _is_face(artist),
+        )
+        parts = [to_data.transform(part) for part in polylines(artist)]
+        for (axis, side), known in places.items():
+            cut = [
+                _crossings(part, axis, side, limits[axis, side], limits[1 - axis], closed) for part in parts
+            ]
+            for at in sorted(one for part in cut for one in part):
+                near = (
+                    other
+                    for other, mark in known
+                    if abs(at - other) <= apart[1 - axis] and (face or mark == colour)
+                )
+                if not any(True for _ in near):
+                    known.append((at, colour))
+    look: dict[str, Any] = {
+        "ms": 3.5,
+        "mec": "white",
+        "mew": 0.3,
+        "clip_on": False,
+        "zorder": 6.5,
+        "gid": "cut",
+    }
+    for (axis, side), known in places.items():
+        for at, colour in known:
+            point = (at, limits[axis, side]) if axis else (limits[axis, side], at)
+            ax.plot(*point, MARKERS[axis, side], color=colour, **look)
+    return [dot(">", GREY, 3.5, OUT_OF_FRAME)] if any(places.values()) else []
+
+
+def _is_face(artist: Any) -> bool:
+    return isinstance(artist, Patch) and not artist.get_linewidth()
+
+
+def _crossings(part: Array, axis: int, upper: int, side: float, along: Array, closed: bool) -> list[float]:
+    """Where a line crosses one side of the frame; of a set the middle of what the side cuts of it."""
+    if closed and len(part):
+        part = np.vstack([part, part[:1]])
+    value = part[:, axis] - side
+    slack = ROUNDING * (abs(side) + np.ptp(along))  # it may end at the frame
+    beyond = value > slack if upper else value < -slack
+    cross = np.flatnonzero((beyond[:-1] != beyond[1:]) & np.isfinite(value[:-1] + value[1:]))
+    share = value[cross] / (value[cross] - value[cross + 1])
+    at = np.sort(part[cross, 1 - axis] + share * (part[cross + 1, 1 - axis] - part[cross, 1 - axis]))
+    low, high = along.min(), along.max()
+    if not closed or len(at) % 2:
+        return [float(one) for one in at if low <= one <= high]
+    pairs = [(max(a, low), min(b, high)) for a, b in at.reshape(-1, 2)]
+    return [float(a + b) / 2 for a, b in pairs if a < b]
+
+
+def _colour(artist: Any) -> str:
+    """Colour of the line or edge of an artist, or of its face if it has none; grey if it is too light."""
+    if isinstance(artist, Line2D):
+        found = [to_rgba(artist.get_color())]
+    else:
+        found = [
+            one
+            for one in np.vstack(
+                [to_rgba_array(artist.get_edgecolor()), to_rgba_array(artist.get_facecolor())]
+            )
+            if one[3]
+        ]
+    dark = [to_hex(one) for one in found if np.mean(one[:3]) < PALE]
+    return dark[0] if dark else GREY

@@ -1,0 +1,249 @@
+"""Placement of names in axes.
+
+Names are placed when the axes are drawn, from the extents of the texts as they are rendered: no name lies
+on another, on a tick or outside of the axes, and of all free places the one is taken that is near its
+anchor and crosses the fewest lines. The same figure has the same places every time.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
+
+from ...model.system import Array
+
+CELL = 2.0  # size of a cell of the map of what is drawn [pt]
+GAP = 2.0  # least distance of a name to its anchor, and between names [pt]
+ANCHORS = 24  # points along an outline beside which its name may stand
+RINGS = (0.0, 0.7, 1.6, 3.0, 5.0, 8.0)  # further distances to the anchor, in heights of the text
+SIDES = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))  # above first, then right
+WITHIN = [(x, y) for x in (0, 0.25, -0.25, 0.4, -0.4) for y in (0, 0.25, -0.25)]  # places in a large set
+TRIED = 300  # cheapest places of which the first with a free leader is taken
+LEADER = 7.0  # a name further than this from its anchor is led to it by a line [pt]
+CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; each point of distance
+
+
+def name(ax: Any, text: str, points: Any, colour: Any) -> None:
+    """Write a name at what has these points (N, dim), in the units of the axes."""
+    labels = next((one for one in ax.artists if isinstance(one, Labels)), None)
+    if labels is None:
+        labels = ax.add_artist(Labels(zorder=7.9))
+        labels.set_in_layout(False)
+        labels.set_clip_on(False)
+    where, look = (0.5, 0.5), {"ha": "center", "va": "center", "fontsize": 7, "zorder": 8}
+    write = ax.text2D if ax.name == "3d" else ax.text
+    drawn = write(*where, text, color=colour, transform=ax.transAxes, **look)
+    drawn.set_in_layout(False)
+    drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
+    labels.known.append(_Label(drawn, np.atleast_2d(np.asarray(points, dtype=float))))
+
+
+@dataclass(eq=False)
+class _Label:
+    """A text and the points (N, dim) that it names."""
+
+    text: Any
+    points: Array
+
+
+@dataclass(eq=False)
+class _Map:
+    """What is drawn in a frame, as counts of drawn cells, and the boxes (M, 4) that are taken [px]."""
+
+    low: Array
+    high: Array
+    cell: float
+    sums: Array
+    taken: list[Array] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, low: Array, high: Array, cell: float, drawn: Array) -> "_Map":
+        shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
+        inside = np.all((drawn >= low) & (drawn < high), axis=1)
+        x, y = np.minimum(((drawn[inside] - low) / cell).astype(int), shape - 1).T
+        seen = np.zeros(shape)
+        seen[x, y] = 1.0
+        return cls(low, high, cell, np.pad(seen.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))))
+
+    def crossed(self, low: Array, high: Array) -> Array:
+        """Share of the cells of boxes (M, 2) in which something is drawn."""
+        most = np.array(self.sums.shape) - 1
+        a = np.clip(np.floor((low - self.low) / self.cell).astype(int), 0, most)
+        b = np.clip(np.ceil((high - self.low) / self.cell).astype(int), 0, most)
+        sums = self.sums
+        count = (
+            sums[b[:, 0], b[:, 1]] - sums[a[:, 0], b[:, 1]] - sums[b[:, 0], a[:, 1]] + sums[a[:, 0], a[:, 1]]
+        )
+        return np.asarray(count / np.maximum(np.prod(b - a, axis=1), 1))
+
+    def clashes(self, low: Array, high: Array, gap: float) -> Array:
+        """How far boxes (M, 2) lie on those that are taken, in widths [px]; 0 where they are free."""
+        worst = np.zeros(len(low))
+        for x0, y0, x1, y1 in self.taken:
+            common = np.minimum(high, (x1, y1)) - np.maximum(low, (x0, y0)) + gap
+            worst = np.maximum(worst, np.clip(common.min(axis=1), 0.0, None))
+        return worst
+
+    def under(self, lines: Array) -> Any:
+        """Which lines (M, 2, 2) pass under what is taken."""
+        share = np.linspace(0, 1, 12)[1:-1, None, None]
+        along = lines[:, 0] + share * (lines[:, 1] - lines[:, 0])
+        boxes = np.array(self.taken).reshape(-1, 1, 1, 4)
+        within = np.all((along >= boxes[..., :2]) & (along <= boxes[..., 2:]), axis=-1)
+        return np.any(within, axis=(0, 1))
+
+
+class Labels(Artist):
+    """The names in axes, placed anew whenever the axes have another size, view or text."""
+
+    def __init__(self, **look: Any) -> None:
+        super().__init__()
+        self.set(**look)
+        self.known: list[_Label] = []
+        self._placed: Any = None
+        self._leaders: list[tuple[Array, Any]] = []
+
+    def draw(self, renderer: Any) -> None:
+        """Place the names and draw the lines that lead to those that stand apart."""
+        ax: Any = self.axes
+        texts = [one.text.get_text() for one in self.known]
+        size = np.round(ax.bbox.size / ax.figure.dpi, 4).tolist()
+        key = (size, ax.get_xlim(), ax.get_ylim(), texts)  # the same places in each format
+        if ax.name == "3d" or key != self._placed:
+            self._place(renderer)
+            self._placed = key
+        lines, colours = [line for line, _ in self._leaders], [colour for _, colour in self._leaders]
+        leaders = LineCollection(lines, colors=colours, linewidths=0.5, transform=ax.transAxes)
+        leaders.set_figure(ax.figure)
+        leaders.draw(renderer)
+
+    def _place(self, renderer: Any) -> None:
+        ax: Any = self.axes
+        point = renderer.points_to_pixels(1.0)
+        frame = ax.figure.bbox if ax.name == "3d" else ax.bbox
+        low, high = np.array([frame.x0, frame.y0]) + point, np.array([frame.x1, frame.y1]) - point
+        room = _Map.of(low, high, CELL * point, _drawn(ax, CELL * point, point))
+        room.taken += [
+            np.array(one.extents) for one in _texts(ax, renderer, {label.text for label in self.known})
+        ]
+        leaders = []
+        for label in self.known:
+            points = _display(ax, label.points)
+            inside = np.all((points >= low) & (points <= high), axis=1) if len(points) > 1 else [True]
+            label.text.set_visible(bool(np.isfinite(points).all() and len(points)))
+            if not label.text.get_visible():
+                continue
+            box = label.text.get_window_extent(renderer)
+            size = np.array([box.width, box.height])
+            anchors = points[inside] if np.any(inside) else np.clip(points, low, high)
+            at, leader = _best(room, anchors, np.clip(points, low, high), size, point)
+            room.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
+            label.text.set_position(ax.transAxes.inverted().transform(at))
+            if np.isfinite(leader).all():
+                along = leader[0] + np.linspace(0, 1, 8)[:, None] * (leader[1] - leader[0])
+                room.taken += [np.array([*one, *one]) for one in along]
+                leaders.append((ax.transAxes.inverted().transform(leader), label.text.get_color()))
+        self._leaders = leaders
+
+
+def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float) -> tuple[Array, Array]:
+    """Return the middle of the place of a text, at anchors (N, 2) or in an outline (M, 2), and its leader.
+
+    The leader (2, 2) goes from the text to the nearest anchor; nan if the text stands beside it. All in [px].
+    """
+    chosen = anchors[np.unique(np.linspace(0, len(anchors) - 1, ANCHORS).astype(int))]
+    beside = [np.array(SIDES) * (size / 2 + GAP * point + ring * size[1]) for ring in RINGS]
+    places = (chosen[:, None] + np.concatenate(beside)).reshape(-1, 2)
+    middle, extent = (outline.min(axis=0) + outline.max(axis=0)) / 2, np.ptp(outline, axis=0)
+    within = middle + np.array(WITHIN) * extent if np.all(extent > 1.5 * size) else np.zeros((0, 2))
+    across = [np.arange(a, b, length / 3) for a, b, length in zip(room.low, room.high, size, strict=True)]
+    anywhere = np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
+    for some in (np.vstack([within, places]), anywhere):
+        at = np.maximum(np.minimum(some, room.high - size / 2), room.low + size / 2)
+        low, high = at - size / 2, at + size / 2
+        clash = room.clashes(low, high, GAP * point)
+        if np.any(clash == 0):
+            break
+    ends = np.clip(chosen, low[:, None], high[:, None])
+    gaps = np.linalg.norm(chosen - ends, axis=2)
+    near, rows = np.argmin(gaps, axis=1), np.arange(len(at))
+    leaders, gap = np.stack([ends[rows, near], chosen[near]], axis=1), gaps[rows, near]
+    inside = (rows < len(within)) & (some is not anywhere)
+    led = ~inside & (gap > LEADER * point)
+    leaders[~led] = np.nan
+    crossed = room.crossed(low - point, high + point)
+    cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
+    cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
+    best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
+    best = best[clash[best] <= clash[best[0]]]
+    best = best[int(np.argmax(~room.under(leaders[best])))]  # the first that is led to clear of other names
+    return at[best], leaders[best]
+
+
+def _display(ax: Any, points: Array) -> Array:
+    """Points (N, dim) of axes in pixels, points along the outline that they make in the plane."""
+    if ax.name == "3d":
+        from mpl_toolkits.mplot3d import proj3d
+
+        found = np.column_stack(proj3d.proj_transform(*points.T, ax.get_proj())[:2])
+        return np.asarray(ax.transData.transform(found[np.isfinite(found).all(axis=1)]))
+    points = ax.transData.transform(points)
+    s = np.linspace(0, 1, max(2, 200 // len(points)))[:-1, None, None]
+    return np.asarray(((1 - s) * points + s * np.roll(points, -1, axis=0)).transpose(1, 0, 2).reshape(-1, 2))
+
+
+def _drawn(ax: Any, step: float, point: float) -> Array:
+    """Points (N, 2) [px] along all lines and outlines in axes, and round their markers."""
+    parts = []
+    for artist in (*ax.lines, *ax.patches, *ax.collections):
+        if isinstance(artist, PathCollection):
+            continue
+        for vertices in polylines(artist):
+            if isinstance(artist, Line2D) and artist.get_marker() not in ("None", None, "", " "):
+                turn = (
+                    np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * artist.get_markersize() / 2 * point
+                )
+                parts.append((vertices[:, None] + turn).reshape(-1, 2))
+            if isinstance(artist, Line2D) and artist.get_linestyle() == "None":
+                continue
+            length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+            count = np.minimum(np.ceil(np.nan_to_num(length) / step).astype(int) + 1, 2000)
+            start = np.repeat(np.arange(len(length)), count)
+            share = (np.arange(len(start)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(
+                count, count
+            )
+            parts.append(vertices[start] + share[:, None] * np.diff(vertices, axis=0)[start])
+    drawn = np.vstack([np.zeros((0, 2)), *parts])
+    return np.asarray(drawn[np.isfinite(drawn).all(axis=1)])
+
+
+def polylines(artist: Any) -> list[Array]:
+    """Vertices (N, 2) [px] of what an artist draws."""
+    if isinstance(artist, (Line2D, Patch)):
+        paths = [artist.get_path()]
+    else:
+        paths = artist.get_paths()
+    return [part for path in paths for part in _parts(path.transformed(artist.get_transform()))]
+
+
+def _parts(path: Path) -> list[Array]:
+    """Parts (N, 2) of a path, closed ones with their first point again."""
+    if path.codes is None:
+        return [np.asarray(path.vertices)]
+    return [np.asarray(part) for part in path.to_polygons(closed_only=False)]
+
+
+def _texts(ax: Any, renderer: Any, own: set[Any]) -> list[Any]:
+    """Extents [px] of the texts that others have written in axes; in space also of ticks and labels."""
+    texts = [text for text in ax.texts if text not in own]
+    if ax.name == "3d":
+        axes = (ax.xaxis, ax.yaxis, ax.zaxis)
+        texts += [text for axis in axes for text in (axis.label, *(tick.label1 for tick in axis.majorTicks))]
+    found = [text.get_window_extent(renderer) for text in texts if text.get_visible() and text.get_text()]
+    return found + [legend.get_window_extent(renderer) for legend in ax.figure.legends if ax.name == "3d"]
