@@ -91,6 +91,7 @@ from .simulation.sampled import Sampled as Sampled
 from .simulation.sampled import synthesize_sampled as synthesize_sampled
 from .simulation.simulate import simulate as simulate
 from .synthesis.black_box import BlackBox as BlackBox
+from .synthesis.black_box import Statement as Statement
 from .synthesis.clearance import Clearance as Clearance
 from .synthesis.controllers import AffineController as AffineController
 from .synthesis.controllers import AnyThrust as AnyThrust
@@ -107,7 +108,6 @@ from .synthesis.problem import Zonotope as Zonotope
 from .synthesis.recoverable import Margin as Margin
 from .synthesis.recoverable import RecoverableSet as RecoverableSet
 from .synthesis.schedule import Schedule as Schedule
-from .synthesis.schedule import Statement as Statement
 from .synthesis.schedule import Step as Step
 from .synthesis.search import SwitchingRules as SwitchingRules
 from .synthesis.synthesize import synthesize as synthesize

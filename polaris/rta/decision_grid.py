@@ -25,8 +25,7 @@ from ..synthesis.schedule import Schedule
 from ..synthesis.tracking import Feedback, Tracking
 from ..synthesis.transients import hidden
 
-PERIOD = 1.0  # longest decision period chosen by default [s]
-WHOLE = 1e-9  # relative tolerance on "divides"
+PERIOD, WHOLE = 1.0, 1e-9  # longest decision period by default [s]; relative tolerance on "divides"
 
 
 @brief
@@ -281,15 +280,15 @@ def _judged(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSys
     wait, after = h * (nodes - 1), h * delay * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
     met = zip(faults, lasts, strict=True)
-    known = (replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in met)
-    return replace(system, transients=tuple(known))
+    known = tuple(replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in met)
+    return replace(system, transients=known)
 
 
 def _parts(name: str, whole: float, part: float, rule: str) -> int:
     count = round(whole / part)
-    if abs(count * part - whole) > WHOLE * max(whole, part):
-        raise ScenarioError(name, part if name == "period" else whole, rule)
-    return count
+    if abs(count * part - whole) <= WHOLE * max(whole, part):
+        return count
+    raise ScenarioError(name, part if name == "period" else whole, rule)
 
 
 def _split(period: float, latency: float, least: int) -> tuple[int, int]:

@@ -18,10 +18,10 @@ from reach.brief import brief
 from ..model.checks import number
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..synthesis.black_box import Ask, BlackBox, FittedSegment
+from ..synthesis.black_box import Ask, BlackBox, FittedSegment, Statement
 from ..synthesis.controllers import Controller
 from ..synthesis.get_safety import Safety, get_safety
-from ..synthesis.schedule import Schedule, Statement
+from ..synthesis.schedule import Schedule
 from ..synthesis.synthesize import synthesize
 from .falsification.search import Falsification, falsify
 from .run_metrics import Runs

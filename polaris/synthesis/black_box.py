@@ -206,3 +206,29 @@ class BlackBox:
         left = np.abs(u - base @ solved).max(axis=0)
         book = ROUNDING * (self.system.u_max + np.abs(K) @ size)
         return np.asarray(np.column_stack([K, solved[n] - K @ middle, self.wider * left + book]))
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Bound from samples on the steps of black boxes, from flights that no band was fitted to.
+
+    Attributes
+    ----------
+    probability : float
+        With which a flight leaves a band at most.
+    confidence : float
+        With which that is so, over the samples.
+    flights, outside : int
+        Flights drawn in the last attempt, and those that left.
+    seed : int
+        Of the samples.
+    attempts : int
+        Bands that were tried in turn, each wider.
+    """
+
+    probability: float
+    confidence: float
+    flights: int
+    outside: int
+    seed: int
+    attempts: int

@@ -18,7 +18,7 @@ from ..model.satellite import SatelliteObstacle
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .arrival import FLOWN, Arrival, Held, Upkeep, arrival, spare, upkeep
-from .black_box import FittedSegment
+from .black_box import FittedSegment, Statement
 from .controllers import Controller, TubeSegment, construct_s
 from .get_safety import Safety
 from .neural import NeuralController
@@ -56,32 +56,6 @@ class Step:
         Steps under S need no margin: from a recoverable set S stays safe to the end.
         """
         return self.recoverable.margin(self.k, self.tube.nodes, self.tube.bow)
-
-
-@dataclass(frozen=True)
-class Statement:
-    """What samples say of the steps of black boxes, from flights that no band was fitted to.
-
-    Attributes
-    ----------
-    probability : float
-        With which a flight leaves a band at most.
-    confidence : float
-        With which that is so, over the samples.
-    flights, outside : int
-        Flights drawn in the last attempt, and those that left.
-    seed : int
-        Of the samples.
-    attempts : int
-        Bands that were tried in turn, each wider.
-    """
-
-    probability: float
-    confidence: float
-    flights: int
-    outside: int
-    seed: int
-    attempts: int
 
 
 @brief

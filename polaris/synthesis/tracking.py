@@ -283,9 +283,8 @@ class Tracking:
         booked = self.curvature(rows) * self.disturbance_radius
         until = sums[1:] + first + booked
         factor = self.flow.lyapunov[1]
-        tail = (
-            np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * self.period_gain / (1 - factor)
-        )
+        tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1]
+        tail *= self.period_gain / (1 - factor)
         found = np.vstack([until, until[-1] + tail])
         if failing and self.system.transients:
             found += self.upset(rows)[np.minimum(np.arange(len(found)) + 2, self.memory + 1)]

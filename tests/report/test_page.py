@@ -15,7 +15,8 @@ from polaris.cli import app as cli
 from polaris.cli.show.schedule import show_summary
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
-from polaris.report.html.page import own_script, page_html, plotly
+from polaris.report.html.assets import own_script, plotly
+from polaris.report.html.page import page_html
 from polaris.report.html.timelines import kept
 from polaris.runs.run import read_run
 

@@ -6,11 +6,9 @@ Values are short, escaped, and never NaN, infinity or null in front of a reader.
 import base64
 import hashlib
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import markupsafe
@@ -21,6 +19,7 @@ from markupsafe import Markup
 from ...model.errors import escape_controls
 from ...simulation.metrics import possible
 from ...synthesis.recoverable import directed
+from .assets import own_script, plotly, resource
 
 ABSENT = {
     "min_distance_m": ("none", "there is no unsafe set"),
@@ -226,9 +225,6 @@ def details(summary: str, inner: str) -> Markup:
     return Markup(macros().details(summary, inner))
 
 
-SCRIPTS = ("tables.js", "theme.js", "scene.js", "timelines.js", "main.js")
-
-
 @dataclass(frozen=True)
 class Page:
     """What a report says: title, HTML under it, sections (key, title, HTML), data for scripts, the summary.
@@ -283,23 +279,3 @@ def escape(value: Any) -> Markup:
 def _visible(value: Any) -> Any:
     """Return a text without control characters, and anything else as it is."""
     return escape_controls(value) if type(value) is str else value
-
-
-def own_script() -> str:
-    """The scripts of this package as one, with no names left in the page."""
-    joined = "\n".join(resource(name) for name in SCRIPTS)
-    return f'(function () {{\n"use strict";\n{joined}}})();'
-
-
-def resource(name: str) -> str:
-    """A file that comes along with this package."""
-    return (files(__package__) / "static" / name).read_text(encoding="utf-8")
-
-
-@cache
-def plotly() -> str:
-    """plotly.js, safe inside ``<script>``."""
-    from plotly.offline import get_plotlyjs
-
-    # HTML ends a script at these letters wherever they stand, in a string of the script too.
-    return re.sub(r"</(script)", r"<\\/\1", get_plotlyjs(), flags=re.IGNORECASE)
