@@ -216,12 +216,8 @@ class Implicit(Assured):
                 u, found, passed, low = part, tried, who, share
             else:
                 high = share
-        self._cut(back, low)
+        self._cut = np.where(back, low, 1.0)  # how far towards it those were proven that were not all the way
         return u, found, passed
-
-    def _cut(self, who: Some, share: float) -> None:
-        """Take note of those who were proven for a share of the way only."""
-        return
 
 
 class Explicit(Implicit):
@@ -240,6 +236,7 @@ class Explicit(Implicit):
     def __init__(self, planner: Planner, filtering: Centralized | Decentralized) -> None:
         super().__init__(planner, filtering)
         self.filtering, self._share = filtering, np.ones(self.inspection.deputies)
+        self._cut = np.ones(self.inspection.deputies)
 
     def _proposal(self, got: Received, able: Some, backup: Array) -> tuple[Array, Some]:
         q = self.inspection
@@ -247,14 +244,10 @@ class Explicit(Implicit):
         sun = q.sun_angle([got.t], self.check.sun_start)
         found = self.filtering.batch(got.x[None], sun, wanted[None])
         good = np.isfinite(found.u[0]).all(axis=1)  # also where a barrier had to give way: the proof decides
-        u, share = np.where(good[:, None], found.u[0], backup), self._share[:, None]
-        u = np.where(share < 1, backup + share * (u - backup), u)
-        self._share = np.minimum(self._share + self.period / RETURN, 1.0)
-        return u, good
-
-    def _cut(self, who: Some, share: float) -> None:
         if not self.planner.mixed:
-            self._share[who] *= share
+            self._share = np.minimum(self._share * self._cut + self.period / RETURN, 1.0)
+        u, share = np.where(good[:, None], found.u[0], backup), self._share[:, None]
+        return np.where(share < 1, backup + share * (u - backup), u), good
 
 
 def concerned(rows: AllTime | Families, chosen: Some, deputies: int) -> Some:
