@@ -212,7 +212,8 @@ function seenFrom(ratio, far) {
 
 // The nearest camera, from one direction, for which a box and its labels fill the frame and are all within it.
 function cameraFor(ratio, aspect) {
-  const half = Math.tan(Math.PI / 8), room = 0.86; // half the angle of view; labels stand outside of the box
+  // Half the angle of view; labels stand outside of the box, and are as large in a narrow window.
+  const half = Math.tan(Math.PI / 8), room = document.documentElement.clientWidth < 600 ? 0.62 : 0.8;
   let near = 0.1, far = 50;
   for (let i = 0; i < 40; i++) {
     const middle = (near + far) / 2, { points, size } = seenFrom(ratio, middle);
