@@ -28,7 +28,7 @@ Some = NDArray[np.bool_]
 Tried = tuple[Array, Proven, Some]  # thrust, what is known of it, and whose proposal it is
 
 HALVINGS = 6  # halvings of the way from the backup's thrust to the wanted one
-RETURN = 10.0
+RETURN = 40.0
 """Time [s] in which `Explicit` goes back from a plan to what it proposes; less is rougher."""
 FAR = 1e-6  # how much farther from its plan a state may be by rounding [m]; a thousandth of it in m/s
 
