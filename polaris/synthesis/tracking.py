@@ -18,7 +18,7 @@ from .profile import profile, summed
 from .transients import answered, lost, misled, moved
 
 LEFT_OVER = 1e-3
-"""Share of an error (in the contraction norm) below which one ball collects all limits. Smaller: more rows."""
+"""Share of an error (contraction norm) below which one ball collects all limits. Smaller: more rows."""
 
 
 @dataclass(frozen=True)
