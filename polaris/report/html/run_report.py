@@ -12,6 +12,7 @@ from ...runs.folder import RunFolder
 from ...runs.picture import Picture
 from ...runs.tables import besides
 from ...synthesis.recoverable import directed
+from ..scene.items import pilots
 from ..scene.palette import PILOTS, mode_colour
 from .page import Cell, Measure, Page, badge, macros, reading, table
 from .timelines import Flown, flight_data
@@ -36,9 +37,13 @@ def run_page(folder: RunFolder) -> Page:
     proved = claim["kind"] == "proved"
     picture = folder.picture()
     flown = [
-        Flown(key, name, {"colour": colour, "dash": dash, "on": key == "polaris"}, picture.flights[key])
-        for key, (name, _, colour, dash) in PILOTS.items()
-        if key in picture.flights
+        Flown(
+            one.key,
+            one.name,
+            {"colour": one.colour, "dash": one.dash, "on": one.key == "polaris"},
+            one.flights,
+        )
+        for one in pilots(picture)
     ]
     return Page(
         str(summary["title"]),
