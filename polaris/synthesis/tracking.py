@@ -18,8 +18,7 @@ from .profile import profile, summed
 from .transients import answered, lost, misled, moved
 
 LEFT_OVER = 1e-3
-"""Share of an error (in the contraction norm) below which limits are no longer followed one by one
-but collected in one ball. Smaller: more rows per recoverable set, and a larger ball."""
+"""Share of an error (contraction norm) below which one ball collects all limits. Smaller: more rows."""
 
 
 @dataclass(frozen=True)
