@@ -35,7 +35,7 @@ CHECKED = {
     "sampling": {"feedback": "kind period_s", "horizon": "duration_s step_s"},
     "controllers": {
         "tracking": "Q R",
-        "experimental": "kind name Q R gain path inputs input_scale output_scale_N",
+        "experimental": "kind name Q R gain path inputs input_scale output_scale_N precision",
         "experimental.reference": "kind state semi_minor_m phase_rad cross_track_m cross_phase_rad",
     },
     "error_bounds": {"tracking": "bound weight"},

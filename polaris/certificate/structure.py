@@ -248,9 +248,10 @@ LARGEST_HASHED = 16 * 2**30  # largest file that is hashed [bytes]
 def contents(path: Path, most: int = LARGEST_READ) -> bytes:
     """The bytes of a regular file, or of what a link to one leads to."""
     with _opened(path, most) as file:
-        data = file.read(most + 1)  # it may have grown since
-    if len(data) > most:
-        raise Undecided("artefacts", f"{ascii(path.name)} is larger than {most} bytes")
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(min(size, most) + 1)  # a reader of more would set that much memory aside
+    if len(data) > size:
+        raise Undecided("artefacts", f"{ascii(path.name)} grew while it was read")
     return data
 
 

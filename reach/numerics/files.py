@@ -40,7 +40,10 @@ def open_regular(path: str | Path, most: int = LARGEST) -> BufferedReader:
 def read_regular(path: str | Path, most: int = LARGEST) -> bytes:
     """Return the bytes of a regular file; raises as `open_regular`."""
     with open_regular(path, most) as file:
-        data = file.read(most + 1)  # it may have grown since
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(min(size, most) + 1)  # a reader of more would set that much memory aside
+    if len(data) > size:
+        raise OSError(errno.EIO, "has grown while it was read", str(path))
     if len(data) > most:
         raise OSError(errno.EFBIG, f"must have at most {most} bytes", str(path))
     return data

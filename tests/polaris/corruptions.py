@@ -113,7 +113,7 @@ def inner(corrupt):
         SEPARATION,
     )
     yield "positions rotated", change("reference", "states", to=turned), REFERENCE
-    yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"error_bounds", *SEPARATION}
+    yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"assumptions"}
     yield "modes shifted", change("schedule", "modes", to=shifted), FLIGHT
     yield "sets shifted", change("enclosures", "center", to=shifted), {"enclosures"}
     yield "start enlarged", change("initial_set", "generators", to=tenfold), {"enclosures", "separation"}
@@ -158,7 +158,7 @@ def against_files(corrupt):
         yield f"mode {k}", change("schedule", "modes", k, to=lambda m: 1 - m), {"schedule"}
         yield f"margin {k}", change("schedule", "margins", k, to=(0.5).hex()), {"margins"}
     for key in ("A", "B", "C", "D", "input_max", "disturbance_max", "mass"):
-        claims = {"system", "assumptions"} if key == "disturbance_max" else {"system"}
+        claims = {"system", "assumptions"} if key in ("C", "disturbance_max") else {"system"}
         yield f"{key} tenfold", change("system", key, to=tenfold), claims
     yield "thrust limit raised", change("system", "input_max", to=larger), {"system"}
     yield "disturbance bound shrunk", corrupt.with_bound(0.1), {"system"}

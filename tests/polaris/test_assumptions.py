@@ -75,7 +75,10 @@ def test_those_that_apply_and_no_others_are_said_everywhere_in_the_same_words(na
 
 def test_screen_and_report_say_all_of_them(capsys):
     scenario, schedule = scene("tiny")
-    result = {"title": scenario.title, **SCHEDULE.tell(scenario, FlownSchedule(schedule, flown()), {})}
+    result = {
+        "title": scenario.title,
+        **SCHEDULE.tell(scenario, FlownSchedule(schedule, flown()), {"total": 1.0}),
+    }
     show_summary(result, "folder")
     screen, page = capsys.readouterr().out, told_in_report(result["guarantee"], "polytope")
     for line in schedule.assumptions:

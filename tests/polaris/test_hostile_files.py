@@ -24,7 +24,7 @@ from polaris.model.files import MOST_DOTS, parse_json, parse_toml
 from polaris.report import write_report
 from polaris.rta.online.decision_log import read_log
 from polaris.runs import arrays
-from polaris.runs.campaign import folder as campaign_folder
+from polaris.runs.campaign import formats as campaign_formats
 from polaris.runs.campaign import make_cases
 from polaris.runs.folder import read_json
 from polaris.runs.tables import json_text
@@ -100,8 +100,8 @@ READERS = {
     "log": ("x.jsonl", read_log),
     "JSON": ("x.json", read_json),
     "arrays": ("x.npz", arrays.read_arrays),
-    "Parquet": ("x.parquet", campaign_folder.Parquet().check),
-    "npz of a campaign": ("x.npz", campaign_folder.Npz().check),
+    "Parquet": ("x.parquet", campaign_formats.Parquet().check),
+    "npz of a campaign": ("x.npz", campaign_formats.Npz().check),
 }
 """Whatever reads a file, by itself."""
 
@@ -267,12 +267,12 @@ def test_a_shape_that_does_not_fit_is_refused(tmp_path, shape):
 
 def test_tables_are_measured_before_they_are_loaded(made, monkeypatch):
     (part,) = (made / "campaign" / "runs").iterdir()
-    assert campaign_folder.Parquet().check(part)[1] == 2
-    monkeypatch.setattr(campaign_folder, "LARGEST", part.stat().st_size)
+    assert campaign_formats.Parquet().check(part)[1] == 2
+    monkeypatch.setattr(campaign_formats, "LARGEST", part.stat().st_size)
     with pytest.raises(ValueError, match="its columns take more"):
-        monkeypatch.setattr(campaign_folder, "open_regular", lambda path, most: path.open("rb"))
-        monkeypatch.setattr(campaign_folder, "LARGEST", 8)
-        campaign_folder.Parquet().check(part)
+        monkeypatch.setattr(campaign_formats, "open_regular", lambda path, most: path.open("rb"))
+        monkeypatch.setattr(campaign_formats, "LARGEST", 8)
+        campaign_formats.Parquet().check(part)
 
 
 # -- names that are commands --------------------------------------------------------------------------

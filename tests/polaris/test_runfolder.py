@@ -71,17 +71,7 @@ def test_every_second_belongs_to_a_stage_or_to_other(folder, tmp_path):
     out = tmp_path / "whole"
     done = CliRunner().invoke(app, ["run", str(TINY), "--set", QUARTER, "--out", str(out), "--no-figures"])
     seconds = load_strict(out / "summary.json")["synthesis"]["seconds"]
-    wanted = {
-        "bounds",
-        "plan",
-        "recoverable",
-        "recourse",
-        "schedule",
-        "bound",
-        "simulation",
-        "files",
-        "other",
-    }
+    wanted = {"bounds", "plan", "recoverable", "schedule", "bound", "simulation", "files", "other"}
     assert belong_somewhere(seconds) and wanted <= set(seconds), done.output
     text = " ".join(done.stdout.split())
     total, stages = re.search(r"Time: ([\d.]+) s \((.*?)\)\.", text).groups()
