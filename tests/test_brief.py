@@ -22,7 +22,10 @@ PUBLIC = {
     for name in importlib.import_module(package).__all__
     if inspect.isclass(found := getattr(importlib.import_module(package), name))
 }
-DATA = sorted((one for one in PUBLIC if dataclasses.is_dataclass(one)), key=lambda one: one.__qualname__)
+DATA = sorted(
+    (one for one in PUBLIC if dataclasses.is_dataclass(one)),
+    key=lambda one: (one.__module__, one.__qualname__),
+)
 
 
 NAMES = {one.__name__ for one in DATA}
