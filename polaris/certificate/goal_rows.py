@@ -141,7 +141,8 @@ class Weighted:
             weights.append(weight)
         moves = [any(x != 0 for x in row) for row in velocities(document).tolist()]
         if own is not None and not (times and all(moves)):
-            raise Rejected("goal", "a tolerance of velocities is given, which the goal or the system has not")
+            rule = "needs a velocity among the states for every coordinate, and a goal that bounds one"
+            raise Rejected("goal", f"velocity_tolerance_m_s {own:g} {rule}")
         rows, groups = matrix([row for row, _ in every]), [len(group) for group in goal.groups]
         sides = [side * weight for (_, side), weight in zip(every, weights, strict=True)]
         return cls(diagonal(weights) * rows, sides, groups, goal.scale, largest(times) if times else None)

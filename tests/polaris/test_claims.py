@@ -391,7 +391,7 @@ CONTRARY = {
     "*.switches": [7],
     "*.collided": [True, False],
     "*.collided_runs": [3],
-    "*.delta_v_m_s": [1e9],
+    "*.delta_v_m_s": [0.0, 1e9],
     "*.delta_v_max_m_s": [0.0, 1e9],
     "*.max_thrust_ratio": [0.0],
     "*.max_thrust_ratio_safety": [None, 0.5],
