@@ -219,6 +219,7 @@ def _check_flown(document: Document, key: str, modes: list[int], found: dict[str
         "min_ttc_s, of runs that did not collide": collided or straight is None or straight > 0,
         "min_ttc_free_drift_s": drift is None or drift <= horizon * up,
         "velocity changes in order": spent <= most_spent * up
+        and most_spent <= spent * found["runs"] * up
         and most_spent <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * up,
         "max_thrust_ratio of who flies": [ratio is not None for ratio in ratios] == flies,
         "max_thrust_ratio": found["max_thrust_ratio"]

@@ -31,15 +31,19 @@ class Goal:
     equal: int = 0  # how many rows, the first ones, are halves of equalities in several states
 
 
-def speeds(document: Document) -> list[arb]:
-    """Speed of the position [m/s] that a unit of each state makes: 0 for what is no velocity."""
+def velocities(document: Document) -> arb_mat:
+    """Rate of the position [m/s] that a unit of each state makes: 0 for what is no velocity."""
     C, A = matrix(document.C), matrix(document.A)
     rate, terms = C * A, absolute(C) * absolute(A)
     for i, j in product(range(C.nrows()), range(C.ncols())):
-        if not abs(rate[i, j]) > ZERO * terms[i, j]:
+        if any(row[j] for row in document.C) or not abs(rate[i, j]) > ZERO * terms[i, j]:
             rate[i, j] = 0
-    place = [any(row[i] for row in document.C) for i in range(C.ncols())]
-    return [arb(0) if here else s for here, s in zip(place, norms(rate.transpose()), strict=True)]
+    return rate
+
+
+def speeds(document: Document) -> list[arb]:
+    """Speed of the position [m/s] that a unit of each state makes: 0 for what is no velocity."""
+    return norms(velocities(document).transpose())
 
 
 def _row(n: int, entries: dict[int, Any], side: Any) -> Row:
@@ -135,6 +139,10 @@ class Weighted:
                 weight = counts / time
                 times.append(counts)
             weights.append(weight)
+        moves = [any(x != 0 for x in row) for row in velocities(document).tolist()]
+        if own is not None and not (times and all(moves)):
+            rule = "needs a velocity among the states for every coordinate, and a goal that bounds one"
+            raise Rejected("goal", f"velocity_tolerance_m_s {own:g} {rule}")
         rows, groups = matrix([row for row, _ in every]), [len(group) for group in goal.groups]
         sides = [side * weight for (_, side), weight in zip(every, weights, strict=True)]
         return cls(diagonal(weights) * rows, sides, groups, goal.scale, largest(times) if times else None)

@@ -33,8 +33,8 @@ from .zonotopes import Zonotope
 
 FLATTEST = 1e-30  # slopes of bands below it are taken for 0
 OWN = 3  # generators per input that stand for what all bands of a network leave open
-FORMATS = {"float32": (24, 126, 127), "float64": (53, 1022, 1023)}
-"""Digits, and exponents of the least normal number (negative) and of the size up to which sums are finite."""
+FORMATS = {"float32": (24, 126), "float64": (53, 1022)}
+"""Digits, and the exponent of the least normal number, negative."""
 FOLDED = 8  # roundings of a term beside additions: of weight and product, and of factors that a runtime folds
 CURVED = 8  # error of tanh and sigmoid in unit roundoffs
 
@@ -55,15 +55,15 @@ class Rounding:
 
     u: arb  # unit roundoff
     tiny: arb  # least normal number
-    top: arb  # size up to which no sum overflows
+    top: arb  # size up to which neither a number nor its inverse leaves the normal ones
 
     @classmethod
     def of(cls, precision: str) -> "Rounding | None":
         """Return the bounds of a precision; None for real arithmetic."""
         if precision == "real":
             return None
-        digits, small, large = FORMATS[precision]
-        return cls(arb(2) ** -digits, arb(2) ** -small, arb(2) ** large)
+        digits, small = FORMATS[precision]
+        return cls(arb(2) ** -digits, arb(2) ** -small, arb(2) ** small)
 
     def relative(self, count: int) -> arb:
         """Relative error of so many roundings in a row."""
@@ -71,20 +71,26 @@ class Rounding:
 
     def read(self, size: list[arb]) -> list[arb]:
         """Rounding of inputs up to a size: of the number, of its scale and of the product."""
+        self.require_finite(size)
         return [self.relative(3) * x + 2 * self.tiny for x in size]
 
     def summed(self, size: list[arb], weights: list[arb], inputs: list[arb], terms: int) -> list[arb]:
         """Rounding of sums, given those of their absolute terms, of absolute weights, and absolute inputs."""
         relative, all_inputs = self.relative(terms + FOLDED), sum(inputs, arb(0))
-        if not all(x * (1 + relative) <= self.top for x in size):
-            raise Rejected("controllers", "a sum in a network may overflow in its floating-point format")
+        self.require_finite([*weights, *(x * (1 + relative) for x in size)])
         near = [2 * self.tiny * (2 * terms + 2 + w + all_inputs) for w in weights]
         return [relative * x + more for x, more in zip(size, near, strict=True)]
 
     def bent(self, layer: Layer, values: list[arb]) -> list[arb]:
         """Rounding of an activation with values up to some sizes."""
+        self.require_finite(values)
         curved = CURVED * self.u if layer.kind in ("tanh", "sigmoid") else arb(0)
         return [self.relative(2) * x + curved + 2 * self.tiny * (1 + layer.steepest) for x in values]
+
+    def require_finite(self, size: list[arb]) -> None:
+        """Refuse numbers of sizes that may be infinite once they are rounded."""
+        if not all(x <= self.top for x in size):
+            raise Rejected("controllers", "a number in a network may overflow in its floating-point format")
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +243,7 @@ def value(layer: Layer, y: arb) -> arb:
 
 
 def _turns(layer: Layer, slope: float) -> list[arb]:
-    """Where ``f(y) - slope y`` may turn within."""
+    """Return the places within at which ``f(y) - slope y`` may turn."""
     if layer.kind == "relu":
         return [arb(0)]
     if layer.kind == "clip":

@@ -14,6 +14,7 @@ from .verdict import Rejected, Undecided
 
 LARGEST = 64 * 2**20  # most bytes of a file
 DEEPEST = 1000  # most layers
+LEAST = 2.0**-126  # below it single precision may take a number for 0
 UNLIMITED = 1.7976931348623157e308  # limit of a Clip that gives none: the largest double
 
 SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Cast", "Dropout")
@@ -144,6 +145,9 @@ def _layers(kind: str, values: list[Any], more: dict[str, Any], width: int) -> l
         eps = more.get("epsilon", 1e-5)
         if values[0] is not None or more.get("training_mode"):
             raise ValueError("BatchNormalization of training")
+        sizes = [*(abs(g) for g in gain if g), *(v + eps for v in variance)]
+        if min(*variance, eps) < 0 or not all(LEAST <= size <= 1 / LEAST for size in sizes):
+            raise ValueError("BatchNormalization with a variance below 0, or with numbers out of range")
         scale = [g / math.sqrt(v + eps) for g, v in zip(gain, variance, strict=True)]
         return [_diagonal([1.0], [-x for x in mean], width), _diagonal(scale, shift, width)]
     first = values[0] is None

@@ -258,6 +258,9 @@ def check_asked_abort(document: Document, spec: dict[str, Any]) -> None:
     if ("orbit" in spec) != (powered is not None):
         raise Rejected(CLAIM, "certificate and scenario do not both speak of an abort with thrust")
     if powered is None:
+        drift, limits = {"drift_s", "drift_orbits"} & set(spec), {"within_s", "delta_v_max_m_s"} & set(spec)
+        if spec and (limits or not drift):
+            raise Rejected(CLAIM, "the scenario asks for an abort, but names neither an orbit nor a drift")
         return
     given = spec.get("within_s"), spec.get("delta_v_max_m_s")
     if (powered.within, powered.budget) != given:

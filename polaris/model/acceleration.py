@@ -53,10 +53,15 @@ def _exact(M: Array) -> Any:
 ZERO = 1e-12  # share of the terms of an entry of C A below which it counts as zero
 
 
-def speeds(A: Array, C: Array) -> Array:
-    """Return the speed of the position [m/s] that a unit of each state makes, shape (n,).
+def velocities(A: Array, C: Array) -> Array:
+    """Return the rate of the position [m/s] that a unit of each velocity makes, shape (d, n).
 
-    Velocities are the states in ``C A`` that are no part of the position; of all others the speed is 0.
+    Velocities are the states in ``C A`` that are no part of the position; of all others the rate is 0.
     """
-    rate = np.where(np.abs(C @ A) > ZERO * (np.abs(C) @ np.abs(A)), C @ A, 0.0)
-    return np.where(np.any(C != 0, axis=0), 0.0, np.linalg.norm(rate, axis=0))
+    moves = (np.abs(C @ A) > ZERO * (np.abs(C) @ np.abs(A))) & ~np.any(C != 0, axis=0)
+    return np.where(moves, C @ A, 0.0)
+
+
+def speeds(A: Array, C: Array) -> Array:
+    """Return the speed of the position [m/s] that a unit of each velocity makes, 0 of other states, (n,)."""
+    return np.asarray(np.linalg.norm(velocities(A, C), axis=0))

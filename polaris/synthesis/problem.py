@@ -4,11 +4,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from reach.brief import brief
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
+from ..model.acceleration import velocities
 from ..model.allocation import Allocation
 from ..model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ..model.errors import ScenarioError
@@ -148,6 +150,10 @@ class Problem:
             positive("goal.velocity_tolerance_m_s", self.goal_velocity_tolerance, "m/s")
             if self.goal_tolerance is None:
                 raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
+            require_velocities(self.system, self.goal, "goal", self.goal_velocity_tolerance)
+        if self.powered is not None and self.powered.velocity_tolerance is not None:
+            orbit = self.powered.goal or self.goal
+            require_velocities(self.system, orbit, "abort.orbit", self.powered.velocity_tolerance)
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
@@ -159,6 +165,17 @@ class Problem:
         if share is not None and not 0 < number("tracking.thrust_share", share) <= 1:
             raise ScenarioError("tracking.thrust_share", share, "must be above 0 and at most 1")
         one_of("recourse", self.recourse, RECOURSE)
+
+
+def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: float) -> None:
+    """Raise a ScenarioError unless a tolerance of velocities bounds some of every coordinate's."""
+    rates, asked = velocities(system.A, system.position), goal.of(system).conditions
+    if not rates.any(axis=1).all():
+        rule = "needs states that are velocities: a coordinate of the position has none among C A x"
+        raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
+    if not np.vstack([asked.E, asked.G])[:, rates.any(axis=0)].any():
+        rule = "needs a goal with conditions on velocities: all of them may take any value"
+        raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
 
 
 ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # what a bare system needs besides

@@ -23,6 +23,7 @@ SAME = ("Identity", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Dropout", "Ca
 ACTIVATIONS = {"Relu": 0.0, "LeakyRelu": 0.01, "Tanh": 0.0, "Sigmoid": 0.0}  # ``alpha`` where it is left out
 ELEMENTWISE = ("Add", "Sub", "Mul", "Div", "BatchNormalization")
 OPERATORS = {*SAME, *ACTIVATIONS, *ELEMENTWISE, "Gemm", "MatMul", "Clip", "Constant"}
+LEAST = float(np.finfo(np.float32).tiny)  # below it single precision may take a number for 0
 UNLIMITED = float(np.finfo(float).max)  # limit of a Clip that gives none, by ONNX itself
 
 Layer = Affine | Diagonal | Activation
@@ -202,9 +203,14 @@ def _normalised(inputs: list[Any], more: dict[str, Any], width: int) -> list[Lay
     if len(inputs) < 5 or inputs[0] is not None or more.get("training_mode", 0):
         raise ReachError("BatchNormalization must be that of inference")
     gain, shift, mean, variance = (_spread(value, width) for value in inputs[1:5])
-    if np.any(variance + more.get("epsilon", 1e-5) <= 0):
-        raise ReachError("BatchNormalization has a variance that is not positive")
-    scale = gain / np.sqrt(variance + more.get("epsilon", 1e-5))
+    small = more.get("epsilon", 1e-5)
+    if np.any(variance < 0) or small < 0:
+        raise ReachError("BatchNormalization has a variance or an epsilon below 0")
+    sizes = np.abs(np.concatenate([gain[gain != 0], variance + small]))
+    if np.any((sizes < LEAST) | (sizes > 1 / LEAST)):
+        rule = f"from {LEAST:.3g} to {1 / LEAST:.3g} in size, a gain may be 0"
+        raise ReachError(f"BatchNormalization needs gains, and variances with epsilon, {rule}")
+    scale = gain / np.sqrt(variance + small)
     return [Diagonal(_spread(1.0, width), -mean), Diagonal(scale, shift)]
 
 

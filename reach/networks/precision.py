@@ -33,7 +33,7 @@ class Rounding:
 
     u: float  # unit roundoff
     tiny: float  # least normal number: absolute error of one operation near zero
-    largest: float  # size up to which no sum overflows
+    largest: float  # size up to which neither a number nor its inverse leaves the normal ones
 
     @classmethod
     def of(cls, precision: str) -> Rounding | None:
@@ -43,7 +43,7 @@ class Rounding:
         if precision not in FORMATS:
             raise ReachError(f"precision must be one of real, {', '.join(FORMATS)}, got {precision!r}")
         form = np.finfo(FORMATS[precision])
-        return cls(float(form.eps) / 2, float(form.tiny), float(form.max) / 2)
+        return cls(float(form.eps) / 2, float(form.tiny), 1 / float(form.tiny))
 
     def relative(self, count: int) -> float:
         """Return ``gamma_count``, the relative error of so many roundings in a row."""
@@ -51,20 +51,26 @@ class Rounding:
 
     def read(self, x: Array) -> Array:
         """Bound the rounding of inputs of sizes up to x, shape (n,)."""
+        self._require_finite("an input of", x)
         return self.relative(READ) * x + 2 * self.tiny
 
     def summed(self, layer: Affine | Diagonal, x: Array) -> Array:
         """Bound the rounding of a layer of weights, shape (m,), for inputs of sizes up to x, (n,)."""
         size, relative = layer.sizes(x) + np.abs(layer.b), self.relative(layer.terms + MORE)
-        if not np.all(size * (1 + relative) * UP <= self.largest):
-            raise Unresolved(
-                f"a sum in the network may reach {size.max():.3g}, beyond its floating-point format"
-            )
-        near_zero = 2 * layer.terms + 2 + layer.sizes(np.ones(layer.shape[1])) + x.sum()
+        weights = layer.sizes(np.ones(layer.shape[1]))
+        self._require_finite("a sum of weights in", weights)
+        self._require_finite("a sum in", size * (1 + relative) * UP)
+        near_zero = 2 * layer.terms + 2 + weights + x.sum()
         return np.asarray((relative * size + 2 * self.tiny * near_zero) * (1 + gamma(layer.terms)) * UP)
 
     def bent(self, layer: Activation, values: Array) -> Array:
         """Bound the rounding of an activation, shape (m,), for values of sizes up to `values`."""
+        self._require_finite("an activation in", values)
         curved = CURVED * self.u if layer.kind in ("tanh", "sigmoid") else 0.0
         near_zero = 2 * self.tiny * (1 + layer.steepest)
         return np.asarray((self.relative(2) * values + curved + near_zero) * UP)
+
+    def _require_finite(self, what: str, x: Array) -> None:
+        """Raise `Unresolved` where rounded numbers of sizes up to x may be infinite."""
+        if not np.all(x * UP <= self.largest):
+            raise Unresolved(f"{what} the network may reach {x.max():.3g}, beyond its floating-point format")

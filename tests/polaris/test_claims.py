@@ -225,6 +225,43 @@ def test_the_orbit_of_an_abort_has_a_tolerance_of_velocities_too(tmp_path):
     lie.judge({"powered_abort"})
 
 
+ANY = [1.0, 1.0, float("inf"), float("inf")]
+MIXED = {
+    **{"A": [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0] * 4, [0.0] * 4]},
+    **{
+        "B": [[0.5, 0.0], [0.0, 0.5], [1.0, 0.0], [0.0, 1.0]],
+        "C": [[1.0, 0.0, -0.5, 0.0], [0.0, 1.0, 0.0, 0.0]],
+    },
+}
+"""The robot, one state of which is a position plus half a velocity: that velocity is part of the position."""
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"system": MIXED}, "needs states that are velocities"),
+        ({"goal": {"kind": "box", "center": [8.0, 6.0, 0.0, 0.0], "half_widths": ANY}}, "needs a goal with"),
+    ],
+    ids=["mixed", "any"],
+)
+def test_a_tolerance_of_velocities_without_effect_is_refused(change, rule, tmp_path):
+    """A run that is far faster would count as reached, to the checker too."""
+    base = load_scenario(TINY).with_assignments([QUARTER, "goal.tolerance_m=2.0"]).to_dict()
+    base |= {"schedule": {"bound_programs": 0}, "simulation": {"runs": 2}}
+    base["system"] |= change.get("system", {})
+    base["goal"] = change.get("goal", base["goal"]) | {"tolerance_m": 2.0}
+    if "system" in change:
+        base["system"].pop("position_states", None)
+    file = tmp_path / "scene.toml"
+    file.write_text(write_toml(base), encoding="utf-8")
+    lie = Lie(Forger(run(file, tmp_path / "run").path, tmp_path))
+    lie.scenario["goal"]["velocity_tolerance_m_s"] = 1e-6
+    lie.judge({"goal"})
+    scenario = load_scenario(file).with_assignments(["goal.velocity_tolerance_m_s=1e-6"])
+    with pytest.raises(ScenarioError, match=f"goal.velocity_tolerance_m_s.*{rule}"):
+        synthesize(scenario)
+
+
 def test_a_tolerance_of_velocities_needs_one_of_lengths():
     with pytest.raises(ScenarioError, match="required with velocity_tolerance"):
         load_scenario(TINY).with_assignments(["goal.velocity_tolerance_m_s=0.1"])
@@ -317,6 +354,20 @@ def test_a_folder_that_does_not_keep_what_its_scenario_demands_is_refused(demand
     lie.judge(claims | ({"powered_abort"} if table in ("tank", "abort") else set()))
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plain")
+    return Forger(make([QUARTER, "schedule.bound_programs=0", "goal.tolerance_m=2.0"], folder), folder)
+
+
+@pytest.mark.parametrize("asked", [{"required": True}, {"within_s": 2.0}, {"delta_v_max_m_s": 0.1}], ids=str)
+def test_limits_of_an_abort_without_an_orbit_are_refused(asked, plain):
+    """Nothing is proven of an abort, whatever the table asks of it."""
+    lie = Lie(plain)
+    lie.scenario["abort"] = asked
+    lie.judge({"powered_abort"})
+
+
 # -- numbers of one folder --------------------------------------------------------------------------
 
 CONTRARY = {
@@ -340,7 +391,7 @@ CONTRARY = {
     "*.switches": [7],
     "*.collided": [True, False],
     "*.collided_runs": [3],
-    "*.delta_v_m_s": [1e9],
+    "*.delta_v_m_s": [0.0, 1e9],
     "*.delta_v_max_m_s": [0.0, 1e9],
     "*.max_thrust_ratio": [0.0],
     "*.max_thrust_ratio_safety": [None, 0.5],

@@ -22,9 +22,10 @@ from polaris.certificate.bodies import Whereabouts
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.document import canonical, digest
 from polaris.certificate.networks import Policy as CheckedPolicy
-from polaris.certificate.networks import band, value
+from polaris.certificate.networks import Rounding, band, value
 from polaris.certificate.onnx_file import read_layers
 from polaris.certificate.parts import Law, Layer
+from polaris.certificate.verdict import Rejected
 from polaris.certificate.zonotopes import Zonotope as CheckedZonotope
 from polaris.model.errors import ScenarioError
 from polaris.model.thrusters import Thrusters
@@ -262,6 +263,19 @@ def test_the_checker_books_single_precision_and_no_more_than_synthesis_does():
             assert np.all(np.abs(u - middle) <= room)
             left += np.any(np.abs(u - middle) > 1e-12)
     assert left > 40
+
+
+@pytest.mark.parametrize("x", [[2.0**126, 1.0, 1.0], [1.0, 2.0**126, 1.0], [1.0, 1.0, 2.0**126]])
+def test_the_checker_refuses_numbers_that_round_to_infinity(x):
+    """Inputs, weights and what activations make are each within the format, whatever follows."""
+    own, (read, weight, bent) = Rounding.of("float32"), [[arb(size)] for size in x]
+
+    def book(read, weight, bent):
+        own.read(read), own.summed([arb(1)], weight, [arb(1)], 1), own.bent(Layer("relu"), bent)
+
+    book(read, weight, bent)
+    with pytest.raises(Rejected, match="overflow"):
+        book(*([2 * size[0]] for size in (read, weight, bent)))
 
 
 # -- runs -------------------------------------------------------------------------------------------

@@ -237,6 +237,28 @@ def test_sums_that_may_overflow_and_unknown_precisions_are_refused():
         Network(layers, "half")
 
 
+ZERO = np.zeros(1)
+INFINITE = {
+    "a weight": (1e-3, Affine([[1e39]], ZERO), Affine([[1e-39]], ZERO)),
+    "a scale": (1e-3, Diagonal([1e39], ZERO), Affine([[1e-39]], ZERO)),
+    "an input": (1e39, Affine([[1e-39]], ZERO)),
+    "an activation": (-1e10, Activation("relu", 1e30), Affine([[1e-30]], ZERO)),
+    "a limit": (0.0, Activation("clip", 1e39, 1e40), Affine([[1e-39]], ZERO)),
+}
+"""An input and layers with a number that single precision does not have; what comes out is near 1."""
+
+
+@pytest.mark.parametrize("name", INFINITE)
+def test_numbers_that_round_to_infinity_are_refused(name):
+    x, *layers = INFINITE[name]
+    inputs = Zonotope.point([x])
+    assert np.abs(Network(layers, "float64").enclose(inputs).c) < 1e11
+    with np.errstate(all="ignore"):
+        assert not np.isfinite(Network(layers, "float32")([x]))
+    with pytest.raises(Unresolved, match="beyond its floating-point format"):
+        Network(layers, "float32").enclose(inputs)
+
+
 def test_a_loop_books_the_precision_of_its_network():
     loop = a_loop(0)
     states = Zonotope.box(np.zeros(2), [0.1, 0.1])

@@ -139,6 +139,16 @@ BETWEEN = {
     "a clip by vectors": (CLIPPED, {"low": [0.0] * 5, "high": [1.0] * 5}, "one number"),
     "a norm of another size": (node("BatchNormalization", "h W W W W", "t"), {"W": np.ones(4)}, "follow 5"),
     "a variance below 0": (node("BatchNormalization", "h W W W W", "t"), {"W": -np.ones(5)}, "variance"),
+    "a variance that epsilon cancels": (
+        node("BatchNormalization", "h one one one v", "t"),
+        {"one": np.ones(5), "v": np.full(5, -9.99e-6)},
+        "below 0",
+    ),
+    "a gain that is no normal number": (
+        node("BatchNormalization", "h small one one one", "t"),
+        {"small": np.full(5, 1e-40), "one": np.ones(5)},
+        "a gain may be 0",
+    ),
     "too many": (node("Gemm", "h wide", "t"), {"wide": np.zeros((5, 4097))}, "at most 4096"),
 }
 WRONG |= {name: ([FIRST, kept, SECOND], more, words) for name, (kept, more, words) in BETWEEN.items()}
