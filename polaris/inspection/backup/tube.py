@@ -49,7 +49,10 @@ class Uncertainty:
     def __post_init__(self) -> None:
         units = {"position": "m", "velocity": "m/s", "disturbance": "m/s^2", "jitter": "s"}
         for name, unit in units.items():
-            for value in np.ravel(getattr(self, name)).tolist():
+            values = np.ravel(getattr(self, name)).tolist()
+            if len(values) not in ((1, 3) if name in ("position", "velocity") else (1,)):
+                raise ScenarioError(name, values, "must be one number, or one per axis")
+            for value in values:
                 non_negative(name, value, unit)
 
     @property
