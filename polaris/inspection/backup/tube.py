@@ -36,8 +36,9 @@ class Uncertainty:
     thrusters : Thrusters
         Errors of what is applied.
     jitter : float
-        Tolerance [s] on the time of a call: earlier or later than a period after the one before. The time
-        itself is known. It is no error: `exact` says nothing of it.
+        Tolerance [s] on the time of a call: earlier or later than a whole number of periods after the one at
+        which the plan that is flown was made, so that a slow clock adds up while any deputy is on its plan.
+        The time itself is known. It is no error: `exact` says nothing of it.
     """
 
     position: float | tuple[float, ...] = 0.0

@@ -83,7 +83,8 @@ def build_filter(
     known = brake.uncertainty if brake else uncertainty or Uncertainty()
     length = brake.period if brake else positive("period", 1.0 if period is None else period, "s")
     chosen = sharing or ("consensus" if kind == "decentralized" else CENTRALIZED)
-    one_of("sharing", chosen, {"centralized": (CENTRALIZED,), "decentralized": SHARINGS}.get(kind, (CENTRALIZED, *SHARINGS)))
+    ways = (CENTRALIZED, *SHARINGS)
+    one_of("sharing", chosen, {"centralized": ways[:1], "decentralized": SHARINGS}.get(kind, ways))
     tightened = SampledData(length + 2 * known.jitter, share) if sampled else None
     filtering = make_filter(Families(inspection, strengthening, without, tightened), chosen)
     if kind in KINDS[:2]:
