@@ -59,8 +59,8 @@ class Received:
     nothing could be propagated from the last good one. Desired thrusts (N, m), clipped to the limits and as
     `wanted` [N], zero where not `given` in time as finite numbers; whose were `clipped`. `odd` says in words
     what was wrong with the time, and what was no numbers of the right shape; `steady` whether the time went
-    on from the last call's without a break: what lasted till then lasts; `whole` that nothing is missing
-    or odd.
+    on from the last call's without a break: what lasted till then lasts; `timed` that it was a finite number;
+    `whole` that nothing is missing or odd.
     """
 
     t: float
@@ -74,6 +74,7 @@ class Received:
     odd: tuple[str, ...] = ()
     steady: bool = True
     whole: bool = False
+    timed: bool = True
 
     def fallback(self) -> str | None:
         """What was missing, in words; None if nothing."""
@@ -128,7 +129,7 @@ class Receiver:
         whatever a primary controller or navigation hands over, there is an answer.
         """
         limit, shape = self.craft.thrust_max, self._applied.shape
-        t, clock, steady = self._time(t)
+        now, (t, clock, steady) = real(t), self._time(t)
         odd = [clock] if clock else []
         states = numbers(x, self._x.shape)
         if states is None:
@@ -154,7 +155,9 @@ class Receiver:
         wanted = np.where(given[:, None], wanted, 0.0)
         u = np.clip(wanted, -limit, limit)
         clipped = np.asarray((u != wanted).any(axis=1))
-        return Received(t, states, known, estimated, u, given, clipped, wanted, tuple(odd), steady)
+        timed = now is not None and isfinite(now)
+        every = known, estimated, u, given, clipped, wanted
+        return Received(t, states, *every, tuple(odd), steady, timed=timed)
 
     def _whole(self, t: float, x: Array, wanted: Array, within: bool, steady: bool) -> Received:
         """Of a call in which nothing is missing or odd; `within`: the desired thrust is within the limits."""

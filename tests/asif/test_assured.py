@@ -15,6 +15,7 @@ from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.assured import Explicit, Implicit
+from polaris.inspection.filters.build import build_filter
 from polaris.inspection.filters.explicit import Centralized, Decentralized, make_filter
 from polaris.inspection.filters.member import Member
 from polaris.inspection.filters.simplex import SimplexExplicit
@@ -150,6 +151,25 @@ def test_a_state_that_returns_off_its_plan_is_within_the_tube_ever_after():
                 x = x @ Phi.T + brake.follow(x, plan[k:]) @ Gamma.T
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_begins_with_a_state_that_was_never_known_is_not_proven(kind):
+    """From the second call on it was: beside a chief that is no obstacle zeros are a place to hold."""
+    left_out = ("chief_separation", "passive", "sun", "deputy_separation", "deputy_passive", "deputy_sun")
+    f = build_filter(kind, TWO, without=left_out)
+    known = np.array([[0, -300, -400, 0, 0, 0], [0, -300, 300, 0, 0, 0.0]])
+    some = np.where([[False], [True]], np.nan, known)
+    assert all(f.filter(float(k), some, np.zeros((2, 3))).unproven for k in range(70))
+    assert not f.filter(70.0, known, np.zeros((2, 3))).unproven
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_call_at_an_unknown_time_is_not_proven(kind):
+    """It was, however often: the sun may be anywhere by then, and how long thrust was held is not known."""
+    f, x = build_filter(kind, ONE), np.array([[0, -300.0, 400, 0, 0, 0]])
+    said = [f.filter(t, x, np.zeros((1, 3))).unproven for t in (0.0, 1.0, np.nan, np.nan, np.inf, "5", 6.0)]
+    assert said == [False, False, True, True, True, True, False]
+
+
 # ---- late calls
 
 
@@ -231,6 +251,20 @@ WRONG = {
     "no families of two": lambda p: Decentralized(TWO),
     "no rule": lambda p: Member(0, p, 0.0, np.zeros((2, 6))),
     "wrong shape": lambda p: Member(0, Implicit(Planner(p.check, mixed=True)), 0.0, np.zeros((3, 6))),
+    "no inspection": lambda p: build_filter("explicit", "five"),
+    "no brake of one": lambda p: build_filter("explicit", TWO, brake=3),
+    "no bounds": lambda p: build_filter("explicit", TWO, uncertainty=0.1),
+    "two periods": lambda p: build_filter("explicit", TWO, 2.0, brake=p.brake),
+    "two bounds": lambda p: build_filter("implicit", TWO, uncertainty=Uncertainty(1.0), brake=p.brake),
+    "no period": lambda p: build_filter("centralized", TWO, 0.0),
+    "no length": lambda p: build_filter("centralized", TWO, "1"),
+    "one of all": lambda p: build_filter("decentralized", TWO, sharing="centralized"),
+    "all of one": lambda p: build_filter("centralized", TWO, sharing="half"),
+    "no plans": lambda p: build_filter("centralized", TWO, mixed=True),
+    "no sun": lambda p: build_filter("centralized", TWO, sun_start=np.nan),
+    "no sun of a plan": lambda p: build_filter("implicit", TWO, sun_start="noon"),
+    "no margin": lambda p: build_filter("simplex_explicit", TWO, margin=np.nan),
+    "four axes": lambda p: Brake(TWO, 1.0, Uncertainty(position=(1, 2, 3, 4))),
     "too much jitter": lambda p: Brake(TWO, 1.0, Uncertainty(jitter=0.6)),
 }
 

@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ...model.checks import of_kind
+from ...model.checks import number, of_kind
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach, circle_map, map_norms
@@ -36,7 +36,8 @@ class AllTime:
 
     def __init__(self, brake: Brake, sun_start: float = 0.0, without: Collection[str] = ()) -> None:
         of_kind("brake", brake, Brake)
-        self.brake, self.inspection, self.sun_start = brake, brake.inspection, sun_start
+        self.brake, self.inspection = brake, brake.inspection
+        self.sun_start = number("sun_start", sun_start)
         self.without = tuple(without)
         q = self.inspection
         if q.constraints:

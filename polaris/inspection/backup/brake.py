@@ -7,7 +7,7 @@ Seen from such axes the sun stands still, and with it both cones; what is left o
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...model.checks import positive
+from ...model.checks import of_kind, positive
 from ...model.errors import ScenarioError
 from ...model.hill import free_flight
 from ...model.system import Array
@@ -46,6 +46,7 @@ class Brake:
     def __init__(
         self, inspection: Inspection, period: float = 1.0, uncertainty: Uncertainty | None = None
     ) -> None:
+        of_kind("inspection", inspection, Inspection)
         self.inspection, self.period = q, D = inspection, positive("period", period, "s")
         self.uncertainty = uncertainty or Uncertainty()
         self.estimate = self.uncertainty.predicted(q)

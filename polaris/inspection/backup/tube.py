@@ -36,8 +36,9 @@ class Uncertainty:
     thrusters : Thrusters
         Errors of what is applied.
     jitter : float
-        Tolerance [s] on the time of a call: earlier or later than a period after the one before. The time
-        itself is known. It is no error: `exact` says nothing of it.
+        Tolerance [s] on the time of a call: earlier or later than a whole number of periods after the one at
+        which the plan that is flown was made, so that a slow clock adds up while any deputy is on its plan.
+        The time itself is known. It is no error: `exact` says nothing of it.
     """
 
     position: float | tuple[float, ...] = 0.0
@@ -49,7 +50,10 @@ class Uncertainty:
     def __post_init__(self) -> None:
         units = {"position": "m", "velocity": "m/s", "disturbance": "m/s^2", "jitter": "s"}
         for name, unit in units.items():
-            for value in np.ravel(getattr(self, name)).tolist():
+            values = np.ravel(getattr(self, name)).tolist()
+            if len(values) not in ((1, 3) if name in ("position", "velocity") else (1,)):
+                raise ScenarioError(name, values, "must be one number, or one per axis")
+            for value in values:
                 non_negative(name, value, unit)
 
     @property

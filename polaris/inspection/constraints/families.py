@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...model.checks import of_kind
 from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
@@ -75,6 +76,7 @@ class Families(Table):
         sampled: SampledData | None = None,
         exact: bool = False,
     ) -> None:
+        of_kind("inspection", inspection, Inspection)
         if sampled is not None:
             sampled.growth(inspection.mean_motion)  # refuses periods that are too long
         self.sampled, self.alpha = sampled, _checked(strengthening, inspection.constraints, sampled)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...model.checks import of_kind
+from ...model.checks import number, of_kind
 from ...model.system import Array
 from ...rta.one_call import Answer, Backup, CallByCall, named
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
@@ -42,7 +42,8 @@ class ActiveSetFilter(CallByCall):
         self, filtering: Centralized | Decentralized, backup: Backup | None = None, sun_start: float = 0.0
     ) -> None:
         of_kind("filtering", filtering, Centralized | Decentralized)
-        self.filtering, self.backup, self.sun_start = filtering, backup, sun_start
+        self.filtering, self.backup = filtering, backup
+        self.sun_start = number("sun_start", sun_start)
         self.families, self.inspection = filtering.families, filtering.families.inspection
         sampled = self.families.sampled
         labels, told = np.array(self.families.labels), self.families.labels

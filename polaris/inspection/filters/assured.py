@@ -106,7 +106,9 @@ class Assured(CallByCall):
         if kept is None and not got.estimated.any():
             every = np.ones(len(got.u), dtype=bool)
             return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
-        sure, alone = kept is not None, kept is None and self.planner.mixed
+        # Who begins a plan from a state or at a time that is not known is not on it for sure.
+        within = within & got.timed
+        alone, adrift = kept is None and self.planner.mixed, ~within & (kept is None or not got.timed)
         kept = kept or self.planner.find(got.t, got.x)
         x = np.where(got.known[:, None], got.x, kept.plan[0])
         backup = self.brake.follow(x, kept.plan)
@@ -134,7 +136,7 @@ class Assured(CallByCall):
         error, change = np.where(flown[:, None], 0.0, x - found.plan[0]), length(answer.u - self._applied)
         change *= abs(now.t - got.t) / self.inspection.mass
         self._astray = self.brake.tube.ahead(self._astray, got.known, error, change)
-        self._applied = answer.u
+        self._astray[adrift], self._applied = np.inf, answer.u
         return answer
 
     def _kept(self, got: Received, notes: list[str]) -> tuple[Received, Proven | None, Some]:

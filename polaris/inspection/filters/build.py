@@ -3,7 +3,8 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from ...model.checks import one_of
+from ...model.checks import of_kind, one_of, positive
+from ...model.errors import ScenarioError
 from ...rta.one_call import CallByCall
 from ..backup.all_time import AllTime
 from ..backup.brake import Brake
@@ -15,7 +16,7 @@ from ..constraints.strengthening import Strengthening
 from ..inspection import Inspection
 from .asif import ActiveSetFilter
 from .assured import Assured, Explicit, Implicit
-from .explicit import CENTRALIZED, make_filter
+from .explicit import CENTRALIZED, SHARINGS, make_filter
 from .simplex import SimplexExplicit, SimplexImplicit
 
 SIMPLEX: dict[str, type[Assured]] = {"simplex_explicit": SimplexExplicit, "simplex_implicit": SimplexImplicit}
@@ -25,7 +26,7 @@ KINDS = ("centralized", "decentralized", "explicit", "implicit", *SIMPLEX)
 def build_filter(
     kind: str,
     inspection: Inspection,
-    period: float = 1.0,
+    period: float | None = None,
     strengthening: str | Mapping[str, Strengthening] = "polaris",
     *,
     sun_start: float = 0.0,
@@ -46,8 +47,8 @@ def build_filter(
         ``centralized`` and ``decentralized`` keep the barriers; ``explicit``, ``implicit``,
         ``simplex_explicit`` and ``simplex_implicit`` have a proven answer.
     inspection : Inspection
-    period : float
-        [s]
+    period : float, optional
+        [s]; default 1 s.
     strengthening, without
         As of `Families`.
     sun_start : float
@@ -55,31 +56,42 @@ def build_filter(
     uncertainty : Uncertainty, optional
         Its jitter is tolerated by all kinds; of the rest the first two kinds know nothing.
     sharing : str, optional
-        As of `Decentralized`; default ``centralized``, of ``decentralized`` ``consensus``.
+        As of `Decentralized`, or ``centralized``, which is the default of all kinds but ``decentralized``:
+        ``consensus``.
     sampled, share
         Whether conditions are to hold between samples, and as of `SampledData`.
     brake : Brake, optional
         One that has been made, instead of the period and the uncertainty.
     mixed : bool
-        As of `Planner`.
+        As of `Planner`; the first two kinds have none.
     **options
         Of `SimplexExplicit`, `SimplexImplicit`, or the backup of `ActiveSetFilter`.
 
     Raises
     ------
     ScenarioError
-        If an argument is out of range, or a constraint of one's own is to be proven for all time.
+        If an argument is out of range, contradicts the kind or the brake, or a constraint of one's own is to
+        be proven for all time.
     """
     one_of("kind", kind, KINDS)
+    of_kind("inspection", inspection, Inspection)
+    of_kind("brake", brake, Brake | None)
+    of_kind("uncertainty", uncertainty, Uncertainty | None)
+    for name, value in (("period", period), ("uncertainty", uncertainty)):
+        if brake is not None and value is not None:
+            raise ScenarioError(name, value, "must not be given beside a brake, which has its own")
     known = brake.uncertainty if brake else uncertainty or Uncertainty()
-    tightened = (
-        SampledData((brake.period if brake else period) + 2 * known.jitter, share) if sampled else None
-    )
+    length = brake.period if brake else positive("period", 1.0 if period is None else period, "s")
     chosen = sharing or ("consensus" if kind == "decentralized" else CENTRALIZED)
+    ways = (CENTRALIZED, *SHARINGS)
+    one_of("sharing", chosen, {"centralized": ways[:1], "decentralized": SHARINGS}.get(kind, ways))
+    tightened = SampledData(length + 2 * known.jitter, share) if sampled else None
     filtering = make_filter(Families(inspection, strengthening, without, tightened), chosen)
     if kind in KINDS[:2]:
+        if mixed:
+            raise ScenarioError("mixed", mixed, f"must be false: {kind!r} has no plans")
         return ActiveSetFilter(filtering, sun_start=sun_start, **options)
-    planner = Planner(AllTime(brake or Brake(inspection, period, known), sun_start, without), mixed)
+    planner = Planner(AllTime(brake or Brake(inspection, length, known), sun_start, without), mixed)
     if kind == "explicit":
         return Explicit(planner, filtering, **options)
     if kind == "simplex_explicit":

@@ -4,7 +4,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from ...model.checks import non_negative, whole
+from ...model.checks import non_negative, number, whole
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import Switch
@@ -85,7 +85,7 @@ class SimplexExplicit(_Latching):
         recovery: Centralized | Decentralized | None = None,
     ) -> None:
         super().__init__(planner, dwell, recovery)
-        if release < margin:
+        if number("release", release) < number("margin", margin):
             raise ScenarioError("release", release, "must be at least the margin")
         self._check_families(families)
         self.families, self._least = families, (margin, release)
