@@ -34,7 +34,7 @@ ARITHMETIC = {
     "float32": f"it is evaluated in single precision (float32): {_ROUNDED.format(error=8 * 2.0**-24)}",
     "float64": f"it is evaluated in double precision (float64): {_ROUNDED.format(error=8 * 2.0**-53)}",
 }
-"""What is assumed of the arithmetic of a network, by its precision."""
+"""Assumption about the arithmetic of a network, by its precision."""
 
 
 @dataclass(frozen=True)

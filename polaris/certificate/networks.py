@@ -237,7 +237,7 @@ def value(layer: Layer, y: arb) -> arb:
 
 
 def _turns(layer: Layer, slope: float) -> list[arb]:
-    """Where ``f(y) - slope y`` may turn within."""
+    """Return enclosures of the points at which ``f(y) - slope y`` may turn."""
     if layer.kind == "relu":
         return [arb(0)]
     if layer.kind == "clip":

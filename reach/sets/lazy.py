@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class OfSets(SetOperators):
-    """What is made of other sets: empty as soon as one of them is, unbounded where one may be."""
+    """Set made of other sets: empty as soon as one of them is, unbounded if one may be."""
 
     @property
     @abstractmethod
@@ -29,17 +29,17 @@ class OfSets(SetOperators):
 
     @property
     def is_empty(self) -> bool:
-        """Whether one of the sets is empty."""
+        """Return True if one of the sets is empty."""
         return any(getattr(part, "is_empty", False) for part in self.made_of)
 
     @property
     def proved_empty(self) -> bool:
-        """Whether one of the sets is proved to be empty."""
+        """Return True if one of the sets is proved to be empty."""
         return any(getattr(part, "is_empty", False) and part.proved_empty for part in self.made_of)
 
     @property
     def is_bounded(self) -> bool:
-        """Whether a box around the set was proved."""
+        """Return True if a box around the set was proved."""
         return bool(np.all(np.isfinite(self.extent)))
 
     def _with_rounding(self, values: Array, D: Array, way: int, terms: int) -> Array:

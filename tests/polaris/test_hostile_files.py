@@ -212,7 +212,7 @@ HIDDEN = [
     f'"\\"".{LONG}."b" = 1',
     '"a".' * 240_000 + "b = 1",
     f'x = """a"""" # \\\n{LONG} = 1 # "',  # a text may end with quotes of its own
-    f"x = [\'\'\'a\'\'\'\', {{ {LONG} = \'\' }}]",
+    f"x = ['''a'''', {{ {LONG} = '' }}]",
 ]
 
 
