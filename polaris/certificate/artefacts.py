@@ -27,8 +27,8 @@ NEEDED = (
 MOST_DOTS = 50  # most dots in a key of the scenario: reading takes the square of their number; keys need two
 TEXTS = re.compile(
     r"#[^\n]*"
-    r'|"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\''
-    r'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'',
+    r'|"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}'
+    r'|"(?:[^"\\\n]|\\[^\n])*"|\'[^\'\n]*\'',
     re.DOTALL,
 )
 """Comments and quoted texts, whose dots do not count."""

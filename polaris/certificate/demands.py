@@ -75,7 +75,7 @@ UNCHECKED = {
     "how many runs are simulated": {"simulation": "runs"},
     "that the box was asked as one with memory": {"experimental": "memory"},
 }
-"""What is demanded and not checked, and by which keys."""
+"""Demands of a scenario that are not checked, each with its keys."""
 
 NO_DEMAND = {
     "": "description",

@@ -243,7 +243,7 @@ def value(layer: Layer, y: arb) -> arb:
 
 
 def _turns(layer: Layer, slope: float) -> list[arb]:
-    """Return the places within at which ``f(y) - slope y`` may turn."""
+    """Return enclosures of the points at which ``f(y) - slope y`` may turn."""
     if layer.kind == "relu":
         return [arb(0)]
     if layer.kind == "clip":

@@ -15,8 +15,8 @@ MOST_DOTS = 50  # most dots in a key of TOML: the parser takes the square of the
 
 _TEXTS = re.compile(
     r"#[^\n]*"
-    r'|"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\''
-    r'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'',
+    r'|"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}'
+    r'|"(?:[^"\\\n]|\\[^\n])*"|\'[^\'\n]*\'',
     re.DOTALL,
 )
 """Comments and quoted texts of TOML, whose dots do not count."""

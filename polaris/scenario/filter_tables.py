@@ -128,7 +128,7 @@ class AssuredFilter(ScenarioPart):
 
     @property
     def options(self) -> dict[str, Any]:
-        """What `build_filter` is told besides."""
+        """Return the further arguments of `build_filter`."""
         return {}
 
 

@@ -83,7 +83,7 @@ def _scales(scenario: ScheduleScenario, system: LinearSystem, size: float) -> li
 
 
 def _pushed(system: LinearSystem, step: float) -> tuple[float, float]:
-    """How far [m] full thrust, and the disturbance, held over one step move the position along an axis."""
+    """Return the distances [m] that full thrust, and the disturbance, move the position in one step."""
     inputs = np.hstack([system.B, system.D])
     block = np.zeros((system.n + inputs.shape[1],) * 2)
     block[: system.n, : system.n], block[: system.n, system.n :] = system.A, inputs

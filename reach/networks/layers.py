@@ -87,7 +87,7 @@ class Activation:
         return slope, (most + least) / 2, (most - least) / 2 + SLACK * scale
 
     def _turns(self, slope: Array) -> list[Array | float]:
-        """Return the places at which ``f(y) - slope y`` may turn: kinks, and those where f has that slope."""
+        """Return points at which ``f(y) - slope y`` may turn: kinks, and those with that slope of f."""
         if self.kind == "relu":
             return [0.0]
         if self.kind == "clip":

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class OfSets(SetOperators):
-    """Base of sets made of other sets: empty as soon as one of them is, unbounded where one may be."""
+    """Set made of other sets: empty as soon as one of them is, unbounded if one may be."""
 
     @property
     @abstractmethod
@@ -39,7 +39,7 @@ class OfSets(SetOperators):
 
     @property
     def is_bounded(self) -> bool:
-        """Return True if a box around the set is proved."""
+        """Return True if a box around the set was proved."""
         return bool(np.all(np.isfinite(self.extent)))
 
     def _with_rounding(self, values: Array, D: Array, way: int, terms: int) -> Array:

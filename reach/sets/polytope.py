@@ -116,7 +116,7 @@ class HPolytope(SetOperators):
 
     @property
     def is_bounded(self) -> bool:
-        """Return True if a box around the set is proved."""
+        """Return True if a box around the set was proved."""
         return bool(np.all(np.isfinite(self.extent)))
 
     def _refuse_empty(self) -> None:

@@ -36,7 +36,7 @@ FINEST = 2.0**-40  # shortest step of the automatic choice, as a share of the ho
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """How a horizon is stepped through, see `reach.support_tube`."""
+    """Steps through a horizon, see `reach.support_tube`."""
 
     step: float | None = None
     tolerance: ArrayLike | None = None

@@ -211,6 +211,8 @@ HIDDEN = [
     f'# it\'s """\n{LONG} = 1\n# """',
     f'"\\"".{LONG}."b" = 1',
     '"a".' * 240_000 + "b = 1",
+    f'x = """a"""" # \\\n{LONG} = 1 # "',  # a text may end with quotes of its own
+    f"x = ['''a'''', {{ {LONG} = '' }}]",
 ]
 
 
@@ -239,6 +241,7 @@ def test_dots_in_comments_and_texts_do_not_count(tmp_path):
     (tmp_path / "scenario.toml").write_text(told, encoding="utf-8")
     read_scenario(tmp_path)
     assert parse_toml(f'x = \'{dots}\'\ny = """\n{dots}"""')["x"] == dots
+    assert parse_toml(f'x = """{dots}"""""')["x"] == dots + '""'
 
 
 # -- more inside than outside -------------------------------------------------------------------------

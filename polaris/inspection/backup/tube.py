@@ -69,7 +69,7 @@ class Uncertainty:
 
     @property
     def exact(self) -> bool:
-        """Whether states, thrust and motion are known exactly."""
+        """Return True if states, thrust and motion are known exactly."""
         return not self.estimate.any() and self.disturbance == 0 and self.thrusters.exact
 
 

@@ -1,4 +1,4 @@
-"""What a constraint is to filters and judges: phi, the barrier h that keeps it, and their derivatives."""
+"""Constraint as filters and judges use it: phi, the barrier h that keeps it, and their derivatives."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field

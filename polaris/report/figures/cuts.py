@@ -73,7 +73,7 @@ def _is_face(artist: Any) -> bool:
 
 
 def _crossings(part: Array, axis: int, upper: int, side: float, along: Array, closed: bool) -> list[float]:
-    """Where a line crosses one side of the frame; of a set the middle of what the side cuts of it."""
+    """Return the points at which a line crosses one side of the frame; for a set, the middle of each cut."""
     if closed and len(part):
         part = np.vstack([part, part[:1]])
     value = part[:, axis] - side

@@ -54,7 +54,7 @@ class _Label:
 
 @dataclass(eq=False)
 class _Map:
-    """What is drawn in a frame, as counts of drawn cells, and the boxes (M, 4) that are taken [px]."""
+    """Occupied area of a frame: counts of drawn cells, and the boxes (M, 4) that are taken [px]."""
 
     low: Array
     high: Array
@@ -83,7 +83,7 @@ class _Map:
         return np.asarray(count / np.maximum(np.prod(b - a, axis=1), 1))
 
     def clashes(self, low: Array, high: Array, gap: float) -> Array:
-        """How far boxes (M, 2) lie on those that are taken, in widths [px]; 0 where they are free."""
+        """Return the overlap [px] of boxes (M, 2) with those that are taken; 0 for free ones."""
         worst = np.zeros(len(low))
         for x0, y0, x1, y1 in self.taken:
             common = np.minimum(high, (x1, y1)) - np.maximum(low, (x0, y0)) + gap
