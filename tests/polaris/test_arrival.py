@@ -21,7 +21,7 @@ from polaris.certificate.document import read
 from polaris.certificate.spending import spent
 from polaris.certificate.verdict import Failed, Record, Rejected
 from polaris.certificate.zonotopes import Merging, widest
-from polaris.model.errors import PolarisError
+from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.hill import cw_matrix
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
@@ -29,6 +29,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.arrival import _correcting, _needs, _settled, arrival
 from polaris.synthesis.get_safety import get_safety
 from polaris.synthesis.goal_rows import SOON, _weights, distance, velocity_times
+from polaris.synthesis.problem import require_velocities
 from polaris.synthesis.synthesize import synthesize
 
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
@@ -112,6 +113,12 @@ def test_the_checker_derives_the_planner_s_rows(kind):
         if rng.random() < 0.4:
             own = spec["velocity_tolerance_m_s"] = rng.uniform(1e-3, 1)
             spec["tolerance_m"] = rng.uniform(0.1, 10)
+            try:
+                require_velocities(system, goal, "goal", own)
+            except ScenarioError:
+                with pytest.raises(Rejected):
+                    goal_rows.Weighted.of(spec, arb(SOON) * steps * delta, document)
+                continue
         rows = goal_rows.Weighted.of(spec, arb(SOON) * steps * delta, document)
         conditions = goal.conditions
         assert rows.scale == pytest.approx(conditions.scale, rel=1e-15)

@@ -234,7 +234,8 @@ def test_forged_timing_is_refused(tmp_path):
         float.fromhex(data["system"]["timing"]["bit"]),
     )
     for most, outcome in ((sum(top) + bit * len(top), "VERIFIED"), (sum(top) * 1.1, "REJECTED")):
-        told["experimental"]["delta_v_max_m_s"] = most * duration  # what is applied, not what is commanded
+        spent = {"delta_v_m_s": most * duration, "delta_v_max_m_s": most * duration}
+        told["experimental"].update(spent)  # what is applied, not what is commanded
         assert forger.judge({"summary.json": json.dumps(told)}).outcome == outcome
     for key, value in (("delay_s", 0.75), ("jitter_s", 0.01), ("missed_periods", 2), ("clock_error_s", 1.0)):
         scenario = forger.tree("scenario.toml")
