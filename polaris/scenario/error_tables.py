@@ -87,7 +87,7 @@ class Timing(ScenarioPart):
     """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
     effect; more than a period, too."""
     jitter_s: f.NonNegative = unit("s", default=0.0)
-    """How much earlier or later it may be, each time; at most half a period. Needs sampled feedback. Of
+    """Largest time by which it is early or late; at most half a period. Needs sampled feedback. Of
     inspections: by how much calls of the filter may be."""
     missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
     """Periods in a row for which there may be no new measurement or command: commands for so many periods

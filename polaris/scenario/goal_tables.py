@@ -26,11 +26,11 @@ class GoalTable(ScenarioPart):
 
     makes: ClassVar[Callable[..., goals.Goal]]
     tolerance_m: f.Positive | None = unit("m", default=None)
-    """How far off the goal counts as reached. A condition on velocities alone counts as the length that they
+    """Distance at which the goal is reached. A condition on velocities alone counts as the length that they
     make in 1/eta (100 s without an orbit) or a quarter of the horizon, whichever is less. By default 5 % of
     the goal's size, or what the safety controller needs to hold a goal, if that is more."""
     velocity_tolerance_m_s: f.Positive | None = unit("m/s", default=None)
-    """How far off velocities may be, beside tolerance_m, which it needs: conditions on velocities alone, and
+    """Largest error of velocities, beside tolerance_m, which it needs: conditions on velocities alone, and
     those that an orbit sets them at the place where the chaser is."""
 
     def build(self, system: LinearSystem) -> goals.Goal:

@@ -91,7 +91,7 @@ class _Map:
         return worst
 
     def under(self, lines: Array) -> Any:
-        """Which lines (M, 2, 2) pass under what is taken."""
+        """Return True for each of the lines (M, 2, 2) that passes under a name already placed."""
         share = np.linspace(0, 1, 12)[1:-1, None, None]
         along = lines[:, 0] + share * (lines[:, 1] - lines[:, 0])
         boxes = np.array(self.taken).reshape(-1, 1, 1, 4)

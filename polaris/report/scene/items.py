@@ -108,7 +108,7 @@ class Scene:
 
 
 class Pilot(NamedTuple):
-    """Who flew: key, name on the page and in print, colour, dashes on the page, and its runs."""
+    """Controller that flew: key, name on the page and in print, colour, dashes on the page, and its runs."""
 
     key: str
     name: str
