@@ -119,36 +119,86 @@ def test_without_a_state_a_plan_is_proven_only_while_it_is_surely_within_its_tub
     """Held without feedback it left the tube after 36, 42 and 100 s at 1, 2 and 5 s, called proven."""
     f = make("implicit", ONE, period)
     x, (Phi, Gamma) = (f.brake.resting @ np.array([0.0, -960, 0]))[None], ONE.held(period)
-    said, lost, most = [], np.full((1, 6), np.nan), f.brake.tube.astray[0]
-    for k in range(round(600 / period)):
+    said, lost = [], np.full((1, 6), np.nan)
+    for k in range(round(80 / period)):
         plan = f.plan
         answer = f.filter(k * period, x if k < 3 else lost, np.zeros((1, 3)))
         if not answer.unproven and plan is not None:
-            off = x - plan.plan[0]
-            assert (np.linalg.norm(off.reshape(2, 3), axis=1) <= np.minimum(most, plan.tube[0, 0])).all()
+            assert (off_plan(x - plan.plan[0]) <= plan.tube[0, 0]).all()
         said.append(answer.unproven)
         x = x @ Phi.T + answer.u @ Gamma.T
-    assert not any(said[: round(60 / period)]) and all(said[round(500 / period) :])
+    memory = round(60 / period) + 3  # periods until a minute has passed since the state was known
+    assert not any(said[: memory - 1]) and all(said[memory + 1 :])
     again = f.filter(k * period + period, x, np.zeros((1, 3)))
     assert not again.unproven  # it is known again
 
 
-def test_a_state_that_returns_off_its_plan_is_within_the_tube_ever_after():
-    """Any error of which that is claimed, turned against each axis, under the worst that acts."""
-    for period in (0.2, 1.0, 5.0):
-        brake = Brake(ONE, period, Uncertainty(jitter=0.0))
-        tube = brake.tube
-        x = (brake.resting @ np.array([0.0, -700.0, 650.0]))[None]
-        plan = brake.extended(brake.plan(x), 300)
-        wall, rng, (Phi, Gamma) = brake.around(plan)[:, 0], np.random.default_rng(0), brake.motion
-        for _ in range(20):
-            way = rng.standard_normal((2, 3))
-            way *= tube.astray.T / np.linalg.norm(way, axis=1, keepdims=True)
-            x = plan[0] + way.ravel()
-            for k in range(250):
-                off = np.linalg.norm((x - plan[k]).reshape(2, 3), axis=1)
-                assert (off <= wall[k]).all()
-                x = x @ Phi.T + brake.follow(x, plan[k:]) @ Gamma.T
+def off_plan(error):
+    return np.linalg.norm(error.reshape(2, 3), axis=1)
+
+
+@pytest.mark.parametrize(("period", "tau"), [(0.2, 2e-3), (1.0, 2e-3), (1.0, 5e-2), (2.0, 1e-2)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_states_lost_under_jitter_do_not_end_the_proof(kind, period, tau):
+    """One lost state ended it: 11 of 120 periods were unproven at 2 ms with 30 % of the states lost.
+
+    Full thrust turns round every 3 s; calls are off by all that is declared, and states are lost for some
+    seconds. Each deputy is within the tube about its plan at instants between the samples, too.
+    """
+    q, rng = TWO, np.random.default_rng(3)
+    f = make(kind, q, period, unknown=Uncertainty(jitter=tau))
+    x = np.array([[0, -300.0, -400, 0, 0, 0], [50.0, -300, 300, 0.1, 0, 0]])
+    lost, late, count = np.zeros(2, dtype=bool), 0.0, 0
+    for k in range(round(40 / period)):
+        now, wanted = k * period + late, np.full((2, 3), (-1.0) ** (k * period // 3))
+        lost = (k > 2) & np.where(lost, rng.random(2) < np.exp(-period / 4), rng.random(2) < 0.3)
+        answer = f.filter(now, np.where(lost[:, None], np.nan, x), wanted)
+        assert not answer.unproven, (k, answer.fallback)
+        count += lost.sum()
+        late = 0.49 * tau * rng.choice([-1, 1])
+        hold = (k + 1) * period + late - now
+        assert f.plan is not None
+        for part in (0.25, 0.5, 0.75, 1.0):
+            Phi, Gamma = q.held(part * hold)
+            at = x @ Phi.T + answer.u @ Gamma.T
+            phi = allowable(q, at, q.sun_angle(now + part * hold))
+            assert min(values.min(initial=np.inf) for values in phi.values()) >= 0
+        Phi, Gamma = q.held(f.plan.t - now)
+        due = x @ Phi.T + answer.u @ Gamma.T - f.plan.plan[0]
+        assert all((off_plan(due[i]) <= f.plan.tube[0, i] + 1e-9).all() for i in range(2))
+        x = at
+    assert count > 20 / period
+
+
+@pytest.mark.parametrize("broken", ["late", "untimed", "no motion known", "off its plan"])
+def test_a_lost_state_follows_from_the_last_one_only_while_everything_is_as_assumed(broken):
+    x, t = np.array([[0, -300.0, -400, 0, 0, 0], [0, -300, 300, 0.1, 0, 0]]), 2.0
+    f = make("implicit", TWO, unknown=Uncertainty(disturbance=1e-6 * (broken == "no motion known")))
+    some, (Phi, Gamma) = np.where([[False], [True]], np.nan, 1.0), TWO.held(1.0)
+    for k in range(2):
+        x = x @ Phi.T + f.filter(float(k), x, np.zeros((2, 3))).u @ Gamma.T
+    if broken == "untimed":
+        f.filter(np.nan, x, np.zeros((2, 3)))
+        t = 3.0
+    x = x + (0.1 if broken == "off its plan" else 0.0)
+    for now in (t + (0.01 if broken == "late" else 0.0), t + 1, t + 2):
+        assert f.filter(now, x * some, np.zeros((2, 3))).unproven
+
+
+def test_a_member_knows_where_it_is_without_a_state():
+    """It flew on without feedback, and was unproven as soon as its error grew."""
+    x = np.array([[0, -300.0, -400, 0, 0, 0], [50.0, -300, 300, 0.1, 0, 0]])
+    members = [Member(i, make("implicit", TWO, mixed=True), 0.0, x) for i in range(2)]
+    Phi, Gamma = TWO.held(1.0)
+    for k in range(75):
+        seen = x if k < 5 else np.full((2, 6), np.nan)
+        sent = [one.message(seen[i], np.full(3, (-1.0) ** k)) for i, one in enumerate(members)]
+        plans = [one._flown for one in members]
+        u = [one.decide(float(k), sent) for one in members]
+        assert [one.unproven for one in members] == [k > 64] * 2
+        for i, plan in enumerate(plans):
+            assert k < 5 or k > 64 or (off_plan(x[i] - plan.plan[0]) <= plan.tube[0, 0] + 1e-9).all()
+        x = x @ Phi.T + np.array(u) @ Gamma.T
 
 
 @pytest.mark.parametrize("kind", KINDS)

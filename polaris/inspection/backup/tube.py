@@ -3,14 +3,12 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...model.checks import non_negative
 from ...model.errors import ScenarioError
 from ...model.prediction import prediction_error
 from ...model.system import Array
 from ...model.thrusters import Thrusters
-from ...rta.received import MEMORY
 from ..inspection import Inspection
 from ..vectors import length
 from .settled import Decay
@@ -105,11 +103,6 @@ class Tube:
         The most thrust per axis [N] that it asks for.
     widest : ndarray, shape (2,)
         Bounds for ever, under full thrust.
-    closed : ndarray, shape (6, 6)
-        What a period with feedback makes of an error.
-    astray : ndarray, shape (1, 2)
-        Errors [m], [m/s] that a deputy may have when its state is known again, and be within the tube ever
-        after: those of `MEMORY` seconds without feedback. Negative where not everything is exact.
     """
 
     def __init__(self, held: Held, unknown: Uncertainty, response: float) -> None:
@@ -117,15 +110,14 @@ class Tube:
         (Phi, Gamma), errors, eta = held.motion, unknown.thrusters, unknown.predicted(q)
         self._period, self._grow = D, np.exp((2 + np.sqrt(3)) * n * D)
         self.gain = -q.mass * np.hstack([np.eye(3) / response**2, 2 * np.eye(3) / response])
-        self.closed, scale = Phi + Gamma @ self.gain, np.repeat([response, 1.0], 3)
-        loop = Decay(self.closed, np.vstack([np.eye(6), self.gain]), scale)
+        scale = np.repeat([response, 1.0], 3)
+        loop = Decay(Phi + Gamma @ self.gain, np.vstack([np.eye(6), self.gain]), scale)
         powers = loop.powers
         # Acceleration per newton that is asked for (2-norm), and whatever is asked for.
         self.share = (errors.along + np.sqrt(3) * errors.across) / q.mass
         always = unknown.disturbance + np.sqrt(3) * (errors.bit + TOLERANCE) / q.mass
         full, self._hold = np.sqrt(3) * q.thrust_max, float(np.linalg.norm(held.still, 2))
         kick, step = self._grow * np.array([D**2 / 2, D]), self._grow * np.array([D, 1.0])
-        self._step = step
         missed = np.array([np.linalg.norm(held.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max
         gains, steps = _pushed(powers, *kick), _pushed(powers, *step)
         # Velocity per newton by which thrust changes late; changes of each period while a deputy is held.
@@ -143,14 +135,6 @@ class Tube:
         stepped = np.hypot(step[0] / response, step[1])
         rest = _sizes(loop.left * (size + self._late * turns * stepped))
         varied = self._late * VARIATION * q.thrust_max
-        # Without a state there is no feedback: the error that a deputy may have when it is known again.
-        blocks = [[np.linalg.norm(Phi[i : i + 3, j : j + 3], 2) for j in (0, 3)] for i in (0, 3)]
-        self._free, self._slip = np.array(blocks), missed + always * kick + self._late * turns * step
-        self.astray = (known.max(axis=0) + rest)[None, :2] if unknown.exact else np.full((1, 2), -np.inf)
-        if unknown.exact:
-            for _ in range(int(np.ceil(MEMORY / D))):
-                self.astray = self.astray @ self._free.T + self._slip
-            known += _pushed(powers, *self.astray[0]).max(axis=0)
         most = known + self.share * full * total
         most = most.max(axis=0) + varied * (steps.max(axis=0) + _sizes(loop.later) * stepped) + rest
         # Feedback changes from period to period as well, by twice its largest value.
@@ -194,16 +178,6 @@ class Tube:
         # Late or early, a change is between samples, before its own or after it.
         missed = missed + 2 / self._period * step * (change + np.vstack([change[1:], change[-1:]]))
         return self._spread(np.concatenate([np.maximum(at[1:], at[:-1]), ever[None]]), missed)
-
-    def ahead(self, astray: Array, known: NDArray[np.bool_], error: Array, change: Array) -> Array:
-        """Bounds (N, 2) on errors a period later: with feedback on an `error` (N, 6) that is `known` (N,).
-
-        The others have no feedback, and errors of at most `astray` (N, 2). By changes of thrust early or late
-        their velocity is off by a `change` (N,) [m/s].
-        """
-        followed = length((error @ self.closed.T).reshape(-1, 2, 3))
-        left = np.where(known[:, None], followed, astray @ self._free.T)
-        return np.asarray(left + self._slip + change[:, None] * self._step)
 
     def _spread(self, error: Array, missed: Array | float) -> Array:
         """Bounds (..., 2) at samples, and what thrusters miss [m/s^2], made bounds of all between as well."""

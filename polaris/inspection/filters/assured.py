@@ -42,8 +42,8 @@ class Assured(CallByCall):
 
     `Decision.unproven` is false once a plan has been proven, as long as states are known within their
     bounds and calls come in time, within `Uncertainty.jitter`. A deputy whose state is not known flies its
-    plan. Where everything is exact that is proven too, until the error that grows without feedback exceeds
-    `Tube.astray`: for about a minute on end (`polaris.rta.received.MEMORY`).
+    plan. Where everything is exact its state follows from the last one that was known, and the plan is proven
+    for `polaris.rta.received.MEMORY` seconds.
 
     Where no plan is proven, as from outside of the constraints, the answer is that of the `recovery` filter,
     unproven, until a plan is proven.
@@ -78,7 +78,7 @@ class Assured(CallByCall):
         super().__init__(self.inspection, self.period, late)
         self.log: list[Switch] = []
         self._applied = np.zeros((self.inspection.deputies, 3))
-        self._astray = np.zeros((self.inspection.deputies, 2))
+        self._sure = np.zeros(self.inspection.deputies, dtype=bool)  # whose states were surely known
         self.take_over(None)
 
     def _check_families(self, families: Families) -> None:
@@ -104,13 +104,12 @@ class Assured(CallByCall):
         notes: list[str] = []
         now, (got, kept, within) = got, self._kept(got, notes)
         if kept is None and not got.estimated.any():
+            self.take_over(None)
             every = np.ones(len(got.u), dtype=bool)
             return Answer(np.zeros_like(got.u), every, ~every, every, {}, notes, unproven=True)
-        # Who begins a plan from a state or at a time that is not known is not on it for sure.
-        within = within & got.timed
-        alone, adrift = kept is None and self.planner.mixed, ~within & (kept is None or not got.timed)
+        alone = kept is None and self.planner.mixed
         kept = kept or self.planner.find(got.t, got.x)
-        x = np.where(got.known[:, None], got.x, kept.plan[0])
+        x = np.where((got.known | self._sure)[:, None], got.x, kept.plan[0])
         backup = self.brake.follow(x, kept.plan)
         able = got.known & got.given
         proposed, who = self._proposal(got, able, backup)
@@ -125,7 +124,7 @@ class Assured(CallByCall):
         after, tube = self.planner.extended(found, 3)
         later = Proven(after[1:], tube[1:], found.margins, found.t + self.period)
         self.take_over(later if found.good else None)
-        self._followed = got.known & within
+        self._followed = within
         if found.good:
             none, intervened = np.zeros(len(u), dtype=bool), (u != got.wanted).any(axis=1) | ~able
             answer = Answer(u, intervened, ~flown, none, margins, notes, active, unproven=not sure)
@@ -133,31 +132,31 @@ class Assured(CallByCall):
             recovery = self.recovery.decide(now)
             notes += recovery.notes
             answer = replace(recovery, margins=margins, notes=notes, active=active, unproven=True)
-        error, change = np.where(flown[:, None], 0.0, x - found.plan[0]), length(answer.u - self._applied)
-        change *= abs(now.t - got.t) / self.inspection.mass
-        self._astray = self.brake.tube.ahead(self._astray, got.known, error, change)
-        self._astray[adrift], self._applied = np.inf, answer.u
+        self._applied = answer.u
         return answer
 
     def _kept(self, got: Received, notes: list[str]) -> tuple[Received, Proven | None, Some]:
         """Return the call as of the time at which it was due, the plan, and who is surely within its tube.
 
         No plan where there is none, the call is out of time, or a state is known not to be within the tube.
+        A state is sure if it is known, or follows exactly from one that was, by calls in time (lemma B2).
         """
-        plan, tolerance = self.plan, max(self.brake.uncertainty.jitter, 1e-6 * self.period)
-        if plan is None or not abs(got.t - plan.t) <= tolerance:
-            return got, None, got.known
+        plan, unknown = self.plan, self.brake.uncertainty
+        in_time = plan is not None and abs(got.t - plan.t) <= max(unknown.jitter, 1e-6 * self.period)
+        follows = self._sure & got.estimated & (in_time and unknown.exact)
+        self._sure = (got.known | follows) & got.timed
+        if plan is None or not in_time:
+            return got, None, self._sure
         moved = got
         if got.t != plan.t:  # where the thrust of the period before leads, or came from
             Phi, Gamma = self.inspection.held(plan.t - got.t)
             moved = replace(got, t=plan.t, x=got.x @ Phi.T + self._applied @ Gamma.T)
         if not (self.near(moved.x, plan) | ~got.known).all():
             notes.append("a state is farther from its plan than is possible")
-            return got, None, got.known
-        off, most = length((moved.x - plan.plan[0]).reshape(-1, 2, 3)), self.brake.tube.astray
-        within = (self._astray <= most).all(axis=1)
-        within |= got.known & (self._followed | (off <= most).all(axis=1))
-        return (got, None, got.known) if got.known.all() and not within.all() else (moved, plan, within)
+            self._sure = got.known & got.timed  # motion or thrust is not exact
+            return got, None, self._sure
+        within = self._sure & self._followed
+        return (got, None, self._sure) if self._sure.all() and not within.all() else (moved, plan, within)
 
     def near(self, x: Array, plan: Proven) -> Some:
         """Return whose estimates (N, 6) are as near to their plans as what is not known allows."""

@@ -13,6 +13,7 @@ from ...model.checks import shaped
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import FARTHEST
+from ...rta.received import MEMORY
 from ..backup.planner import Proven
 from .assured import Explicit, Implicit
 
@@ -71,7 +72,10 @@ class Member:
             raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {told}")
         self._none = np.zeros(len(rule.check.labels))
         self._due, self._flown = t, self._part(found)
-        self._astray = np.zeros((1, 2))
+        self._next, self._lost = (
+            np.array(x[me], dtype=float),
+            0.0,
+        )  # state from the last known one; its age [s]
         self.moved = self.unproven = False
 
     def message(self, x: Array, wanted: Array) -> Message:
@@ -88,10 +92,11 @@ class Member:
         if own is None:
             raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
         heard = [message for message in told if message is not None and abs(message.t - t) <= 1e-6 * D]
-        seen, flown, astray = _known(own.x), self._flown, self._astray
-        x = np.where(seen, own.x, flown.plan[0])
-        self._astray = self.brake.tube.ahead(astray, np.array([seen]), x - flown.plan[0], np.zeros(1))
+        seen, flown = _known(own.x), self._flown
         on_time, self._due = abs(t - self._due) <= 1e-6 * D, (t if np.isfinite(t) else self._due) + D
+        self._lost = 0.0 if seen else self._lost + D
+        known = on_time and (seen or (self.brake.uncertainty.exact and self._lost <= MEMORY))
+        x = own.x if seen else self._next if known else flown.plan[0, 0]
         if on_time and len(heard) == len(told) and all(_known(message.x) for message in heard):
             plans = [Proven(message.plan, message.tube, np.zeros(0), t) for message in heard]
             count = max(len(each.plan) for each in plans)
@@ -103,12 +108,17 @@ class Member:
             if self.rule.plan is not None:  # it has been proven
                 self.moved, self._flown = True, self._part(self.rule.plan)
                 self.unproven &= bool(decision.on_backup[self.me])
-                return np.asarray(decision.u[self.me])
-        known = on_time and (seen or bool((astray <= self.brake.tube.astray).all()))
+                return self._applied(x, decision.u[self.me])
         self.moved, self.unproven = False, self.unproven or not (known and self.rule.near(x, flown).all())
         later = self.rule.planner.extended(flown, 3)
         self._flown = Proven(later[0][1:], later[1][1:], self._none, self._due)
-        return np.asarray(self.brake.follow(x, flown.plan)[0])
+        return self._applied(x, self.brake.follow(x[None], flown.plan)[0])
+
+    def _applied(self, x: Array, u: Array) -> Array:
+        """Return a thrust (3,) [N], and note where it leads from a state (6,)."""
+        Phi, Gamma = self.brake.motion
+        self._next = Phi @ x + Gamma @ u
+        return u
 
     def _part(self, found: Proven) -> Proven:
         """The part of the plans of all that is this deputy's."""
