@@ -1,6 +1,7 @@
 """Filters with a backup for all time: the way back from outside, late calls, lost states, refusals."""
 
 from functools import partial
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from polaris.inspection.backup.tube import Uncertainty
 from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
+from polaris.inspection.constraints.strengthening import PRESETS
 from polaris.inspection.filters.asif import ActiveSetFilter
 from polaris.inspection.filters.assured import Explicit, Implicit
-from polaris.inspection.filters.build import build_filter
+from polaris.inspection.filters.build import OPTIONS, build_filter
 from polaris.inspection.filters.explicit import Centralized, Decentralized, make_filter
 from polaris.inspection.filters.member import Member
 from polaris.inspection.filters.simplex import SimplexExplicit
@@ -311,6 +313,16 @@ WRONG = {
     "one of all": lambda p: build_filter("decentralized", TWO, sharing="centralized"),
     "all of one": lambda p: build_filter("centralized", TWO, sharing="half"),
     "no plans": lambda p: build_filter("centralized", TWO, mixed=True),
+    "other brake": lambda p: build_filter("centralized", ONE, brake=p.brake),
+    "no sharing": lambda p: build_filter("decentralized", TWO, sharing=""),
+    "a letter": lambda p: build_filter("explicit", TWO, without="sun"),
+    "a number as alpha": lambda p: build_filter(
+        "explicit", TWO, strengthening=PRESETS["linear"] | {"sun": 1}
+    ),
+    "no alpha": lambda p: build_filter("explicit", TWO, strengthening={}),
+    "alpha of none": lambda p: build_filter("explicit", TWO, strengthening=PRESETS["linear"] | {"sn": 1}),
+    "no thrusters": lambda p: Brake(TWO, 1.0, Uncertainty(thrusters=0.1)),
+    "many looks": lambda p: build_filter("simplex_explicit", TWO, looks=10**6),
     "no sun": lambda p: build_filter("centralized", TWO, sun_start=np.nan),
     "no sun of a plan": lambda p: build_filter("implicit", TWO, sun_start="noon"),
     "no margin": lambda p: build_filter("simplex_explicit", TWO, margin=np.nan),
@@ -323,6 +335,26 @@ WRONG = {
 def test_what_cannot_work_is_refused_when_it_is_made(make_one):
     with pytest.raises(ScenarioError, match="must|needs"):
         make_one(Planner(AllTime(Brake(TWO))))
+
+
+NAMED = [name for name in signature(build_filter).parameters if name not in ("kind", "inspection", "options")]
+ILL = ["x", object(), np.nan, {"a": 1}, 10**400, np.array([[1.0], [2.0]])]
+
+
+@pytest.mark.parametrize("kind", [*OPTIONS])
+def test_every_option_is_checked_and_named(kind):
+    """An unknown option, one too many and some of another type ended in a bare TypeError."""
+    for name in (*NAMED, *OPTIONS[kind]):
+        for value in ILL:
+            with pytest.raises(ScenarioError, match=rf"^{name}[:.]"):
+                build_filter(kind, TWO, **{name: value})
+    of_others = {name for names in OPTIONS.values() for name in names} - {*OPTIONS[kind]}
+    for name in (*of_others, "planner", "filtering", "families", "recovery", "perod"):
+        with pytest.raises(ScenarioError, match=f"^{name}: .*no option of '{kind}'.* period, "):
+            build_filter(kind, TWO, **{name: 1.0})
+    made = type(build_filter(kind, TWO, brake=Brake(TWO)))
+    given = {*signature(made).parameters} - {"planner", "filtering", "families", "recovery", "sun_start"}
+    assert given == {*OPTIONS[kind]}
 
 
 @pytest.mark.parametrize("sharing", ["centralized", "coasting", "consensus"])

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...model.checks import non_negative
+from ...model.checks import non_negative, of_kind
 from ...model.errors import ScenarioError
 from ...model.prediction import prediction_error
 from ...model.system import Array
@@ -46,6 +46,7 @@ class Uncertainty:
     jitter: float = JITTER
 
     def __post_init__(self) -> None:
+        of_kind("thrusters", self.thrusters, Thrusters)
         units = {"position": "m", "velocity": "m/s", "disturbance": "m/s^2", "jitter": "s"}
         for name, unit in units.items():
             values = np.ravel(getattr(self, name)).tolist()

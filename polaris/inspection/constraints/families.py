@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...model.checks import of_kind
+from ...model.checks import of_kind, one_of
 from ...model.compiled import loops, plain
 from ...model.errors import ScenarioError
 from ...model.system import Array
@@ -234,7 +234,11 @@ def _checked(
     own_alpha = {one.family or one.label: one.alpha for one in own}
     if isinstance(strengthening, str):
         return preset(strengthening, sampled is not None) | own_alpha
-    missing = [name for name in FAMILIES if name not in strengthening]
-    if missing:
-        raise ScenarioError("strengthening", sorted(strengthening), f"{missing[0]} is missing")
+    of_kind("strengthening", strengthening, str | Mapping)
+    for name in FAMILIES:
+        if name not in strengthening:
+            raise ScenarioError("strengthening", list(strengthening), f"must have {name}, which is missing")
+    for name, alpha in strengthening.items():
+        one_of("strengthening", name, (*FAMILIES, *own_alpha))
+        of_kind(f"strengthening.{name}", alpha, Strengthening)
     return {name: strengthening.get(name) or own_alpha[name] for name in (*FAMILIES, *own_alpha)}

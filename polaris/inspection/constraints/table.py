@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.checks import one_of
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ..closest import ClosestApproach
@@ -83,9 +84,10 @@ class Table:
     ) -> None:
         own = inspection.constraints
         families = (*FAMILIES, *(one.family or one.label for one in own))
+        if isinstance(without, str) or not isinstance(without, Collection):
+            raise ScenarioError("without", without, "must be a collection of names of families")
         for name in without:
-            if name not in families:
-                raise ScenarioError("without", name, f"must be one of {', '.join(families)}")
+            one_of("without", name, families)
         self.inspection = inspection
         alone = np.arange(inspection.deputies)
         self.everyone = np.concatenate([np.stack([alone, np.full_like(alone, -1)], axis=1), inspection.pairs])

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...model.checks import number, of_kind
+from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...rta.one_call import Answer, Backup, CallByCall, named
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
@@ -42,6 +43,8 @@ class ActiveSetFilter(CallByCall):
         self, filtering: Centralized | Decentralized, backup: Backup | None = None, sun_start: float = 0.0
     ) -> None:
         of_kind("filtering", filtering, Centralized | Decentralized)
+        if backup is not None and not callable(backup):
+            raise ScenarioError("backup", backup, "must be a function of the time and the states")
         self.filtering, self.backup = filtering, backup
         self.sun_start = number("sun_start", sun_start)
         self.families, self.inspection = filtering.families, filtering.families.inspection

@@ -1,6 +1,7 @@
 """One call for every filter of an inspection: from a kind and numbers, without nested constructors."""
 
 from collections.abc import Collection, Mapping
+from inspect import signature
 from typing import Any
 
 from ...model.checks import of_kind, one_of, positive
@@ -21,6 +22,13 @@ from .simplex import SimplexExplicit, SimplexImplicit
 
 SIMPLEX: dict[str, type[Assured]] = {"simplex_explicit": SimplexExplicit, "simplex_implicit": SimplexImplicit}
 KINDS = ("centralized", "decentralized", "explicit", "implicit", *SIMPLEX)
+OPTIONS = {
+    **dict.fromkeys(KINDS[:2], ("backup",)),
+    **dict.fromkeys(KINDS[2:4], ()),
+    "simplex_explicit": ("margin", "release", "dwell", "looks"),
+    "simplex_implicit": ("release_distance", "release_speed", "dwell"),
+}
+"""Further options of each kind."""
 
 
 def build_filter(
@@ -65,24 +73,34 @@ def build_filter(
     mixed : bool
         As of `Planner`; the first two kinds have none.
     **options
-        Of `SimplexExplicit`, `SimplexImplicit`, or the backup of `ActiveSetFilter`.
+        Of `SimplexExplicit`, `SimplexImplicit`, or the backup of `ActiveSetFilter`: see `OPTIONS`.
 
     Raises
     ------
     ScenarioError
-        If an argument is out of range, contradicts the kind or the brake, or a constraint of one's own is to
-        be proven for all time.
+        If an argument is of another kind or out of range, no option of the filter, contradicts the brake, or a
+        constraint of one's own is to be proven for all time.
     """
     one_of("kind", kind, KINDS)
+    for name, value in options.items():
+        if name not in OPTIONS[kind]:
+            named = [one for one in signature(build_filter).parameters if one != "options"]
+            rule = f"is no option of {kind!r}: must be one of {', '.join([*named[2:], *OPTIONS[kind]])}"
+            raise ScenarioError(name, value, rule)
+    for name, flag in (("sampled", sampled), ("mixed", mixed)):
+        of_kind(name, flag, bool)
     of_kind("inspection", inspection, Inspection)
     of_kind("brake", brake, Brake | None)
     of_kind("uncertainty", uncertainty, Uncertainty | None)
     for name, value in (("period", period), ("uncertainty", uncertainty)):
         if brake is not None and value is not None:
             raise ScenarioError(name, value, "must not be given beside a brake, which has its own")
+    if brake is not None and brake.inspection != inspection:
+        raise ScenarioError("brake", brake.inspection, "must be for the problem of the filter")
     known = brake.uncertainty if brake else uncertainty or Uncertainty()
     length = brake.period if brake else positive("period", 1.0 if period is None else period, "s")
-    chosen = sharing or ("consensus" if kind == "decentralized" else CENTRALIZED)
+    default = "consensus" if kind == "decentralized" else CENTRALIZED
+    chosen = default if sharing is None else sharing
     ways = (CENTRALIZED, *SHARINGS)
     one_of("sharing", chosen, {"centralized": ways[:1], "decentralized": SHARINGS}.get(kind, ways))
     tightened = SampledData(length + 2 * known.jitter, share) if sampled else None

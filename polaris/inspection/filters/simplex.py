@@ -14,6 +14,8 @@ from ..constraints.families import Families
 from .assured import Assured, Some, concerned
 from .explicit import Centralized, Decentralized
 
+LOOKS = 100  # most instants of a period at which barriers are evaluated; more only takes longer
+
 
 class _Latching(Assured):
     """A deputy whose wanted thrust is not passed is on backup until it would have been for some time."""
@@ -89,7 +91,9 @@ class SimplexExplicit(_Latching):
             raise ScenarioError("release", release, "must be at least the margin")
         self._check_families(families)
         self.families, self._least = families, (margin, release)
-        self._parts = self.period * np.arange(1, whole("looks", looks, 1) + 1) / looks
+        if whole("looks", looks, 1) > LOOKS:
+            raise ScenarioError("looks", looks, f"must be at most {LOOKS}")
+        self._parts = self.period * np.arange(1, looks + 1) / looks
         self._moves = [self.inspection.held(float(part)) for part in self._parts]
 
     def _troubled(self, got: Received, u: Array, spare: bool) -> tuple[Some, str]:
