@@ -2,13 +2,18 @@
 
 import csv
 import json
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import polaris
 from polaris.cli import app as cli
 from polaris.model.errors import ScenarioError
 from polaris.runs.inspection import covered_periods
@@ -231,9 +236,10 @@ def test_bad_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argumen
     assert list(tmp_path.iterdir()) == []
 
 
-OUTWARDS = ("initial.states=[[0, -985, 0, 0, -0.1, 0]]", 'filter.without=["keep_in"]', "flight.duration_s=40")
 OUTWARDS = (
-    *OUTWARDS,
+    "initial.states=[[0, -985, 0, 0, -0.1, 0]]",
+    'filter.without=["keep_in"]',
+    "flight.duration_s=40",
     'primary=[{ kind = "to_distance", distance_m = 1200 }]',
     "parameters.delta_v_max_m_s=0.5",
 )
@@ -243,8 +249,12 @@ OUTWARDS = (
 def test_a_flight_that_violates_ends_with_exit_code_5_and_says_what_exceeds_the_tank(tmp_path, violated):
     given = OUTWARDS if violated else (*OUTWARDS, "filter.without=[]", "flight.duration_s=2")
     sets = [word for assignment in given for word in ("--set", assignment)]
-    done = invoke("run", "inspection", *sets, "--no-figures", "--out", tmp_path / "a")
-    assert done.exit_code == (5 if violated else 0), done.output
+    command = [sys.executable, "-m", "polaris", "run", "inspection", *sets, "--no-figures", "--out", "a"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(polaris.__file__).parents[1])}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == (5 if violated else 0), done.stdout + done.stderr
     assert summary(tmp_path / "a")["safe"] == (not violated)
     assert ("CONSTRAINTS ARE VIOLATED." in done.stdout) == violated
     assert ("THE FUEL LIMIT IS EXCEEDED" in done.stdout and "of 0.5 m/s" in done.stdout) == violated

@@ -78,8 +78,8 @@ def build_filter(
     Raises
     ------
     ScenarioError
-        If an argument is of another kind or out of range, no option of the filter, contradicts the brake, or a
-        constraint of one's own is to be proven for all time.
+        If an argument is of another kind or out of range, no option of the filter, or contradicts the brake.
+        If a constraint of one's own is to be proven for all time.
     """
     one_of("kind", kind, KINDS)
     for name, value in options.items():
