@@ -13,8 +13,7 @@ from ..model.checks import number, of_kind, positive, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
 from ..model.system import Array, LinearSystem
-from .constraints.constraint import CONSTRAINTS, Constraint
-from .constraints.strengthening import FAMILIES
+from .constraints.constraint import Constraint
 from .vectors import CENTRE
 
 MOST_DEPUTIES = 50  # most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints
@@ -101,14 +100,13 @@ class Inspection:
         if self.passive_time * self.mean_motion > np.pi:
             rule = "must be at most half an orbit"
             raise ScenarioError("passive_time", self.passive_time, f"{rule}, {np.pi / self.mean_motion:g} s")
-        labels = [*CONSTRAINTS, *FAMILIES]
-        for one in self.constraints:
+        of_kind("constraints", self.constraints, tuple | list)
+        object.__setattr__(self, "constraints", tuple(self.constraints))
+        for k, one in enumerate(self.constraints):
             of_kind("constraints", one, Constraint)
-            if not one.label or one.label in labels:
-                raise ScenarioError(
-                    "constraints", one.label, "must have labels, each different, not the paper's"
-                )
-            labels.append(one.label)
+            one.check()
+            if one.label in [other.label for other in self.constraints[:k]]:
+                raise ScenarioError("constraints", one.label, "must have labels, each different")
         self._check_directions()
         self._check_authority()
 

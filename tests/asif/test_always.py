@@ -18,6 +18,7 @@ from polaris.inspection.constraints.allowable_set import allowable
 from polaris.inspection.constraints.families import Families
 from polaris.inspection.constraints.motion import SampledData
 from polaris.inspection.filters.assured import Explicit, Implicit
+from polaris.inspection.filters.build import build_filter
 from polaris.inspection.filters.explicit import Centralized, Decentralized
 from polaris.inspection.filters.member import Member
 from polaris.inspection.filters.simplex import SimplexExplicit, SimplexImplicit
@@ -420,6 +421,32 @@ def test_who_broke_an_assumption_says_so_until_it_has_a_new_plan(how):
         each._due = one._due
     assert go(one._due, heard=False)
     assert not go(one._due, heard=True) and one.moved
+
+
+OTHERS = {
+    "without": {"without": ("deputy_separation", "deputy_passive")},
+    "sun": {"sun_start": 0.3},
+    "kind": {"kind": "explicit"},
+    "alpha": {"strengthening": "afrl"},
+    "problem": {"inspection": replace(TWO, deputy_radius=4.0)},
+    "jitter": {"uncertainty": Uncertainty(jitter=0.001)},
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_group_whose_deputies_have_different_rules_moves_nowhere_and_says_so(name):
+    """One that left out pairs flew at the other, and both said that all was proven: phi8 came to -9 m."""
+    x = np.array([[0, -300, 300.0, 0, 0, 0], [0, -300, 340.0, 0, 0, 0]])
+    common = {"kind": "implicit", "inspection": TWO, "period": 1.0, "mixed": True}
+    rules = [build_filter(**common | changed) for changed in (OTHERS[name], {})]
+    members, (Phi, Gamma) = [Member(i, rule, 0.0, x) for i, rule in enumerate(rules)], TWO.held(1.0)
+    for k in range(20):
+        wanted = np.array([[0, 0, 1.0], [0, 0, -1.0]])
+        sent = [one.message(x[i], wanted[i]) for i, one in enumerate(members)]
+        u = [one.decide(float(k), sent) for one in members]
+        assert all(one.unproven and not one.moved for one in members)
+        x = x @ Phi.T + np.array(u) @ Gamma.T
+    assert 39.9 < x[1, 2] - x[0, 2] < 40.1
 
 
 def test_without_mixed_plans_there_is_no_group():

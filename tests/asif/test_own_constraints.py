@@ -18,6 +18,7 @@ from polaris.inspection import (
 )
 from polaris.inspection.closest import ClosestApproach
 from polaris.inspection.constraints.constraint import KINDS
+from polaris.inspection.constraints.strengthening import PRESETS, Strengthening
 from polaris.inspection.constraints.table import printed
 from polaris.inspection.filters.explicit import make_filter
 from polaris.inspection.flights.judge import judge
@@ -142,6 +143,90 @@ def test_the_papers_are_instances_of_the_same_protocol():
         found = one(z) if one.repeat == 1 else None
         assert value.shape == () and (found is None or found.gradient.shape == (6,))
         assert one.sampled().label == one.label and one.family == KINDS[one.label].family
+
+
+def with_(name, made):
+    return Inspection(deputies=2, constraints=(type("Own", (Ceiling,), {name: made})(),))
+
+
+WRONG = {
+    "label": [5, None, b"x", "", "h1", "h5+", "phi3", "sun", "thrust", "a[0]", "\x1b[31m"],
+    "family": ["speed", 3, None],
+    "rank": [-1, 2.5, "x", None, np.nan, 10**30],
+    "alpha": [None, 0.3, lambda h: h],
+    "pair": ["no", None, np.array([1, 2])],
+    "value": [
+        lambda self, z, sun=0.0: 3.0,
+        lambda self, z, sun=0.0: z,
+        lambda self, z, sun=0.0: z[..., 2] < 50,
+        lambda self, z, sun=0.0: None,
+        lambda self, z, sun=0.0: 1 / 0,
+        lambda self, z, sun=0.0: z[..., 2] - z[..., 2].mean(),
+        lambda self, z, sun=0.0: np.multiply(z, 0, out=z)[..., 0],
+    ],
+    "__call__": [
+        lambda self, z, sun=0.0: Evaluation(1.0, z, 0.0),
+        lambda self, z, sun=0.0: Evaluation(z[..., :2], z, 0.0),
+        lambda self, z, sun=0.0: Evaluation(z[..., 2], z[..., :3], 0.0),
+        lambda self, z, sun=0.0: Evaluation(z[..., 2], z, z),
+        lambda self, z, sun=0.0: Evaluation(z[..., 2] + 0j, z, 0.0),
+        lambda self, z, sun=0.0: (z[..., 2], z),
+        lambda self, z, sun=0.0: None,
+    ],
+    "curvature": [
+        lambda self, z, sun, motion: z,
+        lambda self, z, sun, motion: None,
+        lambda self, z, sun, motion: motion.nothing,
+    ],
+    "sampled": [lambda self: None],
+    "repeat": [0, 2],
+}
+
+
+@pytest.mark.parametrize(("name", "made"), [(name, made) for name, every in WRONG.items() for made in every])
+def test_what_is_no_constraint_is_refused_by_name(name, made):
+    """Some ended in a TypeError of a later call, some took the name of one of the paper's."""
+    with pytest.raises(ScenarioError, match=r"^constraints.*; must "):
+        with_(name, made)
+
+
+NONE = {
+    "value": lambda self, z, sun=0.0: np.full(z.shape[:-1], np.nan),
+    "__call__": lambda self, z, sun=0.0: Evaluation(z[..., 2] * np.nan, z, 0.0),
+    "curvature": lambda self, z, sun, motion: z[..., 2] * np.nan,
+}
+
+
+@pytest.mark.parametrize("kind", ["centralized", "consensus", "half"])
+@pytest.mark.parametrize("loops", [True, False])
+@pytest.mark.parametrize("name", [*NONE, "gradient"])
+def test_what_has_no_number_for_a_state_is_short_and_the_others_are_kept(name, loops, kind, monkeypatch):
+    """The program failed for all: nobody braked, and the pair came to 8 m where 10 m are asked for."""
+    monkeypatch.setattr(compiled, "wanted", lambda: loops)
+    changed = {"gradient": ("__call__", lambda self, z, sun=0.0: Evaluation(z[..., 2], z * np.nan, 0.0))}
+    q = with_(*changed.get(name, (name, NONE.get(name))))
+    f = build_filter("centralized" if kind == "centralized" else "decentralized", q, 1.0, sharing=kind)
+    x, (Phi, Gamma) = np.array([[0, -300, 300.0, 0, 0, 0.1], [0, -300, 315.0, 0, 0, -0.1]]), q.held(1.0)
+    for k in range(35):
+        answer = f.filter(float(k), x, np.array([[0, 0, 1.0], [0, 0, -1.0]]))
+        assert answer.missed["ceiling[0]"] == np.inf and answer.status == "short"
+        x = x @ Phi.T + answer.u @ Gamma.T
+        phi = allowable(q, x, q.sun_angle(k + 1.0))
+        assert min(phi[one].min() for one in KINDS if one in phi) >= 0
+    assert np.isnan(phi["ceiling"]).all() == (name == "value")
+
+
+def test_each_has_its_own_alpha_in_a_family_and_any_sequence_will_do():
+    """Of two in one family the last one's was used for both; a list ended in a TypeError when judged."""
+    slow, quick = (type("Own", (Ceiling,), {"label": name, "family": "roof"})() for name in ("slow", "quick"))
+    slow.alpha, quick.alpha = Strengthening((0.1, 0.0, 0.0)), Strengthening((0.9, 0.0, 0.0))
+    q = Inspection(deputies=2, constraints=[slow, quick])
+    rows = Families(q, "afrl")(START, np.zeros(()))
+    assert rows.h[-4] == rows.h[-2] and rows.bound[-4] > rows.bound[-2]
+    given = {**PRESETS["linear"], "roof": slow.alpha}
+    bound = Families(q, given)(START, np.zeros(())).bound
+    assert bound[-4] == bound[-2] == rows.bound[-4]
+    assert {"slow", "quick"} <= {*allowable(q, START, 0.0)}
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...model.checks import of_kind, whole
+from ...model.errors import ScenarioError
 from ...model.system import Array
 from .motion import Motion
 from .strengthening import PRESETS, Strengthening
@@ -36,6 +38,9 @@ KINDS = {
     "phi11": Kind("velocity", 2, False, "velocity limit, cross-track", "m^2/s^2"),
 }
 CONSTRAINTS = tuple(KINDS)
+RESERVED = {kind.family for kind in KINDS.values()} | {"thrust", "h5+", "h5-", *KINDS}
+RESERVED |= {name.replace("phi", "h") for name in KINDS}
+LAST = 99  # the largest rank
 PASSIVE = {"phi7": "passive", "phi8": "deputy_passive"}
 """The constraints on free flights: they are their own barriers, and no part of what a backup must keep."""
 
@@ -107,6 +112,45 @@ class Constraint(ABC):
     def curvature(self, z: Array, sun: ArrayLike, motion: Motion) -> Array:
         """Bound M on ``-d^2 h / dt^2``; ``-inf`` where h cannot become negative within the period."""
         raise TypeError(f"no bound for {type(self).__name__}")
+
+    def check(self) -> None:
+        """Refuse attributes of another kind, and what does not evaluate states one by one."""
+        where = f"constraints.{self.label}"
+        for name, kind in (("label", str), ("family", str), ("pair", bool), ("alpha", Strengthening)):
+            of_kind(f"{where}.{name}", getattr(self, name), kind)
+        if whole(f"{where}.rank", self.rank, 0) > LAST:
+            raise ScenarioError(f"{where}.rank", self.rank, f"must be at most {LAST}")
+        for word in (self.label, self.family or self.label):
+            if not word or word in RESERVED or "[" in word or not word.isprintable():
+                rule = "must have labels, each different, and families: not the paper's, without brackets"
+                raise ScenarioError("constraints", word, rule)
+        z = np.linspace([[1.0]], [[300.0]], 36).reshape(2, 3, 6) * np.repeat([1.0, 1e-3], 3)
+        z.flags.writeable = False
+        for form in dict.fromkeys((self, self.sampled())):
+            try:
+                every, one = _evaluated(form, z), _evaluated(form, z[1:, 2:])
+                good = all(np.allclose(every[k][1:, -form.repeat :], one[k], equal_nan=True) for k in every)
+            except Exception as error:
+                rule = "must evaluate states of shape (2, 3, 6) in arrays of numbers"
+                raise ScenarioError(where, f"{type(error).__name__}: {error}", rule) from error
+            if not good:
+                raise ScenarioError(where, type(form).__name__, "must evaluate each state by itself")
+
+
+def _evaluated(form: Constraint, z: Array) -> dict[str, Array]:
+    """All that a constraint says of states (R, K, 6); a ValueError where a shape or a type is wrong."""
+    sun, count = np.ones((len(z), 1)), (len(z), z.shape[1] * form.repeat)
+    h, gradient, change = form(z, sun)
+    out = {"value": form.value(z, sun), "h": h, "gradient": np.broadcast_to(gradient, (*count, 6))}
+    out["change"] = np.broadcast_to(change, count)
+    if type(form).curvature is not Constraint.curvature:
+        motion = Motion(1.0, *np.full((5, *z.shape[:2]), 0.1))
+        out["curvature"] = np.broadcast_to(form.curvature(z, sun, motion), count)
+    for name, values in out.items():
+        shape = {"value": z.shape[:2], "h": count}.get(name, np.shape(values))
+        if np.shape(values) != shape or np.asarray(values).dtype.kind not in "fi":
+            raise ValueError(f"{name} has shape {np.shape(values)} and type {np.asarray(values).dtype}")
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,7 +83,9 @@ class Families(Table):
         self.approach = approach = ClosestApproach(inspection.mean_motion, inspection.passive_time)
         beyond = np.inf if exact or sampled is not None else self._beyond(inspection, approach)
         super().__init__(inspection, without, approach, sampled is not None, beyond)
-        self._alpha = tuple(np.array([self.alpha[name].numbers for name in self.family]).T)
+        given = zip(self.family, self.constraints, strict=True)
+        numbers = [self.alpha.get(name, one.alpha).numbers for name, one in given]
+        self._alpha = tuple(np.array(numbers).T)
         self._rank = np.array([one.rank for one in self.constraints], dtype=np.intp)
         self._largest = np.sqrt(3) * inspection.thrust_max / inspection.mass  # acceleration by thrust
         self.loops: Any = loops("polaris.inspection.loops")
@@ -212,6 +214,10 @@ class Families(Table):
             D = self.sampled.period
             linear = np.maximum(h, 0.0) * (self.sampled.share / D)
             bound = bound + np.maximum(alpha - linear, 0.0) * (h > 0) + M * (D / 2)
+        # What one's own constraint cannot say of a state no input satisfies; the other rows are kept.
+        lost = np.isnan(bound) | ~np.isfinite(h) | ~np.isfinite(G).all(axis=-1)
+        lost[..., : max(self.known - first, 0)] = False
+        G[lost], bound[lost] = 0.0, np.inf
         return Rows(h, G, bound)
 
     def _motion(self, every: Array, drift: Array, held: Array | None) -> Motion | None:
@@ -231,14 +237,13 @@ class Families(Table):
 def _checked(
     strengthening: str | Mapping[str, Strengthening], own: Collection[Constraint], sampled: SampledData | None
 ) -> dict[str, Strengthening]:
-    own_alpha = {one.family or one.label: one.alpha for one in own}
     if isinstance(strengthening, str):
-        return preset(strengthening, sampled is not None) | own_alpha
+        return preset(strengthening, sampled is not None)
     of_kind("strengthening", strengthening, str | Mapping)
     for name in FAMILIES:
         if name not in strengthening:
             raise ScenarioError("strengthening", list(strengthening), f"must have {name}, which is missing")
     for name, alpha in strengthening.items():
-        one_of("strengthening", name, (*FAMILIES, *own_alpha))
+        one_of("strengthening", name, (*FAMILIES, *(one.family or one.label for one in own)))
         of_kind(f"strengthening.{name}", alpha, Strengthening)
-    return {name: strengthening.get(name) or own_alpha[name] for name in (*FAMILIES, *own_alpha)}
+    return dict(strengthening)

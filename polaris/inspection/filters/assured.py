@@ -81,6 +81,15 @@ class Assured(CallByCall):
         self._sure = np.zeros(self.inspection.deputies, dtype=bool)  # whose states were surely known
         self.take_over(None)
 
+    @property
+    def settings(self) -> tuple[object, ...]:
+        """Return all that answers depend on beside the calls: alike for filters that answer alike."""
+        filtering, unknown = self.recovery.filtering, self.brake.uncertainty
+        rows, sharing = filtering.families, getattr(filtering, "sharing", "")
+        errors = (*unknown.estimate.tolist(), unknown.disturbance, unknown.thrusters, unknown.jitter)
+        plans = (self.inspection, self.period, errors, self.check.sun_start, self.check.labels)
+        return type(self), *plans, sharing, rows.labels, rows.alpha, rows.sampled
+
     def _check_families(self, families: Families) -> None:
         """Refuse families of another problem than the planner's."""
         of_kind("families", families, Families)

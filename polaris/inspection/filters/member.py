@@ -21,7 +21,8 @@ from .assured import Explicit, Implicit
 class Message(NamedTuple):
     """What a deputy tells the others each period: estimated state (6,), wanted thrust (3,) [N], its plan.
 
-    The plan (L+1, 1, 6) is from the period's start t [s] on; the tube about it is (L+1, 1, 2).
+    The plan (L+1, 1, 6) is from the period's start t [s] on; the tube about it is (L+1, 1, 2). The `rule` is
+    `Assured.settings` of its filter.
     """
 
     t: float
@@ -29,6 +30,7 @@ class Message(NamedTuple):
     wanted: Array
     plan: Array
     tube: Array
+    rule: tuple[object, ...]
 
 
 class Member:
@@ -51,7 +53,8 @@ class Member:
         Whether the last answer was the common one, and not the plan's.
     unproven : bool
         Whether the state was not known or not within the tube, or the call not in time, since the plan was
-        made: the assumptions do not hold, and what follows is unproven until there is a new plan.
+        made, or another deputy's rule is not this one's: the assumptions do not hold, and what follows is
+        unproven until there is a new plan.
 
     Raises
     ------
@@ -81,17 +84,21 @@ class Member:
     def message(self, x: Array, wanted: Array) -> Message:
         """What to tell all, at an estimated state (6,) and with a wanted thrust (3,) [N]."""
         plan, tube = self._flown[:2]
-        return Message(self._due, np.array(x, dtype=float), np.array(wanted, dtype=float), plan, tube)
+        given = np.array(x, dtype=float), np.array(wanted, dtype=float)
+        return Message(self._due, *given, plan, tube, self.rule.settings)
 
     def decide(self, t: float, told: Sequence[Message | None]) -> Array:
         """Thrust (3,) [N] of the period that begins at t [s]; messages of all, the own among them, by number.
 
-        None stands for one that has not arrived; one of another period counts as such.
+        None stands for one that has not arrived; one of another period or rule counts as such.
         """
         own, D = told[self.me], self.brake.period
         if own is None:
             raise ScenarioError("told", self.me, "a deputy knows what it tells itself")
-        heard = [message for message in told if message is not None and abs(message.t - t) <= 1e-6 * D]
+        sent = [message for message in told if message is not None]
+        alike = [message for message in sent if message.rule == self.rule.settings]
+        heard = [message for message in alike if abs(message.t - t) <= 1e-6 * D]
+        self.unproven |= len(alike) < len(sent)
         seen, flown = _known(own.x), self._flown
         on_time, self._due = abs(t - self._due) <= 1e-6 * D, (t if np.isfinite(t) else self._due) + D
         self._lost = 0.0 if seen else self._lost + D

@@ -9,6 +9,7 @@ from ...model.system import Array
 from ..constraints.allowable_set import allowable
 from ..constraints.constraint import KINDS, PASSIVE
 from ..constraints.families import Families
+from ..constraints.strengthening import FAMILIES
 from ..constraints.table import Index
 from .simulation import InspectionRun
 
@@ -88,7 +89,7 @@ def judge(run: InspectionRun, families: Families, between: int) -> JudgedRun:
     The families are all constraints, nothing tightened and none left out; `between` is the number of instants
     inside each period that are judged, too.
     """
-    order = (name for name in families.alpha if name in families.family)
+    order = (name for name in dict.fromkeys((*FAMILIES, *families.family)) if name in families.family)
     rows = {name: np.flatnonzero(families.among(name)) for name in order}
     barriers = {name: Keeper(families.everyone[families.place[chosen]]) for name, chosen in rows.items()}
     constraints = keepers(families)
