@@ -242,7 +242,9 @@ def _checked(
     of_kind("strengthening", strengthening, str | Mapping)
     for name in FAMILIES:
         if name not in strengthening:
-            raise ScenarioError("strengthening", list(strengthening), f"must have {name}, which is missing")
+            raise ScenarioError(
+                "strengthening", list(strengthening), f"must have every family: {name} is missing"
+            )
     for name, alpha in strengthening.items():
         one_of("strengthening", name, (*FAMILIES, *(one.family or one.label for one in own)))
         of_kind(f"strengthening.{name}", alpha, Strengthening)

@@ -21,14 +21,17 @@ from .explicit import CENTRALIZED, SHARINGS, make_filter
 from .simplex import SimplexExplicit, SimplexImplicit
 
 SIMPLEX: dict[str, type[Assured]] = {"simplex_explicit": SimplexExplicit, "simplex_implicit": SimplexImplicit}
-KINDS = ("centralized", "decentralized", "explicit", "implicit", *SIMPLEX)
-OPTIONS = {
-    **dict.fromkeys(KINDS[:2], ("backup",)),
-    **dict.fromkeys(KINDS[2:4], ()),
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "centralized": ("backup",),
+    "decentralized": ("backup",),
+    "explicit": (),
+    "implicit": (),
     "simplex_explicit": ("margin", "release", "dwell", "looks"),
     "simplex_implicit": ("release_distance", "release_speed", "dwell"),
 }
 """Further options of each kind."""
+
+KINDS = tuple(OPTIONS)
 
 
 def build_filter(

@@ -75,10 +75,8 @@ class Member:
             raise ScenarioError("x", x.tolist(), f"no plan is proven from there: {told}")
         self._none = np.zeros(len(rule.check.labels))
         self._due, self._flown = t, self._part(found)
-        self._next, self._lost = (
-            np.array(x[me], dtype=float),
-            0.0,
-        )  # state from the last known one; its age [s]
+        self._next = np.array(x[me], dtype=float)  # the state that follows from the last known one
+        self._lost = 0.0  # for how long it has not been known [s]
         self.moved = self.unproven = False
 
     def message(self, x: Array, wanted: Array) -> Message:
