@@ -47,7 +47,16 @@ function start() {
     });
   }
 
-  const paintScene = () => Plotly.react(scene, themed(sceneTraces(data, state)), themed(layout), options);
+  async function paintScene() {
+    const { traces, names, marks } = sceneParts(data, state);
+    const draw = (annotations) => Plotly.react(scene, themed(traces),
+      themed({ ...layout, ...(data.scene.space === 3 ? { scene: { ...layout.scene, annotations } } : { annotations }) }), options);
+    if (!scene._fullLayout) { // names are placed in what is drawn
+      await draw([]);
+      scene.on("plotly_relayout", drawScene);
+    }
+    await draw(annotationsOf(scene, data, names, marks));
+  }
 
   async function drawTimelines() {
     const figure = timelineFigure(data, state);
