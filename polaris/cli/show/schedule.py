@@ -57,7 +57,7 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
 def _share(synthesis: Mapping[str, Any]) -> str:
     """Share of the time under U, and what is proven of any schedule."""
     flies, most = f"{synthesis['experimental_share']:.1%} of the time", synthesis["share_at_most"]
-    return f"{flies}, of at most {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
+    return f"{flies}; no schedule can exceed {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
 
 
 def _planned(plan: Mapping[str, Any]) -> str:

@@ -40,7 +40,7 @@ TITLES = {
     "mean_distance_m": "distance, mean over time and runs",
     "min_ttc_s": "least time to collision, straight on",
     "min_ttc_free_drift_s": "least time to collision, free drift",
-    "drift_horizon_s": "free drift is looked at for",
+    "drift_horizon_s": "time that free drift is followed for",
     "experimental_share": "share of experimental control",
     "switches": "switches",
     "delta_v_m_s": "velocity change, mean",

@@ -171,7 +171,7 @@ def _rounded(values: Array, most: float) -> Array:
 
 def _spent(most: float | None, series: list[Any]) -> dict[str, Any]:
     """Velocity change so far, and what is proven of it."""
-    told = f"schedule, until the goal: at most {directed(most, '.4g', up=True)}" if most else ""
+    told = f"proven until the goal: at most {directed(most, '.4g', up=True)}" if most else ""
     return panel("spent", "Velocity change so far", "m/s", [limit(most, told)] if most else [], series)
 
 
@@ -199,7 +199,7 @@ def _proven(bound: Array, delta: float) -> dict[str, Any]:
     times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
     line = {"t": plain(times), "y": plain(np.append(bound.ravel(), bound[-1, -1])), "step": True}
     look = {"colour": GREEN, "dash": "solid", "fill": True}
-    return {"pilot": None, "name": "proven for the schedule: at least"} | line | look
+    return {"pilot": None, "name": "least that is proven for the schedule"} | line | look
 
 
 def proven_distance(picture: Picture) -> Array | None:

@@ -184,12 +184,12 @@ function readout(data, state) {
   $("readout").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
   const notes = data.panels.flatMap((panel) => panel.series.filter((one) => one.pilot === null).map((series) => {
     const [i, s] = place(series.t, series.bars ? state.t + series.width / 2 : state.t);
-    const text = series.text ? ` (${series.text[i]})` : "";
-    return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
+    if (series.text) return `${panel.title}: ${series.text[i]}`;
+    return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}`;
   }));
   const slice = state.groups.has("slice") && sliceAt(data, state);
   if (slice) notes.push(slice.p ? `Recoverable set drawn: at ${short(slice.t)} s${slice.now ? "" : ", not at the time shown"}`
-    : `Recoverable set at ${short(slice.t)} s: not drawn, for the run shown is outside of it`);
+    : `Recoverable set at ${short(slice.t)} s: not drawn, because the run shown is outside of it`);
   $("notes").replaceChildren(...notes.map((text) => element("li", { textContent: text })));
 }
 
