@@ -12,7 +12,7 @@ from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
-from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, save_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
@@ -85,7 +85,7 @@ def run(
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
     found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
-        return save_folder(place, kind, scenario, found, draw=draw, stages=stages)
+        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
 
 
 def _run_many(

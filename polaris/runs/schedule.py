@@ -40,6 +40,7 @@ from ..synthesis.share_bound import ShareBound, share_bound
 from ..synthesis.withheld import withheld
 from . import arrays
 from . import tables as files
+from .atomic import check_target
 from .certificate import described, hexadecimal, write_certificate, write_gains
 from .declared import naming_errors
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
@@ -159,7 +160,7 @@ def write_run(
     if flown is None:
         flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
     found = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
-    return write_folder(out, SCHEDULE, scenario, found, draw=draw)
+    return write_folder(check_target(out, SCHEDULE.names), SCHEDULE, scenario, found, draw=draw)
 
 
 def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> None:

@@ -202,7 +202,7 @@ def _write_point(point: Point) -> tuple[str, int] | None:
     except (SynthesisInfeasible, NotCertified) as error:
         if not swept:
             return str(error), error.exit_code
-        write_folder(folder, INFEASIBLE, scenario, str(error))
+        write_folder(check_target(folder, INFEASIBLE.names), INFEASIBLE, scenario, str(error))
     except PolarisError as error:
         return str(error), error.exit_code
     return None
