@@ -14,7 +14,7 @@ from reach.numerics.files import read_regular
 
 from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
-from ..model.errors import ScenarioError
+from ..model.errors import ScenarioError, quoted
 from ..model.files import parse_json
 from ..runs.atomic import check_file, replacing_file
 from ..runs.tables import strict
@@ -87,7 +87,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) < len(pairs):
         keys = [key for key, _ in pairs]
-        raise Odd(f"holds the key {next(key for key in keys if keys.count(key) > 1)!r} twice in one object")
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise Odd(f"holds the key {quoted(twice)} twice in one object")
     return out
 
 

@@ -25,7 +25,7 @@ from .timelines import WHO, input_panels, kept, limit, modes_present, panel, pil
 
 LIMITS = (
     "That the next program of the filter has a solution, unless it says so above.",
-    "Anything if an assumption fails: another motion, later commands, or larger errors of thrust or of the estimate.",
+    "Anything if an assumption fails: another motion, later commands, larger errors of thrust or estimates.",
     "Anything beyond this flight: simulated flights illustrate, they prove nothing.",
 )
 
