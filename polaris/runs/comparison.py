@@ -32,7 +32,7 @@ from .tables import strict, write_text
 
 @dataclass(frozen=True, eq=False)
 class ComparisonPicture:
-    """What figures show of a comparison."""
+    """Plot data of a comparison."""
 
     table: dict[str, Any]  # contents of ``comparison.json``
     run: RunFolder  # of the schedule
@@ -141,4 +141,4 @@ def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
 COMPARISON = RunKind(
     "comparison", ("comparison.json", "comparison.npz"), _write, _tell, _read, summary="comparison.json"
 )
-"""What a comparison leaves."""
+"""Run folder of a comparison."""

@@ -28,7 +28,7 @@ SCENARIO = "scenario.toml"
 
 @dataclass(frozen=True)
 class RunKind:
-    """What one kind of run folder holds.
+    """Kind of run folder: its files and the functions that write and read them.
 
     `write` writes the files but for the scenario's copy, `tell` gives the summary (both None where a campaign
     writes as it flies), `read` what is drawn; `fly` is what `polaris.run` does with a scenario.
@@ -77,7 +77,7 @@ class RunFolder:
         return self.json(self.kind.summary)
 
     def picture(self) -> Any:
-        """What figures and pages are drawn from, read from the files.
+        """Return the plot data of figures and pages, read from the files.
 
         Returns
         -------

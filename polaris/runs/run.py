@@ -22,7 +22,7 @@ from .schedule import SCHEDULE
 from .stages import Stages
 
 KINDS: dict[str, RunKind] = {kind.name: kind for kind in (SCHEDULE, FLIGHT, FUEL_LIMIT, MONTE_CARLO)}
-"""What a run leaves, by the kind of its scenario."""
+"""Kinds of run folders, by the kind of the scenario."""
 
 
 def run(
@@ -128,7 +128,7 @@ def read_run(path: str | Path) -> RunFolder:
 
 
 def _kind_of(folder: Path) -> RunKind:
-    """What a folder holds, as far as the files that tell it can be read."""
+    """Return the kind of a folder, as far as the files that tell it can be read."""
     for kind in (COMPARISON, TRADEOFF):
         if (folder / kind.summary).is_file():
             return kind

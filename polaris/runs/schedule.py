@@ -224,7 +224,7 @@ def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float
 
 
 def _boxes(sampled: Sampled | None) -> dict[str, Any]:
-    """What is proven without asking the black boxes, and the worst that was found with them."""
+    """Return the share proven without asking the black boxes, and the worst flight found with them."""
     if sampled is None:
         return {}
     told, worst = None, sampled.worst
@@ -242,7 +242,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
 
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
-    """What is claimed, until when, why, and on what assumptions."""
+    """Return the claim, until when it holds, its reason, and its assumptions."""
     end, goal, late = schedule.safety.end, schedule.arrival, withheld(schedule)
     return {
         "kind": schedule.guarantee,
@@ -292,4 +292,4 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
 
 
 SCHEDULE = RunKind("schedule", DATA_FILES, _write, _tell, _read, fly_schedule)
-"""What a run of a schedule leaves."""
+"""Run folder of a schedule."""

@@ -155,7 +155,7 @@ def _take_up(out: str | Path) -> Path:
 
 
 def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
-    """Whether a point is there, undamaged, of this scenario and these versions."""
+    """Return True if a point is there, undamaged, of this scenario and these versions."""
     try:
         same = (folder / SCENARIO).read_bytes() == scenario.copy_text().encode()
         if (folder / INFEASIBLE.summary).is_file():

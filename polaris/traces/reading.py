@@ -56,7 +56,7 @@ def uncollected() -> Iterator[None]:
 
 
 def _parsed(path: str | Path) -> Any:
-    """What the file says, as plain data."""
+    """Read a file as plain data."""
     try:
         text = read_regular(path).decode("utf-8-sig")
         return parse_json(text, parse_constant=_no_constant, object_pairs_hook=_unique)

@@ -1,4 +1,4 @@
-"""What the command line shows of a run of a schedule, and of a campaign of such runs."""
+"""Printed summaries of a run of a schedule and of a campaign of such runs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -61,7 +61,7 @@ def _share(synthesis: Mapping[str, Any]) -> str:
 
 
 def _planned(plan: Mapping[str, Any]) -> str:
-    """How the planner ended, and who solved it."""
+    """Describe the planner's outcome and its solver."""
     gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
     ended = {
         "optimal": "optimal",
@@ -73,7 +73,7 @@ def _planned(plan: Mapping[str, Any]) -> str:
 
 
 def _worst(found: Mapping[str, Any] | None) -> str:
-    """What flights at their worst do with black boxes."""
+    """Describe the worst flights found with black boxes."""
     if found is None:
         return "Black boxes fly no step: nothing could be said of them with the probability asked for."
     hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"

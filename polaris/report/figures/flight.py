@@ -189,7 +189,7 @@ def _free_distance(ax: Any, run: InspectionRun) -> None:
 
 
 def _passive(ax: Any, run: InspectionRun) -> None:
-    """The same flights and the path, in the plane in which it is longest, and the chief's sphere."""
+    """Draw free flights, the path in the plane in which it is longest, and the chief's sphere."""
     deputy = nearest_deputy(run)
     path = run.x[:, deputy, :3]
     plane = np.sort(np.argsort(np.ptp(path, axis=0))[1:])[::-1]

@@ -1,4 +1,4 @@
-"""How every printed figure looks: readable at column width, in plain text, the same bytes every time."""
+"""Style of printed figures: readable at column width, in plain text, the same bytes every time."""
 
 import atexit
 import shutil

@@ -1,4 +1,4 @@
-"""Who flew, and what is drawn over time, as the page's script reads it.
+"""Plot data of flights over time, as the page's script reads them.
 
 A pilot is one controller, method or spacecraft with the runs of it that can be shown:
 ``{key, name, colour, dash, on, labels, t, runs: [{p, modes}]}``, where ``p`` are the coordinates by axis and
@@ -39,7 +39,7 @@ Drawn = tuple[str, Array, Array | None]
 
 
 class Flown(NamedTuple):
-    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown."""
+    """Controller that flew, its look (``colour``, ``dash``, ``on`` at first), and its runs."""
 
     key: str
     name: str
@@ -50,7 +50,7 @@ class Flown(NamedTuple):
 def flight_data(
     picture: Picture, flown: Sequence[Flown], proved: bool, by: str, opened: float | None = None
 ) -> dict[str, Any]:
-    """What the page's script draws of a schedule and its pilots, coloured by ``mode`` or ``pilot``.
+    """Return the plot data of a schedule and its pilots, coloured by ``mode`` or ``pilot``.
 
     The distance that is proven is shown if there is a proof. The page opens at `opened` [s], by default the
     closest approach.

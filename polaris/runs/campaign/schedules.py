@@ -32,7 +32,7 @@ from ..tables import columns
 from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
-"""Who flies: the schedule, S alone, or the preferred U alone; further U are ``experimental_2`` and so on."""
+"""Modes: the schedule, S alone, the preferred U alone; further U are ``experimental_2`` and so on."""
 
 KEPT = 4  # schedules a process keeps; cases come one after the other, so few are in use at a time
 
@@ -79,7 +79,7 @@ ASSUMPTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """What is asked of black boxes, by their names; None before it is given."""
+    """Functions that ask black boxes, by their names; None before they are given."""
 
     asks: Mapping[str, Ask | None]
     busy: threading.Lock = field(default_factory=threading.Lock)
