@@ -64,8 +64,9 @@ class CampaignPlan:
         whole("--batch", self.batch, 1)
         if not self.cases:
             raise ScenarioError("cases", [], "must hold at least one")
-        for case in self.cases if isinstance(self.kind, ScheduleRuns) else ():
-            self.kind.check_case(case.text, case.label)
+        if isinstance(self.kind, ScheduleRuns):
+            for case in self.cases:
+                self.kind.check_case(case.text, case.label)
 
     @property
     def batches(self) -> int:

@@ -10,7 +10,8 @@ const $ = (id) => document.getElementById(id);
 const ROUND_OFF = 1e-12; // below this is what rounding leaves of a zero
 const short = (value) => {
   if (value === null || value === undefined) return "none";
-  return Math.abs(value) < ROUND_OFF ? "0" : String(Number(Number(value).toPrecision(4)));
+  if (Math.abs(value) < ROUND_OFF) return "0";
+  return Math.abs(value) < 1e-3 ? Number(value).toExponential(2) : String(Number(Number(value).toPrecision(4)));
 };
 const runOf = (pilot, state) => Math.max(pilot.labels.indexOf(state.run), 0);
 

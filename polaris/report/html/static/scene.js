@@ -173,7 +173,7 @@ function sceneParts(data, state) {
 function sceneLayout(data, frame) {
   const { space, axes, range } = data.scene;
   const axis = (k) => ({ title: { text: plain(axes[k]), font: { size: 12 } }, range: range[k], autorange: false,
-    gridcolor: "#E2E2E2", color: "#444", zeroline: false, tickfont: { size: 11 }, nticks: 6 });
+    gridcolor: "#E2E2E2", color: "#444", zeroline: false, tickfont: { size: 11 }, nticks: space === 3 && isNarrow() ? 4 : 6 });
   const common = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "keep", hovermode: "closest",
     font: { family: "system-ui, sans-serif", color: "#222" } };
   if (space === 2) {
@@ -208,7 +208,7 @@ function seenFrom(ratio, far) {
 // The nearest camera, from one direction, for which a box and its labels fill the frame and are all within it.
 function cameraFor(ratio, aspect) {
   // Titles of axes stand outside of the box, and are as large in a narrow window.
-  const half = HALF, room = document.documentElement.clientWidth < 600 ? 0.62 : 0.8;
+  const half = HALF, room = isNarrow() ? 0.62 : 0.8;
   let near = 0.1, far = 50;
   for (let i = 0; i < 40; i++) {
     const middle = (near + far) / 2, { points, size } = seenFrom(ratio, middle);

@@ -87,7 +87,7 @@ function linesOf(panel) {
 }
 
 function timelineFigure(data, state) {
-  const narrow = document.documentElement.clientWidth < 600, marks = (data.marks || []).map((one) => plain(one.text));
+  const narrow = isNarrow(), marks = (data.marks || []).map((one) => plain(one.text));
   const rows = rowsOf(data, state), heights = [ROW * rows.length + 8, ...data.panels.map(() => PANEL)];
   const titles = [data.modes_title, ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].map((title, n) => {
     const bold = wrapped(title, narrow ? 34 : 90).map((line) => `<b>${plain(line)}</b>`);
