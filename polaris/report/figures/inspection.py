@@ -148,7 +148,9 @@ def _path(ax: Any, run: FuelRun) -> None:
     middle, size = (low + high) / 2, 1.1 * (high - low)
     half = 0.5 * np.maximum(size, 0.55 * size.max())
     (x0, y0), (x1, y1) = middle - half, middle + half
-    ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="Along-track (m)", ylabel="Radial (m)")
+    ax.set(xlabel="Along-track (m)", ylabel="Radial (m)")
+    ax.set_xlim(x0, x1, auto=True)  # not fixed: else matplotlib says that it widens them
+    ax.set_ylim(y0, y1, auto=True)
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
     ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
