@@ -24,7 +24,7 @@ def main(arguments: list[str]) -> int:
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
     # No terminal obeys a name in it.
-    print("".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in verdict.text()))
+    print("".join(c if c == "\n" or c.isprintable() else f"\\u{ord(c):04x}" for c in verdict.text()))
     return verdict.exit_code
 
 

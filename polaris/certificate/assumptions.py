@@ -81,7 +81,8 @@ class Premises:
             *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
             *([SATELLITES] if self.satellites else []),
             *self._of_hardware(),
-            "experimental controllers: each obeys its declared model, told of obstacles what theirs allow",
+            "experimental controllers: each obeys its declared model, and what it is told of obstacles "
+            "agrees with their declared motion",
             *(f"network {name}: {ARITHMETIC[precision]}" for name, precision in self.networks),
             *(_of_samples(**self.sampled) if self.sampled else []),
             self._of_fuel(),

@@ -32,7 +32,9 @@ class Options:
     seed: int | None = Option(None, min=0, help="Same seed, same runs; default 0.")
     grid: list[str] = Option([], metavar="KEY=V1,V2,...", help="Values to combine; repeatable.")
     assignments: Assignments = None
-    mode: list[str] = Option([], help="Who flies: polaris (default), safety, experimental; repeatable.")
+    mode: list[str] = Option(
+        [], help="Who flies: polaris (default), safety, experimental, experimental_2, ...; repeatable."
+    )
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-campaign.")
     batch: int | None = Option(None, min=1, help="Runs per task; default 250.")
     initial: str | None = Option(None, help="Initial states: mixed (default), random, corners, center.")

@@ -1,4 +1,4 @@
-"""What the verbs of the command line share: the application, their options, and how they end."""
+"""Application, options and exit codes that the verbs of the command line share."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def tested_packages() -> None:
 
 
 def drawing(figures: bool) -> Any:
-    """What draws figures, if they are wanted."""
+    """Return the function that draws figures, or None if none are wanted."""
     if not figures:
         return None
     from ..report.figures import draw_run

@@ -6,7 +6,7 @@ from typing import Any
 
 from typer import Argument, Option
 
-from ..model.errors import ScenarioError
+from ..model.errors import ScenarioError, quoted
 from .shell import Force, Json, Quiet, echo, print_json, verb
 
 
@@ -113,7 +113,7 @@ def export_command(
     if not quiet:
         agent = next(iter(found.trace.agents.values()))
         echo(
-            f"{path}: run {label!r} of {pilot}, {counted(len(agent.times), 'sample')} over"
+            f"{path}: run {quoted(label)} of {pilot}, {counted(len(agent.times), 'sample')} over"
             f" {agent.times[-1] - agent.times[0]:g} s, unsafe sets: {len(found.trace.unsafe)}"
         )
         for note in found.notes:

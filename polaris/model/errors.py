@@ -15,6 +15,14 @@ def escape_controls(text: str) -> str:
     return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
+def quoted(value: object) -> str:
+    r"""Return a value as messages show it: its `repr`, backslashes once, control characters as in ``\u001b``.
+
+    A text whose control characters are escaped already looks the same as one that holds them.
+    """
+    return re.sub(r"\\(\\|x(..))", lambda found: "\\" + (f"u00{found[2]}" if found[2] else ""), repr(value))
+
+
 class PolarisError(Exception):
     """Root of every error this package raises on purpose."""
 
@@ -34,7 +42,7 @@ class ScenarioError(PolarisError):
         self.given = given
         self.rule = rule
         self.where = where
-        shown = repr(given)
+        shown = quoted(given)
         if len(shown) > 120:
             shown = shown[:117] + "..."
         prefix = f"{where}: " if where else ""

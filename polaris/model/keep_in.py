@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from reach.sets.zonotope import Zonotope
 
 from .checks import MOST_ROWS, number, positive, vector, whole
-from .errors import ScenarioError
+from .errors import ScenarioError, quoted
 from .obstacle import Anchored, solid
 from .shapes import Polytope, Shape, _directed, _in_time
 from .system import Array, LinearSystem
@@ -113,7 +113,7 @@ class KeepIn(Anchored):
     @property
     def path(self) -> str:
         """What error messages start with."""
-        return f"keep_in[{self.name!r}]"
+        return f"keep_in[{quoted(self.name)}]"
 
     @property
     @abstractmethod

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import halfspaces, positive, vector, whole
-from .errors import ScenarioError
+from .errors import ScenarioError, quoted
 from .shapes import FLAT, Ball, Polytope, Shape
 from .system import Array, LinearSystem
 from .timed_polytope import TimedPolytope
@@ -56,7 +56,7 @@ class Obstacle(ABC):
     @property
     def path(self) -> str:
         """What error messages start with."""
-        return f"obstacles[{self.name!r}]"
+        return f"obstacles[{quoted(self.name)}]"
 
     @property
     @abstractmethod

@@ -49,7 +49,7 @@ def write_report(folder: str | Path, out: str | Path | None = None, *, force: bo
 
 
 def report_page(run: RunFolder) -> Page:
-    """What the report of a folder says; see `write_report`."""
+    """Return the contents of the report of a folder; see `write_report`."""
     from .html.comparison_report import comparison_page
     from .html.inspection_report import inspection_page
     from .html.run_report import run_page

@@ -1,4 +1,4 @@
-"""What is attacked, and counterexamples as files: all that is needed to fly one again, exact to the bit."""
+"""Targets of attacks, and counterexamples as files: all that flies one again, exact to the bit."""
 
 from collections.abc import Sequence
 from itertools import groupby

@@ -38,7 +38,7 @@ from .tables import errors_of, json_text, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
-    """The same nested data, floats as exact hexadecimal text; words, whole numbers and None stay."""
+    """Return nested data with floats as exact hexadecimal text; words, whole numbers and None stay."""
     return strict(values, float.hex)
 
 
@@ -96,7 +96,7 @@ def write_gains(path: Path, schedule: Schedule) -> None:
 
 
 def _flown(schedule: Schedule) -> dict[str, Any]:
-    """What flies: the system, its sampling and its controllers."""
+    """Return the system, its sampling and its controllers."""
     safety, feedback = schedule.safety, schedule.safety.tracking.feedback
     return {
         "system": _system(safety),
@@ -155,7 +155,7 @@ def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
 
 
 def _drift(schedule: Schedule) -> dict[str, Any]:
-    """Where thrust may stop, and the facets that separate the drift; of a step that is not clear, None."""
+    """Return where thrust may stop and facets that separate the drift; None for steps that are not clear."""
     passive = schedule.passive
     if passive is None:
         return {}
@@ -214,7 +214,7 @@ def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
 
 
 def described(law: NeuralController) -> dict[str, Any]:
-    """What a network reads, its layers and its scales."""
+    """Return a network's inputs, layers and scales."""
     policy = law.policy
     scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
     moves = {key: (python_name(key), none) for key, none in MOVES.items()}
@@ -239,7 +239,7 @@ def layer_item(layer: Affine | Diagonal | Activation) -> dict[str, Any]:
 
 
 def _samples(schedule: Schedule) -> dict[str, Any]:
-    """What samples say: of the flights, and where the errors are at the nodes of the steps of black boxes."""
+    """Return the statement about samples, and the fitted error sets at the nodes of black boxes' steps."""
     if schedule.statement is None:
         return {}
     fits = [getattr(step.tube, "fit", None) for step in schedule.steps]

@@ -23,6 +23,7 @@ from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation.baselines import Flights
 from .arrays import flight_arrays, read_flights
+from .atomic import check_target
 from .folder import Draw, RunFolder, RunKind, read_json, write_folder
 from .schedule import SCHEDULE, write_run
 from .stages import Stages
@@ -31,7 +32,7 @@ from .tables import strict, write_text
 
 @dataclass(frozen=True, eq=False)
 class ComparisonPicture:
-    """What figures show of a comparison."""
+    """Plot data of a comparison."""
 
     table: dict[str, Any]  # contents of ``comparison.json``
     run: RunFolder  # of the schedule
@@ -65,7 +66,8 @@ def write_comparison(
     ScenarioError
         If `out` is something else than a folder of ours, or cannot be written.
     """
-    return write_folder(out, COMPARISON, scenario, comparison, draw=draw, stages=stages)
+    target = check_target(out, COMPARISON.names)
+    return write_folder(target, COMPARISON, scenario, comparison, draw=draw, stages=stages)
 
 
 def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -139,4 +141,4 @@ def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
 COMPARISON = RunKind(
     "comparison", ("comparison.json", "comparison.npz"), _write, _tell, _read, summary="comparison.json"
 )
-"""What a comparison leaves."""
+"""Run folder of a comparison."""

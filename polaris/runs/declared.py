@@ -1,4 +1,4 @@
-"""Which of the errors that a scenario declares stand in the way of a safe reference, and by how much."""
+"""Search for the declared errors that keep a scenario from having a safe reference, and by how much."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -18,7 +18,7 @@ Bounds = Mapping[str, Any]  # numbers, or lists of them, by their keys in the sc
 
 
 def naming_errors(error: SynthesisInfeasible, scenario: ScheduleScenario) -> SynthesisInfeasible:
-    """The same, told to what each declared bound must be lowered alone, or all of them together."""
+    """Return the error with the values to which each declared bound, or all together, must be lowered."""
     data = scenario.to_dict()
     bounds = {key: value for table in TABLES for key, value in _bounds(table, data.get(table))}
     if not bounds or not _found(scenario, bounds, SHARES[-1]):
@@ -54,7 +54,7 @@ def _less(value: Any, share: float) -> Any:
 
 
 def _found(scenario: ScheduleScenario, bounds: Bounds, share: float) -> bool:
-    """Whether a safe reference is found with a share of some bounds."""
+    """Return True if a safe reference is found with a share of some bounds."""
     less = {key: _less(value, share) for key, value in bounds.items()}
     try:
         find_safety(scenario.with_overrides(less).problem())

@@ -19,7 +19,7 @@ from ..model.errors import ScenarioError
 from ..model.files import load_json
 from ..model.version import versions
 from ..scenario.scenario import Scenario
-from .atomic import check_target, replacing
+from .atomic import replacing
 from .stages import Stages
 from .tables import json_text, write_text
 
@@ -28,7 +28,7 @@ SCENARIO = "scenario.toml"
 
 @dataclass(frozen=True)
 class RunKind:
-    """What one kind of run folder holds.
+    """Kind of run folder: its files and the functions that write and read them.
 
     `write` writes the files but for the scenario's copy, `tell` gives the summary (both None where a campaign
     writes as it flies), `read` what is drawn; `fly` is what `polaris.run` does with a scenario.
@@ -77,7 +77,7 @@ class RunFolder:
         return self.json(self.kind.summary)
 
     def picture(self) -> Any:
-        """What figures and pages are drawn from, read from the files.
+        """Return the plot data of figures and pages, read from the files.
 
         Returns
         -------
@@ -98,19 +98,6 @@ Draw = Callable[[RunFolder], object]  # what puts the figures into a folder: `po
 
 
 def write_folder(
-    out: str | Path,
-    kind: RunKind,
-    scenario: Scenario,
-    found: Any,
-    *,
-    draw: Draw | None = None,
-    stages: Stages | None = None,
-) -> RunFolder:
-    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written."""
-    return save_folder(check_target(out, kind.names), kind, scenario, found, draw=draw, stages=stages)
-
-
-def save_folder(
     target: Path,
     kind: RunKind,
     scenario: Scenario,
@@ -119,7 +106,10 @@ def save_folder(
     draw: Draw | None = None,
     stages: Stages | None = None,
 ) -> RunFolder:
-    """Write a folder whose place has been checked: what the user put there since is kept beside it."""
+    """Write what a kind's ``fly`` found, replacing an older run folder once everything is written.
+
+    `target` has been checked by `check_target`; files that the user put there since are kept beside it.
+    """
     assert kind.write is not None
     stages = stages or Stages()
     clock = stages.beside()

@@ -74,7 +74,7 @@ def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float
 
 
 def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
-    """What is claimed of the fuel limit, and on what assumptions."""
+    """Return the claim about the fuel limit, and its assumptions."""
     nothing = None
     if run.exhausted:
         nothing = "thrust was cut where the fuel ended: the limit held, the parking orbit may be missed"
@@ -125,4 +125,4 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
 
 
 FUEL_LIMIT = RunKind("fuel_limit", (SCENARIO, "fuel.npz"), _write, _tell, _read, fly_fuel)
-"""What a flight into the fuel limit leaves."""
+"""Run folder of a flight into the fuel limit."""

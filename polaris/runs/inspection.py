@@ -82,7 +82,7 @@ def _read(folder: Path, scenario: FlightScenario) -> InspectionRun:
 
 
 MEANING = {name: (kind.meaning, kind.unit) for name, kind in KINDS.items()}
-"""What each constraint is, and its unit."""
+"""Meaning of each constraint, and its unit."""
 
 BARRIER_UNIT = {"passive": "m", "deputy_passive": "m", "velocity": "m^2/s^2"}
 """Units of the barriers that are not in m/s."""
@@ -105,7 +105,7 @@ DEFINITIONS = {
 
 
 def assumptions(scenario: FlightScenario) -> list[str]:
-    """What a claim about a flight rests on."""
+    """Return the assumptions of a claim about a flight."""
     known, flight = scenario.uncertainty(), scenario.model.flight
     delay = scenario.model.timing.delay_s
     late = f", earlier or later by at most {known.jitter:g} s" if known.jitter else ""
@@ -183,7 +183,7 @@ def least_rows(found: Mapping[str, Least]) -> list[dict[str, Any]]:
 
 
 def steps(status: Any) -> dict[str, int]:
-    """How many answers of each kind."""
+    """Return the number of answers of each kind."""
     names = {"desired": DESIRED, "filtered": FILTERED, "short": SHORT, "failed": FAILED}
     names |= {name: code for name, code in SWITCHED.items() if (status == code).any()}
     return {name: int((status == code).sum()) for name, code in names.items()}
@@ -197,7 +197,7 @@ def covered_periods(run: InspectionRun) -> NDArray[np.bool_]:
 
 
 def guarantee(scenario: FlightScenario, flown: JudgedRun) -> dict[str, Any]:
-    """What is claimed of one flight, and on what assumptions."""
+    """Return the claim about one flight, and its assumptions."""
     run, spec = flown.run, scenario.model.filter
     barriers = isinstance(spec, BarrierFilter)
     covered = covered_periods(run) if barriers else ~(run.status == UNPROVEN).any(axis=1)
@@ -214,7 +214,7 @@ def guarantee(scenario: FlightScenario, flown: JudgedRun) -> dict[str, Any]:
 
 
 def _argument(spec: BarrierFilter | AssuredFilter, missed: int, exact: bool) -> tuple[str, str]:
-    """Which guarantee a filter gives where so many periods are not covered, and why."""
+    """Return a filter's guarantee with so many periods not covered, and its reason."""
     left_out = f"constraints left out: {', '.join(spec.without)}"
     if isinstance(spec, BarrierFilter):
         if not spec.sampled_data:
@@ -240,4 +240,4 @@ def _argument(spec: BarrierFilter | AssuredFilter, missed: int, exact: bool) -> 
 
 
 FLIGHT = RunKind("inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, _tell, _read, fly_flight)
-"""What one flight leaves."""
+"""Run folder of one flight."""

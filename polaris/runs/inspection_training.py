@@ -18,7 +18,7 @@ from ..scenario.filter_tables import AssuredFilter, BarrierFilter, CentralizedFi
 from ..scenario.inspection import FlightScenario
 
 STATUSES = np.array(["desired", "filtered", "short", "backup"])
-"""What the barrier filter's answers are called."""
+"""Names of the barrier filter's answers."""
 
 
 class InspectionFlights:
@@ -110,7 +110,7 @@ class InspectionFlights:
         return self.x if self._errors is None else self._errors.estimated(self.x)
 
     def observe(self) -> Array:
-        """What policies read, shape (R, 6 N + 3)."""
+        """Return the observations of policies, shape (R, 6 N + 3)."""
         q, sun = self.inspection, self.inspection.sun_angle(self.k * self.period, self.sun)
         scaled = self.seen / np.repeat([q.distance_max, q.speed_max], 3)
         return np.column_stack([scaled.reshape(self.runs, -1), np.cos(sun), np.sin(sun), self.k / self.count])
@@ -148,7 +148,7 @@ class InspectionFlights:
         }
 
     def _shielded(self, u: Array, moving: NDArray[np.bool_]) -> tuple[Array, dict[str, NDArray[Any]]]:
-        """What is applied of thrusts (R, N, 3), and what the shield says."""
+        """Return the thrusts (R, N, 3) that the shield applies, and its verdicts."""
         share, proven, t = np.zeros(self.runs), np.zeros(self.runs, dtype=bool), self.k * self.period
         status = np.full(self.runs, "desired", dtype="U8")
         if self._batch is not None:

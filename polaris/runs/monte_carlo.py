@@ -55,7 +55,7 @@ def run_monte_carlo(
 
 @dataclass(frozen=True, eq=False)
 class CampaignPicture:
-    """What the figures of a campaign show, of R runs of N deputies in S studies."""
+    """Plot data of a campaign: R runs of N deputies in S studies."""
 
     x: Array  # (R, N, 6), initial states
     studies: tuple[str, ...]
@@ -82,4 +82,4 @@ def _read(path: Path, scenario: MonteCarloScenario) -> CampaignPicture:
 
 
 MONTE_CARLO = RunKind("monte_carlo", (SCENARIO, "failures.csv", "manifest.json"), None, None, _read)
-"""What many flights leave; `run_monte_carlo` writes it, as they are flown."""
+"""Run folder of many flights; `run_monte_carlo` writes it, as they are flown."""

@@ -1,4 +1,4 @@
-"""What figures are drawn from: plain data, taken from results or from the files of a run folder."""
+"""Plot data of figures, taken from results or from the files of a run folder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def seconds(t: float) -> str:
 
 
 def taking_over(time: float, mode: int | None) -> str:
-    """What is written at the slice of a time [s], at which a controller may take over."""
+    """Return the label of the slice of a time [s], at which a controller may take over."""
     return f"{'' if mode is None else 'S from ' if mode == 0 else 'U from '}{seconds(time)} s"
 
 
@@ -86,7 +86,7 @@ class PrintedSlice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """Where the safe path is closest to one unsafe set: time [s], distance [m] and position (d,) [m]."""
+    """Closest approach of the safe path to one unsafe set: time [s], distance [m] and position (d,) [m]."""
 
     time: float
     distance: float
@@ -155,7 +155,7 @@ class Picture:
         return f"goal reached by {self.reached:.6g} s{after}"
 
     def velocity_change(self, runs: Flights) -> Array:
-        """How the velocity change of runs adds up, the 1-norm of the input over the mass [m/s], (r, N+1)."""
+        """Return the velocity change so far, the 1-norm of the input over the mass [m/s], shape (r, N+1)."""
         parts = np.abs(runs.inputs).sum(axis=2) * np.diff(runs.times) / self.system.mass
         return np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
 
@@ -167,7 +167,7 @@ class Picture:
         return self.path_times(), self.path()[0]
 
     def approach(self, obstacle: Obstacle) -> Approach:
-        """When the safe path comes closest to an unsafe set (of another satellite, where it is nominally)."""
+        """Return the closest approach to an unsafe set (of another satellite: to its nominal place)."""
         times, path = self.safe_path()
         found = obstacle.signed_distance(times, path, self.system)
         least = int(np.argmin(found))
@@ -175,14 +175,14 @@ class Picture:
 
     @property
     def closest(self) -> float:
-        """When the safe path comes closest to any unsafe set [s]; the horizon if that is where it starts."""
+        """Time at which the safe path is closest to any unsafe set [s]; the horizon if that is the start."""
         found = [self.approach(obstacle) for obstacle in self.obstacles]
         least = min(found, key=lambda one: one.distance).time if found else 0.0
         return least or self.duration
 
     @property
     def hand_overs(self) -> dict[float, int]:
-        """When another controller takes over [s], and its mode; of very many some, evenly spread."""
+        """Times [s] of hand-overs and the mode that takes over; of very many some, evenly spread."""
         nodes = np.flatnonzero(np.diff(self.modes)) + 1
         if len(nodes) > PRINTED:
             nodes = nodes[np.linspace(0, len(nodes) - 1, PRINTED).astype(int)]
@@ -203,7 +203,7 @@ class Picture:
             yield PrintedSlice(float(times[i]), mode, self.slices.places[i, 0], self.slices.outlines[i, 0])
 
     def mode_name(self, mode: int) -> str:
-        """How legends call a controller."""
+        """Return the name of a controller in legends."""
         if mode == 0:
             return "safety (S)"
         return f"{self.controllers[mode]} (U)" if len(self.controllers) == 2 else self.controllers[mode]

@@ -18,7 +18,7 @@ SLICES = 240  # decisions, and besides them switches, up to which all get a slic
 
 
 def picture_of_safety(safety: Safety, title: str = "Safe reference", **found: Any) -> Picture:
-    """What Algorithm 1 found, what Algorithm 2 `found` besides, and slices of the recoverable sets."""
+    """Return the plot data of Algorithm 1, what Algorithm 2 `found`, and slices of the recoverable sets."""
     problem = safety.problem
     scene = (problem.system, tuple(problem.unsafe), problem.goal, problem.initial_set)
     picture = Picture(title, *scene, safety.reference, problem.K, **found)
@@ -26,7 +26,7 @@ def picture_of_safety(safety: Safety, title: str = "Safe reference", **found: An
 
 
 def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None) -> Picture:
-    """What Algorithm 2 found, as flown, by default once without disturbance."""
+    """Return the plot data of a schedule as flown, by default once without disturbance."""
     if flights is None:
         flights = {"polaris": fly_nominal(schedule, None, "polaris")}
         if len(schedule.controllers) > 1:
@@ -117,7 +117,7 @@ def _slice(safety: Safety, node: int, errors: Array, circle: Array, lift: Array)
 def _reach(
     safety: Safety, node: int, errors: Array, rays: Array, times: int, least: Array | float = 0.0
 ) -> Array:
-    """How far recoverable errors (R, n) stay so along rays (R, M, n), at least, shape (R, M)."""
+    """Return a lower bound on how far errors (R, n) stay recoverable along rays (R, M, n), shape (R, M)."""
     W = safety.tracking.W
     norm = np.maximum(np.linalg.norm(errors @ W.T, axis=1), safety.recoverable.radius(node))
     scales = (norm[:, None] / np.linalg.norm(rays @ W.T, axis=2))[..., None] * np.geomspace(1e-3, 1e3, 16)

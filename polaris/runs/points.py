@@ -41,7 +41,7 @@ COLUMNS = {
 
 
 def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row:
-    """What the run folder of a point says; `ScenarioError` if a file is missing or damaged."""
+    """Return the row of a point from its run folder; `ScenarioError` if a file is missing or damaged."""
     summary, scenario = folder.summary, folder.scenario
     with readable(folder.path):
         found, claim, flown = summary["synthesis"], summary["guarantee"], summary["polaris"]
@@ -79,14 +79,14 @@ EMPTY = (
 
 
 def infeasible_row(folder: Path, field: str, value: float | None) -> Row:
-    """What a folder says that has no schedule."""
+    """Return the row of a point that has no schedule."""
     told = {"folder": folder.name, "field": field, "value": value, **dict.fromkeys(EMPTY)}
     told |= {"guarantee": "infeasible", "horizon": None, "until_s": None, "cut_by_clock": False}
     return told | {"reason": read_json(folder / INFEASIBLE.summary)["reason"]}
 
 
 def needed(rows: Sequence[Mapping[str, Any]], field: str, share: float) -> Row:
-    """How far a field may go for a share of the time under U; see `COLUMNS`."""
+    """Return the last value of a field that has a share of the time under U; see `COLUMNS`."""
     mine = sorted((row for row in rows if row["field"] == field), key=lambda row: float(row["value"]))
     shares = [row["share"] if row["guarantee"] == "proved" else -1.0 for row in mine]
     falls = shares[0] >= shares[-1]
@@ -109,7 +109,7 @@ def needed(rows: Sequence[Mapping[str, Any]], field: str, share: float) -> Row:
 
 
 def non_dominated(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """Which points no other one outdoes: is as good in every respect and better in one; see `COLUMNS`."""
+    """Return True for each point that none dominates (as good in all, better in one); see `COLUMNS`."""
     merits = np.array([_merits(row) for row in rows], dtype=float)
     as_good = np.all(merits[:, None] >= merits, axis=2)
     return [bool(alone) for alone in ~np.any(as_good & ~as_good.T, axis=0)]
@@ -140,7 +140,7 @@ TRADEOFF = RunKind(
     lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
     summary="tradeoff.json",
 )
-"""What a trade-off leaves."""
+"""Run folder of a trade-off."""
 
 INFEASIBLE = RunKind(
     "infeasible",
@@ -150,4 +150,4 @@ INFEASIBLE = RunKind(
     lambda folder, scenario: read_json(folder / "infeasible.json"),
     summary="infeasible.json",
 )
-"""What a point of a trade-off leaves that has no schedule."""
+"""Run folder of a point of a trade-off that has no schedule."""

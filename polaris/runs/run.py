@@ -12,7 +12,7 @@ from ..synthesis.black_box import Ask
 from .atomic import check_target
 from .campaign.workers import Workers
 from .comparison import COMPARISON
-from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, save_folder
+from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .fuel_limit import FUEL_LIMIT
 from .inspection import FLIGHT
 from .monte_carlo import MONTE_CARLO, run_monte_carlo
@@ -22,7 +22,7 @@ from .schedule import SCHEDULE
 from .stages import Stages
 
 KINDS: dict[str, RunKind] = {kind.name: kind for kind in (SCHEDULE, FLIGHT, FUEL_LIMIT, MONTE_CARLO)}
-"""What a run leaves, by the kind of its scenario."""
+"""Kinds of run folders, by the kind of the scenario."""
 
 
 def run(
@@ -85,7 +85,7 @@ def run(
         raise ScenarioError("black box", list(black_boxes), "must belong to a scenario of a schedule")
     found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
-        return save_folder(place, kind, scenario, found, draw=draw, stages=stages)
+        return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
 
 
 def _run_many(
@@ -128,7 +128,7 @@ def read_run(path: str | Path) -> RunFolder:
 
 
 def _kind_of(folder: Path) -> RunKind:
-    """What a folder holds, as far as the files that tell it can be read."""
+    """Return the kind of a folder, as far as the files that tell it can be read."""
     for kind in (COMPARISON, TRADEOFF):
         if (folder / kind.summary).is_file():
             return kind

@@ -40,6 +40,7 @@ from ..synthesis.share_bound import ShareBound, share_bound
 from ..synthesis.withheld import withheld
 from . import arrays
 from . import tables as files
+from .atomic import check_target
 from .certificate import described, hexadecimal, write_certificate, write_gains
 from .declared import naming_errors
 from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
@@ -159,7 +160,7 @@ def write_run(
     if flown is None:
         flown = baselines.compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
     found = FlownSchedule(schedule, flown, _at_most(scenario, schedule))
-    return write_folder(out, SCHEDULE, scenario, found, draw=draw)
+    return write_folder(check_target(out, SCHEDULE.names), SCHEDULE, scenario, found, draw=draw)
 
 
 def _write(folder: Path, scenario: ScheduleScenario, found: FlownSchedule) -> None:
@@ -223,7 +224,7 @@ def _seconds(schedule: Schedule, around: Mapping[str, float]) -> dict[str, float
 
 
 def _boxes(sampled: Sampled | None) -> dict[str, Any]:
-    """What is proven without asking the black boxes, and the worst that was found with them."""
+    """Return the share proven without asking the black boxes, and the worst flight found with them."""
     if sampled is None:
         return {}
     told, worst = None, sampled.worst
@@ -241,7 +242,7 @@ def _boxes(sampled: Sampled | None) -> dict[str, Any]:
 
 
 def guarantee(schedule: Schedule) -> dict[str, Any]:
-    """What is claimed, until when, why, and on what assumptions."""
+    """Return the claim, until when it holds, its reason, and its assumptions."""
     end, goal, late = schedule.safety.end, schedule.arrival, withheld(schedule)
     return {
         "kind": schedule.guarantee,
@@ -291,4 +292,4 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
 
 
 SCHEDULE = RunKind("schedule", DATA_FILES, _write, _tell, _read, fly_schedule)
-"""What a run of a schedule leaves."""
+"""Run folder of a schedule."""

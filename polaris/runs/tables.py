@@ -23,7 +23,7 @@ from ..synthesis.synthesize import in_words
 
 
 def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:
-    """The same data for strict JSON: numpy turned plain, floats as `number` says: infinities and NaN null."""
+    """Return data for strict JSON: numpy turned plain, floats as `number` says, infinities and NaN null."""
     if isinstance(value, Mapping):
         return {str(key): strict(item, number) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -136,7 +136,7 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 
 def _observer(observer: Observer) -> dict[str, Any]:
-    """What is said of an observer."""
+    """Return the fields of an observer that are published."""
     told = asdict(observer)
     unsaid = "fading", *(() if observer.after else ("after",))
     return {key: x for key, x in told.items() if x is not None and key not in unsaid}
@@ -167,7 +167,7 @@ def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _withheld(claim: Mapping[str, Any]) -> str:
-    """Which steps S flies because of a fault, and which bound is short by how much."""
+    """Describe the steps that S flies because of a fault, and the bound that is short."""
     fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
     if not steps:
         return f"along this reference {fault} keeps no step from U."
@@ -191,7 +191,7 @@ def abort_told(claim: Mapping[str, Any]) -> str:
 
 
 def _upkeep(claim: Mapping[str, Any]) -> str:
-    """What holding on after T costs, and how long the tank lasts."""
+    """Describe the cost of flying on after T, and how long the tank lasts."""
     orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
     rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
     cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"

@@ -155,7 +155,7 @@ def _take_up(out: str | Path) -> Path:
 
 
 def _whole(folder: Path, scenario: ScheduleScenario) -> bool:
-    """Whether a point is there, undamaged, of this scenario and these versions."""
+    """Return True if a point is there, undamaged, of this scenario and these versions."""
     try:
         same = (folder / SCENARIO).read_bytes() == scenario.copy_text().encode()
         if (folder / INFEASIBLE.summary).is_file():
@@ -202,7 +202,7 @@ def _write_point(point: Point) -> tuple[str, int] | None:
     except (SynthesisInfeasible, NotCertified) as error:
         if not swept:
             return str(error), error.exit_code
-        write_folder(folder, INFEASIBLE, scenario, str(error))
+        write_folder(check_target(folder, INFEASIBLE.names), INFEASIBLE, scenario, str(error))
     except PolarisError as error:
         return str(error), error.exit_code
     return None

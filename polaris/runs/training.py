@@ -146,7 +146,7 @@ class InspectionVectorEnv(FlightsVectorEnv):
 
 
 class SwitchingEnv(gym.Env[Numbers, Numbers]):
-    """The same with one episode at a time; parameters are those of `SwitchingVectorEnv`."""
+    """Environment with one episode at a time; parameters are those of `SwitchingVectorEnv`."""
 
     MANY: type[SwitchingVectorEnv | InspectionVectorEnv] = SwitchingVectorEnv
 
@@ -215,7 +215,7 @@ class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
 
 
 class VectorShield(VectorWrapper):
-    """The same of a `SwitchingVectorEnv` or `InspectionVectorEnv`, for all its episodes."""
+    """Shield of a `SwitchingVectorEnv` or `InspectionVectorEnv`, for all its episodes."""
 
     def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
         super().__init__(env)

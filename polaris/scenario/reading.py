@@ -15,7 +15,7 @@ from reach.numerics.files import read_regular
 
 from ..model import files
 from ..model.checks import counted, exact
-from ..model.errors import ScenarioError
+from ..model.errors import ScenarioError, quoted
 from .fields import LARGEST, NAME_PATTERN
 
 MAX_BYTES = 1_000_000  # largest scenario file read; the largest sensible one is a hundred times smaller
@@ -43,7 +43,7 @@ NOTHING = _Nothing()
 
 def printable(text: str, most: int = 200) -> str:
     """One line of printable characters, cut to a length."""
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
+    line = "".join(c if c.isprintable() else quoted(c)[1:-1] for c in " ".join(text.split()))
     return line if len(line) <= most else line[: most - 3] + "..."
 
 

@@ -1,4 +1,4 @@
-"""What a trace holds, in memory: the stamped states and modes of agents, the stamped unsafe sets."""
+"""Trace in memory: the stamped states and modes of agents, the stamped unsafe sets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -45,7 +45,7 @@ def _rows(where: str, name: str, value: ArrayLike, shape: tuple[int | None, ...]
 @brief
 @dataclass(frozen=True, eq=False)
 class AgentTrace:
-    """Where one agent was and who flew it.
+    """States and modes of one agent over time.
 
     A mode, of shape (N,) or (N-1,), is in force from its stamp on: 1 NORMAL, 2 UNTRUSTED, 3 SAFETY, all else,
     and the default, unknown. `ScenarioError` on wrong shapes, numbers that are not finite, stamps that run
@@ -230,7 +230,7 @@ class Trace:
             raise ScenarioError("agents", {}, "must hold at least one agent")
 
     def same_as(self, other: "Trace") -> bool:
-        """Whether both hold the same names, in the same order, and the same numbers."""
+        """Return True if both hold the same names, in the same order, and the same numbers."""
         pairs = (self.agents, other.agents), (self.unsafe, other.unsafe)
         return all(list(a) == list(b) and all(map(_same, a.values(), b.values())) for a, b in pairs)
 

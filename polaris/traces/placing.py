@@ -84,7 +84,7 @@ class Part:
 
     @property
     def rigid(self) -> bool:
-        """Whether it only moves."""
+        """Return True if the set moves without changing its shape."""
         return not isinstance(self.body, (Swelling, Faceted))
 
     def shape(self, i: int) -> Shape:

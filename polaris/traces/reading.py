@@ -14,7 +14,7 @@ from reach.numerics.files import read_regular
 
 from ..model.checks import of_kind
 from ..model.distances import UNKNOWN
-from ..model.errors import ScenarioError
+from ..model.errors import ScenarioError, quoted
 from ..model.files import parse_json
 from ..runs.atomic import check_file, replacing_file
 from ..runs.tables import strict
@@ -56,7 +56,7 @@ def uncollected() -> Iterator[None]:
 
 
 def _parsed(path: str | Path) -> Any:
-    """What the file says, as plain data."""
+    """Read a file as plain data."""
     try:
         text = read_regular(path).decode("utf-8-sig")
         return parse_json(text, parse_constant=_no_constant, object_pairs_hook=_unique)
@@ -87,7 +87,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) < len(pairs):
         keys = [key for key, _ in pairs]
-        raise Odd(f"holds the key {next(key for key in keys if keys.count(key) > 1)!r} twice in one object")
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise Odd(f"holds the key {quoted(twice)} twice in one object")
     return out
 
 

@@ -14,7 +14,7 @@ LARGEST = 1e300  # numbers beyond are refused: their squares are not finite
 
 
 class Odd(ValueError):
-    """What is wrong with a row, as the rule of an error message."""
+    """Fault of a row, as the rule of an error message."""
 
 
 def table(where: str, rows: list[Any], flat: Callable[[Any], list[Any]]) -> Array:

@@ -1,4 +1,4 @@
-"""What the numbers of a trace mean: axes, velocities, values between stamps, stamps of a simulator."""
+"""Meaning of a trace's numbers: axes, velocities, values between stamps, stamps of a simulator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -107,7 +107,7 @@ def guess_heading(agent: AgentTrace, d: int) -> Heading | None:
 
 
 def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
-    """Whether velocities taken from the states are far from how the positions change."""
+    """Return True if velocities taken from the states are far from how the positions change."""
     moved = rates(agent.times, agent.states[:, :d])
     if moved is None:
         return False
@@ -117,7 +117,7 @@ def doubtful(agent: AgentTrace, d: int, velocity: Array) -> bool:
 
 
 def parse_velocity(velocity: str | None, heading: str | None, speed: int | None) -> Velocity:
-    """What the options ``--velocity``, ``--heading`` and ``--speed`` say together."""
+    """Return the velocity that ``--velocity``, ``--heading`` and ``--speed`` choose together."""
     if heading is None and speed is None:
         return velocity if velocity in (None, "differences") else _entries("--velocity", velocity)
     if velocity is not None or speed is None:
@@ -135,7 +135,7 @@ def _entries(option: str, text: str) -> list[int]:
 
 
 def stamped_by_simulator(times: Array) -> bool:
-    """Whether the first two rows carry the same time, and no others do."""
+    """Return True if the first two rows carry the same time, and no others do."""
     gaps = np.diff(times)
     return len(times) >= 3 and gaps[0] == 0 and bool(np.all(gaps[1:] > 0))
 

@@ -196,6 +196,24 @@ def test_a_part_of_elsewhere_is_flown_again(flown, copied, tmp_path, monkeypatch
     assert seen == [(0, 1), (1, 0)] and table(out) == table(flown.path)
 
 
+def test_each_experimental_controller_flies_by_the_key_it_has_in_a_run_folder(tmp_path):
+    scenario = load_scenario(TINY)
+    first = scenario.to_dict()["experimental"][0]
+    both = scenario.set("experimental", [first | {"name": "other", "Q": [1.0, 1.0, 1.0, 1.0]}, first])
+    out = run(make_cases([both]), 3, tmp_path / "c", modes=("experimental", "experimental_2"), calm=True).path
+    flown = {
+        mode: [row for row in rows(out) if row["mode"] == mode] for mode in ("experimental", "experimental_2")
+    }
+    assert {mode: {row["controller"] for row in some} for mode, some in flown.items()} == {
+        "experimental": {"other"},
+        "experimental_2": {"hasty"},
+    }
+    alone = run(make_cases([both]), 3, tmp_path / "d", modes=("experimental_2",), calm=True).path
+    assert [row["min_distance_m"] for row in rows(alone)] == [
+        row["min_distance_m"] for row in flown["experimental_2"]
+    ]
+
+
 def test_more_runs_extend_a_campaign_and_fewer_are_refused(flown, tmp_path, monkeypatch):
     options = {"batch": 5, "modes": MODES, "seed": 7}
     out = run(cases(), 13, tmp_path / "c", **options).path

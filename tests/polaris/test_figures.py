@@ -7,6 +7,7 @@ from functools import cache, lru_cache
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from polaris.model.distances import stretches
@@ -19,7 +20,7 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
-from polaris.report.figures.style import style
+from polaris.report.figures.style import legend_above, new_figure, style
 from polaris.report.figures.timelines import limit_group
 from polaris.report.scene.geometry import faces, flat_outline, tube_support
 from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
@@ -78,6 +79,18 @@ def test_legends_cover_no_data(picture, name):
         legend = ax.get_legend().get_window_extent()
         assert legend.y0 >= ax.get_window_extent().y1 - 1
         assert legend.x1 <= figure.bbox.x1 + 1 and legend.y1 <= figure.bbox.y1 + 1
+
+
+@pytest.mark.parametrize("count", range(1, 9))
+def test_a_legend_of_any_names_is_as_narrow_as_it_was_measured(count):
+    long = ["Polaris", "S alone", "U alone (learned_policy)", "U alone (fuel_saver)"] * 2
+    with style():
+        figure = new_figure(2.0)
+        ax = figure.add_subplot()
+        legend_above(ax, [Line2D([], [], label=name) for name in long[:count]], 3)
+        figure.canvas.draw()
+        assert ax.get_legend().get_window_extent().x1 <= figure.bbox.x1 + 1
+        assert ax.get_window_extent().width > 0.7 * figure.bbox.width
 
 
 @pytest.mark.parametrize("name", ["scene", "distance", "modes", "margin"])

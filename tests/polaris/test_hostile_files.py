@@ -21,6 +21,7 @@ from polaris.certificate.verdict import Rejected
 from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError, escape_controls
 from polaris.model.files import MOST_DOTS, parse_json, parse_toml
+from polaris.model.obstacles import BallObstacle
 from polaris.report import write_report
 from polaris.rta.online.decision_log import read_log
 from polaris.runs import arrays
@@ -28,6 +29,7 @@ from polaris.runs.campaign import formats as campaign_formats
 from polaris.runs.campaign import make_cases
 from polaris.runs.folder import read_json
 from polaris.runs.tables import json_text
+from polaris.scenario.reading import printable
 from polaris.scenario.scenario import load_scenario
 from polaris.traces import read_trace
 from reach.networks.onnx_file import read_onnx
@@ -298,6 +300,13 @@ def test_no_command_survives():
     assert json.loads(json_text({NAME: NAME})) == {NAME: NAME} and not obeyed(json_text({NAME: NAME}))
 
 
+@pytest.mark.parametrize("given", ["\x1b[31m", printable("\x1b[31m"), escape_controls("\x1b[31m")])
+def test_control_characters_are_shown_in_one_form_with_one_backslash(given):
+    assert str(ScenarioError("name", given, "is taken")) == r"name: got '\u001b[31m'; is taken"
+    assert str(ScenarioError("name", [given, "C:\\x1b"], "is taken")).count("\\") == 2
+    assert BallObstacle(given, [0, 0], 1).path == r"obstacles['\u001b[31m']"
+
+
 def trace(**changed):
     agent = {"state_trace": [[0, 0, 0], [1, 1, 0]], "mode_trace": [1, 3]} | changed
     unsafe = {"set_type": "ball", "state_trace": [[0, [[5, 0], 1]]]}
@@ -329,3 +338,4 @@ def test_titles_of_scenarios_reach_neither_terminal_nor_page(made, tmp_path):
     for words in (["check", tmp_path / f"{NAME[:-4]}.toml"], ["plot", tmp_path / "\x1b[2J"]):
         done = polaris(*words)
         assert done.exit_code == 2 and not obeyed(done.stderr)
+        assert r"\u001b[" in done.stderr and "\\\\" not in done.stderr and r"\x1b" not in done.stderr

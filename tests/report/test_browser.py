@@ -6,6 +6,9 @@ import re
 import shutil
 import socket
 import time
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 import pytest
@@ -203,10 +206,11 @@ def test_moving_sets_and_tubes_follow_the_time(browser, page):
 
 SLICE = """const seen = document.getElementById('scene').data;
 const name = (document.getElementById('notes').textContent.match(/drawn: at ([^ ]+) s/) || [])[1];
-const [area, edge, place, text, here] = ['slice', 'sliceedge', 'sliceplace', 'slicetime', 'pilotpolarisnow']
-  .map((uid) => seen.find((one) => one.uid === uid || (uid === 'slicetime' && one.uid.startsWith(uid))));
-const drawn = here && text.name === `recoverable at ${name} s` && edge.name === text.name;
-return drawn && { t: Number(name), filled: area.x.length > 0, dash: edge.line.dash, text: text.text[0],
+const [area, edge, place, here] = ['slice', 'sliceedge', 'sliceplace', 'pilotpolarisnow']
+  .map((uid) => seen.find((one) => one.uid === uid));
+const named = (document.getElementById('scene').layout.annotations || []).map((one) => one.text);
+const drawn = here && named.includes(`recoverable at ${name} s`) && named.includes(edge.name);
+return drawn && { t: Number(name), filled: area.x.length > 0, dash: edge.line.dash, text: edge.name,
   here: [here.x[0], here.y[0]], place: [place.x[0], place.y[0]], outline: [edge.x, edge.y] };"""
 
 
@@ -327,6 +331,68 @@ def test_a_report_fits_a_phone_in_light_and_dark(browser, page, screen, scheme):
     assert left >= 0 and right <= 390
     assert_readable(browser, scheme == "dark")
     assert_quiet(browser)
+
+
+NAMES = """const scene = document.getElementById('scene'), frame = scene.getBoundingClientRect();
+return Object.fromEntries([...scene.querySelectorAll('.annotation-text-g')].map((one) => {
+  const { left, top, right, bottom } = one.getBoundingClientRect();
+  return [one.textContent, [left - frame.left, top - frame.top, right - frame.left, bottom - frame.top]];
+}))"""
+
+
+def assert_names_apart(browser, wanted, width):
+    """All names are in the scene, within its frame, and none covers another."""
+    until = time.monotonic() + MOST
+    while not set(found := browser.execute_script(NAMES)) >= wanted:
+        assert time.monotonic() < until, (wanted, found)
+        time.sleep(0.1)
+    boxes = np.array(list(found.values()))
+    assert np.all(boxes[:, :2] >= -1) and np.all(boxes[:, 2] <= width + 1)
+    over = np.minimum(boxes[:, None, 2:], boxes[:, 2:]) - np.maximum(boxes[:, None, :2], boxes[:, :2])
+    assert not np.any(np.triu(np.all(over > 0, axis=2), 1)), found
+
+
+def test_names_in_the_plane_are_apart_on_a_phone(browser, page, screen):
+    screen(390, "light")
+    open_page(browser, page)
+    for share in (0.1, 0.4, 0.6):
+        move_slider(browser, share)
+        time.sleep(0.5)
+        assert_names_apart(browser, {"pillar", "trolley"}, 370)
+    assert_quiet(browser)
+
+
+CROWD = {f"set number {i}": [4.0 * i, 0.0, 2.0 * i] for i in range(6)}
+
+
+def test_names_in_space_are_apart_on_a_phone_however_the_scene_is_turned(browser, in_space, screen, tmp_path):
+    text = Path(url2pathname(urlsplit(in_space).path)).read_text(encoding="utf-8")
+    head, middle, tail = re.split(r'(?<=id="data">)(.*?)(?=</script>)', text, maxsplit=1)
+    data = json.loads(middle)
+    look = {
+        "kind": "points",
+        "group": "unsafe",
+        "colour": "#C0202B",
+        "opacity": 1,
+        "symbol": "circle",
+        "size": 4,
+    }
+    for name, place in CROWD.items():
+        data["scene"]["layers"].append({"name": name, "label": name, "p": [[v] for v in place]} | look)
+    (tmp_path / "crowded.html").write_text(head + json.dumps(data) + tail, encoding="utf-8")
+    screen(390, "light")
+    open_page(browser, (tmp_path / "crowded.html").as_uri())
+    if not browser.execute_script("return !!document.createElement('canvas').getContext('webgl')"):
+        pytest.skip("this browser has no WebGL")
+    assert_names_apart(browser, set(CROWD), 370)
+    before = browser.execute_script(NAMES)
+    turn = "Plotly.relayout('scene', {'scene.camera.eye': {x: 1.6, y: 0.4, z: 0.2}})"
+    browser.execute_script(turn)
+    until = time.monotonic() + MOST
+    while browser.execute_script(NAMES) == before:
+        assert time.monotonic() < until
+    time.sleep(1.0)  # and places the names anew
+    assert_names_apart(browser, set(CROWD), 370)
 
 
 @pytest.mark.slow

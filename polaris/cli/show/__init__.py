@@ -1,4 +1,4 @@
-"""How results are printed: lines that no terminal breaks, and tables without rules."""
+"""Printing of results: lines that no terminal breaks, and tables without rules."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any

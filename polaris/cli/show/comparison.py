@@ -1,4 +1,4 @@
-"""What the command line shows of a comparison of run-time methods, and of a trade-off."""
+"""Printed summaries of a comparison of run-time methods and of a trade-off."""
 
 import shlex
 from collections.abc import Mapping
@@ -111,7 +111,7 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def answered(needed: Mapping[str, Any]) -> str:
-    """How far a field may go for the share asked: the last value that is proven, and what lies beyond."""
+    """Describe the last value of a field that is proven with the share asked for, and the next one."""
     asked, field = f"{100 * needed['share']:.4g} % of the time under U", needed["field"]
     if needed["last_proven"] is None:
         return f"{field}: no value tried has {asked}."

@@ -1,4 +1,4 @@
-"""What the command line shows of the inspection problem: what a flight or a campaign came to."""
+"""Printed summaries of a flight or a campaign of the inspection problem."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""What the command line shows of a run of a schedule, and of a campaign of such runs."""
+"""Printed summaries of a run of a schedule and of a campaign of such runs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -57,11 +57,11 @@ def show_summary(summary: Mapping[str, Any], folder: str) -> None:
 def _share(synthesis: Mapping[str, Any]) -> str:
     """Share of the time under U, and what is proven of any schedule."""
     flies, most = f"{synthesis['experimental_share']:.1%} of the time", synthesis["share_at_most"]
-    return f"{flies}, of at most {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
+    return f"{flies}; no schedule can exceed {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
 
 
 def _planned(plan: Mapping[str, Any]) -> str:
-    """How the planner ended, and who solved it."""
+    """Describe the planner's outcome and its solver."""
     gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
     ended = {
         "optimal": "optimal",
@@ -73,7 +73,7 @@ def _planned(plan: Mapping[str, Any]) -> str:
 
 
 def _worst(found: Mapping[str, Any] | None) -> str:
-    """What flights at their worst do with black boxes."""
+    """Describe the worst flights found with black boxes."""
     if found is None:
         return "Black boxes fly no step: nothing could be said of them with the probability asked for."
     hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"

@@ -16,7 +16,7 @@ from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
 from .cuts import mark_cuts
 from .scene import draw_unsafe
-from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened
+from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened, text_width
 from .view import View
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
@@ -108,7 +108,7 @@ def _paths(found: ComparisonPicture) -> Any:
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
         told = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
-        title = f"{shortened(str(method['name']), width / columns - 0.45)}\n{told}"
+        title = f"{_in_lines(str(method['name']), width / columns - 0.45)}\n{told}"
         ax.set_title(
             title, fontsize=7, linespacing=1.1, pad=3, color=GREEN if method["guarantee"] == "proved" else RED
         )
@@ -141,6 +141,13 @@ SPREAD = 4.0  # ratio of the largest velocity change to the least from which on 
 
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 """Points by velocity change [m/s], share [%] and switches."""
+
+
+def _in_lines(name: str, width: float) -> str:
+    """Return a name in one line, or in two if it is wider than this [in]."""
+    words = name.split()
+    fit = max([k for k in range(1, len(words) + 1) if text_width(" ".join(words[:k])) <= width], default=1)
+    return "\n".join(shortened(" ".join(part), width) for part in (words[:fit], words[fit:]) if part)
 
 
 def _front(points: Sequence[Mapping[str, Any]]) -> Any:

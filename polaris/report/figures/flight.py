@@ -54,8 +54,9 @@ def _paths_3d(run: InspectionRun) -> Any:
     figure, q = new_figure(3.3), run.inspection
     figure.set_layout_engine(None)
     ax = figure.add_axes((0.02, 0.05, 0.88, 0.86), projection="3d", computed_zorder=False)
-    for item in (item for item in surroundings(q) if item.role == "keep"):
-        ax.plot(*item.points.T, color=GREY, lw=0.5, ls=(0, (3, 2)), zorder=1)
+    for number, item in enumerate(item for item in surroundings(q) if item.role == "keep"):
+        label = None if number else "keep-in zone"
+        ax.plot(*item.points.T, color=GREY, lw=0.5, ls=(0, (3, 2)), zorder=1, label=label)
     for i in range(q.deputies):
         path = run.x[:, i, ORDER].T
         ax.plot(*path, color=deputy_colour(i), lw=1.0, label=f"deputy {i}", zorder=3)
@@ -189,7 +190,7 @@ def _free_distance(ax: Any, run: InspectionRun) -> None:
 
 
 def _passive(ax: Any, run: InspectionRun) -> None:
-    """The same flights and the path, in the plane in which it is longest, and the chief's sphere."""
+    """Draw free flights, the path in the plane in which it is longest, and the chief's sphere."""
     deputy = nearest_deputy(run)
     path = run.x[:, deputy, :3]
     plane = np.sort(np.argsort(np.ptp(path, axis=0))[1:])[::-1]

@@ -56,7 +56,7 @@ def shade(ax: Any, low: float, high: float, limits: Any) -> None:
 
 
 def shade_thrust(ax: Any, q: Inspection) -> None:
-    """The same of thrust between its limits."""
+    """Shade the thrust that is within its limits, and that beyond."""
     most = q.thrust_max
     shade(ax, -1.25 * most, 1.25 * most, ((most, True), (-most, False)))
 
@@ -73,7 +73,7 @@ def without_legend(ax: Any) -> None:
 
 
 def initial_conditions(picture: CampaignPicture) -> Any:
-    """Where every deputy of every run starts, one panel per study: red those that a failure concerns."""
+    """Draw the initial position of every deputy, one panel per study: red those that a failure concerns."""
     count = len(picture.studies)
     columns = min(count, 2)
     rows = -(-count // columns)
@@ -103,7 +103,7 @@ def initial_conditions(picture: CampaignPicture) -> Any:
 
 
 def failures(picture: CampaignPicture) -> Any:
-    """How many runs of each study failed, by what failed."""
+    """Draw the number of failed runs of each study, by what failed."""
     figure = new_figure(0.8 + 0.5 * len(picture.studies), 1.35 * WIDTH)
     ax = figure.add_subplot()
     rows = np.arange(len(picture.studies))[::-1]
@@ -148,7 +148,9 @@ def _path(ax: Any, run: FuelRun) -> None:
     middle, size = (low + high) / 2, 1.1 * (high - low)
     half = 0.5 * np.maximum(size, 0.55 * size.max())
     (x0, y0), (x1, y1) = middle - half, middle + half
-    ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="Along-track (m)", ylabel="Radial (m)")
+    ax.set(xlabel="Along-track (m)", ylabel="Radial (m)")
+    ax.set_xlim(x0, x1, auto=True)  # not fixed: else matplotlib says that it widens them
+    ax.set_ylim(y0, y1, auto=True)
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
     ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
@@ -156,7 +158,7 @@ def _path(ax: Any, run: FuelRun) -> None:
 
 
 def _fuel(ax: Any, run: FuelRun) -> None:
-    """What was spent, the limit, and what predicted backup flights would have spent."""
+    """Draw the velocity change spent, its limit, and that of the predicted backup flights."""
     most = run.inspection.delta_v_max
     shade(ax, 0, 1.1 * max(most, float(run.delta_v.max())), [(most, True)])
     for one in run.predictions:

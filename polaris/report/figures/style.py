@@ -1,4 +1,4 @@
-"""How every printed figure looks: readable at column width, in plain text, the same bytes every time."""
+"""Style of printed figures: readable at column width, in plain text, the same bytes every time."""
 
 import atexit
 import shutil
@@ -159,8 +159,7 @@ def legend_rows(handles: Any, width: float, most: int) -> tuple[int, list[str]]:
     own = (_STYLE["legend.handlelength"] + _STYLE["legend.handletextpad"]) * point
     names = [str(handle.get_label()) for handle in handles]
     for columns in range(min(most, len(names)), 0, -1):
-        rows = -(-len(names) // columns)
-        parts = [names[i : i + rows] for i in range(0, len(names), rows)]
+        parts = np.array_split(names, columns)  # as matplotlib does
         gaps = (len(parts) - 1) * _STYLE["legend.columnspacing"] * point + point
         if sum(own + max(map(text_width, part)) for part in parts) + gaps <= width:
             return columns, names

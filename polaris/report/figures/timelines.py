@@ -65,7 +65,7 @@ def _spent(ax: Any, picture: Picture) -> None:
     """Velocity change of the first runs as it adds up, what is proven of it, and when the goal is reached."""
     if picture.delta_v_max is not None:
         ax.axhline(picture.delta_v_max, color=GREY, lw=0.7)
-        name(ax, "until the goal at most, proven", _across(picture, 2 * (picture.delta_v_max,)), GREY)
+        name(ax, "proven bound until the goal", _across(picture, 2 * (picture.delta_v_max,)), GREY)
     spent = {one.key: picture.velocity_change(one.flights)[0] for one in drawn_pilots(picture)}
     shown = [float(spent[key][-1]) for key in FLOWN if key in spent]
     top = 1.15 * max([picture.delta_v_max or 0.0, *shown])

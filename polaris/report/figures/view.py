@@ -33,7 +33,7 @@ class View:
         return float(y / x)
 
     def contains(self, points: Array) -> Any:
-        """Which points lie in the view."""
+        """Return True for each point that lies in the view."""
         return np.all((points > self.low) & (points < self.high), axis=-1)
 
     def seen(self, outline: Array) -> Array:
@@ -43,11 +43,11 @@ class View:
         return np.asarray(edge[self.contains(edge)])
 
     def within(self, outline: Array) -> bool:
-        """Whether an outline goes round all of the view."""
+        """Return True if an outline goes round all of the view."""
         return bool(np.all((outline.min(axis=0) < self.low) & (outline.max(axis=0) > self.high)))
 
     def inch(self, ax: Any) -> Array:
-        """What one inch of these axes is along x and y, in their units."""
+        """Return the length of one inch of these axes along x and y, in their units."""
         # On paper, one scale serves both axes or they have a shape of their own.
         shape = self.aspect if ax.get_aspect() == 1.0 else 0.6
         return np.asarray((self.high - self.low) / (1, shape) / WIDTH)

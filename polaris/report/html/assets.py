@@ -4,7 +4,7 @@ import re
 from functools import cache
 from importlib.resources import files
 
-SCRIPTS = ("tables.js", "theme.js", "scene.js", "timelines.js", "main.js")
+SCRIPTS = ("tables.js", "theme.js", "scene.js", "names.js", "timelines.js", "main.js")
 
 
 def own_script() -> str:

@@ -66,7 +66,7 @@ def comparison_page(folder: RunFolder) -> Page:
 
 
 def comparison_data(picture: ComparisonPicture, proved: bool) -> dict[str, Any]:
-    """What the page's script draws of a comparison; methods without flights are left out."""
+    """Return the plot data of a comparison; methods without flights are left out."""
     flown: list[Flown] = []
     kept = picture.shown
     for method in (method for method in picture.table["methods"] if method["key"] in kept):

@@ -25,7 +25,7 @@ from .timelines import WHO, input_panels, kept, limit, modes_present, panel, pil
 
 LIMITS = (
     "That the next program of the filter has a solution, unless it says so above.",
-    "Anything if an assumption fails: another motion, worse estimates, thrust further off, later commands.",
+    "Anything if an assumption fails: another motion, later commands, larger errors of thrust or estimates.",
     "Anything beyond this flight: simulated flights illustrate, they prove nothing.",
 )
 
@@ -122,7 +122,7 @@ THRUSTS = tuple(f"Thrust, {name.lower()}" for name in AXES)
 
 
 def flight_data(folder: RunFolder) -> dict[str, Any]:
-    """What the page's script draws of a flight of several deputies."""
+    """Return the plot data of a flight of several deputies."""
     run = folder.picture()
     q, families = run.inspection, folder.scenario.families()
     chosen = kept(len(run.t), run.status.T)
@@ -155,7 +155,7 @@ def flight_data(folder: RunFolder) -> dict[str, Any]:
 
 
 def fuel_data(run: FuelRun) -> dict[str, Any]:
-    """What the page's script draws of a flight into the fuel limit."""
+    """Return the plot data of a flight into the fuel limit."""
     q = run.inspection
     latched = float(run.t[-1]) if run.latched_at is None else run.latched_at
     backup = (run.t[:-1] >= latched).astype(int)
@@ -181,7 +181,7 @@ def fuel_data(run: FuelRun) -> dict[str, Any]:
 
 
 def _closest(t: Array, margins: Mapping[str, Array]) -> float:
-    """When a deputy has least room of all to a limit of a distance [s]."""
+    """Return the time at which a deputy is closest to a limit on a distance [s]."""
     known = {name: found for name, found in margins.items() if found.shape[1]}
     own = [found.min(axis=1) for name, found in known.items() if MEANING.get(name, ("", ""))[1] == "m"]
     return float(t[np.argmin(np.min(own, axis=0))] if own else 0.0) or float(t[-1])

@@ -30,7 +30,7 @@ ABSENT = {
     "max_thrust_ratio_experimental": ("none", "this controller never flew"),
     "until_s": ("∞", "for all time"),
 }
-"""What null says, by key: see the table in ``docs/guarantees.md``."""
+"""Meaning of null by key: see the table in ``docs/guarantees.md``."""
 
 TITLES = {
     "runs": "simulated runs",
@@ -40,7 +40,7 @@ TITLES = {
     "mean_distance_m": "distance, mean over time and runs",
     "min_ttc_s": "least time to collision, straight on",
     "min_ttc_free_drift_s": "least time to collision, free drift",
-    "drift_horizon_s": "free drift is looked at for",
+    "drift_horizon_s": "time that free drift is followed for",
     "experimental_share": "share of experimental control",
     "switches": "switches",
     "delta_v_m_s": "velocity change, mean",
@@ -55,7 +55,7 @@ TITLES = {
     "decision_p99_us": "time of a decision, 99th percentile",
     "synthesis_s": "time of synthesis",
 }
-"""What metrics are called, in the order of tables."""
+"""Titles of metrics, in the order of tables."""
 
 SUFFIXES = {"_m_s2": "m/s²", "_m_s": "m/s", "_us": "µs", "_ms": "ms", "_s": "s", "_m": "m", "_N": "N"}
 BAD = ("collided", "collided_runs", "violations", "min_distance_m")
@@ -227,7 +227,7 @@ def details(summary: str, inner: str) -> Markup:
 
 @dataclass(frozen=True)
 class Page:
-    """What a report says: title, HTML under it, sections (key, title, HTML), data for scripts, the summary.
+    """Contents of a report: title, HTML under it, sections (key, title, HTML), plot data, the summary.
 
     The scene and the timelines come first (if ``scene`` is drawn), definitions and versions last.
     """

@@ -97,7 +97,7 @@ def _time(t: float) -> str:
 
 
 def _when(picture: Picture) -> str:
-    """When S flies."""
+    """Describe the times at which S flies."""
     delta, found = picture.reference.delta, stretches(picture.modes == 0)
     if len(found) > MOST_TOLD:
         return f"S in {len(found)} stretches"
@@ -117,7 +117,7 @@ def metrics(summary: Mapping[str, Any]) -> Markup:
 
 
 def synthesis(summary: Mapping[str, Any]) -> Markup:
-    """What the synthesis found, and how long it took."""
+    """Return the table of the synthesis: its result and its time."""
     found = summary["synthesis"]
     plan, start = found["planner"], Measure.of("start_share")
     room = start.text(found["start_margin"], proven=True)
@@ -133,7 +133,7 @@ def synthesis(summary: Mapping[str, Any]) -> Markup:
 
 
 def reach(claim: Mapping[str, Any]) -> str:
-    """How far a schedule's claim goes, in words."""
+    """Describe until when a schedule's claim holds."""
     until = claim.get("until_s")
     if "statement" in claim:
         most = directed(claim["statement"]["probability"], ".2g", up=True)
@@ -157,7 +157,7 @@ def guarantee(claim: Mapping[str, Any], recoverable: str) -> Markup:
 
 
 def aborts(claim: Mapping[str, Any]) -> Markup:
-    """What is proven of aborts with thrust, by steps that end on one branch at one time, or fail alike."""
+    """Return the table of aborts with thrust; steps with one branch and time, or one failure, share a row."""
 
     def alike(step: Mapping[str, Any]) -> tuple[Any, ...]:
         return step["leaves_s"], step["by_s"], step["why"]
@@ -174,5 +174,5 @@ def aborts(claim: Mapping[str, Any]) -> Markup:
 
 
 def loud(recoverable: str) -> Markup:
-    """What nobody must overlook."""
+    """Return the warning that nothing is proven."""
     return Markup(macros("run.html").loud(recoverable))

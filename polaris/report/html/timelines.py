@@ -1,4 +1,4 @@
-"""Who flew, and what is drawn over time, as the page's script reads it.
+"""Plot data of flights over time, as the page's script reads them.
 
 A pilot is one controller, method or spacecraft with the runs of it that can be shown:
 ``{key, name, colour, dash, on, labels, t, runs: [{p, modes}]}``, where ``p`` are the coordinates by axis and
@@ -39,7 +39,7 @@ Drawn = tuple[str, Array, Array | None]
 
 
 class Flown(NamedTuple):
-    """Who flew, how it looks (``colour``, ``dash``, ``on`` at first), the runs that can be shown."""
+    """Controller that flew, its look (``colour``, ``dash``, ``on`` at first), and its runs."""
 
     key: str
     name: str
@@ -50,7 +50,7 @@ class Flown(NamedTuple):
 def flight_data(
     picture: Picture, flown: Sequence[Flown], proved: bool, by: str, opened: float | None = None
 ) -> dict[str, Any]:
-    """What the page's script draws of a schedule and its pilots, coloured by ``mode`` or ``pilot``.
+    """Return the plot data of a schedule and its pilots, coloured by ``mode`` or ``pilot``.
 
     The distance that is proven is shown if there is a proof. The page opens at `opened` [s], by default the
     closest approach.
@@ -171,7 +171,7 @@ def _rounded(values: Array, most: float) -> Array:
 
 def _spent(most: float | None, series: list[Any]) -> dict[str, Any]:
     """Velocity change so far, and what is proven of it."""
-    told = f"schedule, until the goal: at most {directed(most, '.4g', up=True)}" if most else ""
+    told = f"proven until the goal: at most {directed(most, '.4g', up=True)}" if most else ""
     return panel("spent", "Velocity change so far", "m/s", [limit(most, told)] if most else [], series)
 
 
@@ -199,7 +199,7 @@ def _proven(bound: Array, delta: float) -> dict[str, Any]:
     times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
     line = {"t": plain(times), "y": plain(np.append(bound.ravel(), bound[-1, -1])), "step": True}
     look = {"colour": GREEN, "dash": "solid", "fill": True}
-    return {"pilot": None, "name": "proven for the schedule: at least"} | line | look
+    return {"pilot": None, "name": "least that is proven for the schedule"} | line | look
 
 
 def proven_distance(picture: Picture) -> Array | None:

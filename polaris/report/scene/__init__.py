@@ -1,1 +1,1 @@
-"""What a run's pictures show, computed once as plain data: the printed figures and the page draw the same."""
+"""Scenes of a run as plain data, which the printed figures and the page draw alike."""

@@ -23,11 +23,11 @@ class Shape:
     faces: NDArray[np.intp] | None = None
 
     def along(self, axes: list[int]) -> "Shape":
-        """The same, its coordinates in another order."""
+        """Return the shape with its coordinates in another order."""
         return Shape(self.kind, self.points[:, axes], self.faces)
 
     def moved(self, shift: Array) -> "Shape":
-        """The same elsewhere."""
+        """Return the shape moved by a vector."""
         return Shape(self.kind, self.points + shift, self.faces)
 
 
@@ -141,7 +141,7 @@ def cut_surface(H: Array, b: Array, low: Array, high: Array) -> Shape | None:
 
 
 def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Which lines or triangles (N, corners, 3) lie in a side of a box [m]."""
+    """Return True for each line or triangle (N, corners, 3) that lies in a side of a box [m]."""
     apart = np.abs(np.stack([parts - low, parts - high]))
     return np.asarray(np.any(np.all(apart <= 1e-6 * np.max(high - low), axis=2), axis=(0, 2)))
 

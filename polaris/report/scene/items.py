@@ -1,4 +1,4 @@
-"""What a scene is made of: plain data in its axes, and passages that the plane does not show to be safe."""
+"""Parts of a scene: plain data in its axes, and passages that the plane does not show to be safe."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is drawn of a picture in two or three axes, from `low` to `high` (dim,) [m], along time [s].
+    """Drawing of a picture in two or three axes, from `low` to `high` (dim,) [m], along time [s].
 
     `time_axis` is the first axis for motion on a line, the last one for a plane seen in space.
     """
@@ -138,7 +138,7 @@ def alone(picture: Picture) -> list[Pilot]:
 
 
 def modes_per_node(runs: Flights) -> NDArray[np.int_]:
-    """Who flies from each node to the next in every run, shape (r, N)."""
+    """Return the mode that flies from each node to the next in every run, shape (r, N)."""
     if np.ndim(runs.modes) == 2:
         return np.asarray(runs.modes)
     one = np.repeat(runs.modes, (len(runs.times) - 1) // len(runs.modes))
@@ -223,7 +223,7 @@ def _passages(obstacle: Obstacle, space: Space, distance: Array) -> list[CloseUp
 
 
 def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
-    """Whether the plane of the figures shows all there is to see, of `paths` (N, d) [m] flown too."""
+    """Return True if the plane of the figures shows all there is to see, of `paths` (N, d) [m] flown too."""
     if picture.system.d < 3:
         return True
     space = Space.of(picture)
@@ -234,7 +234,7 @@ def is_flat(picture: Picture, paths: Sequence[Array] = ()) -> bool:
 
 
 def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Array:
-    """How far the safe path is from a set (a satellite's timed cover) seen along the other axes, (N,) [m]."""
+    """Return the distance (N,) [m] of the safe path from a set (or a satellite's cover) in two axes."""
     axes, system, shape = list(axes), picture.system, obstacle.drawn
     times, path = picture.safe_path()
     if isinstance(obstacle, SatelliteObstacle) or not shape.bounded:  # by the facets that are seen edge on
@@ -249,7 +249,7 @@ def plane_gap(obstacle: Obstacle, picture: Picture, axes: Sequence[int]) -> Arra
 
 
 def outline_gap(outline: Array, points: Array) -> Array:
-    """How far points (N, 2) are from the convex set within an outline (V, 2), at least; negative inside."""
+    """Return a lower bound on the distance of points (N, 2) from a convex outline (V, 2); negative inside."""
     edge = np.roll(outline, -1, axis=0) - outline
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

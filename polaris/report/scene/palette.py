@@ -22,7 +22,7 @@ MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "
 SET_SHADES = ("#9A141D", "#F3A6AB")
 """Darkest and lightest of unsafe sets that are told apart."""
 INPUT_SHADES = ("#3C3C3C", "#D4D4D4")
-"""The same of inputs."""
+"""Darkest and lightest of inputs."""
 
 METHOD_COLOURS = (
     *(BLUE, ORANGE, BLACK, GREEN, PURPLE, VERMILION, SKY),
@@ -44,7 +44,7 @@ ANSWERS = {
     4: ("backup", GREEN),
     5: ("backup, not proven", RED),
 }
-"""What a filter of the inspection problem answered."""
+"""Name and colour of each answer of a filter of the inspection problem."""
 BACKUP_MODES = {0: ("primary controller", ORANGE), 1: ("backup controller", BLUE)}
 
 
@@ -83,7 +83,7 @@ PILOTS = {
     "safety": ("S alone", "S alone", BLUE, "dash"),
     "experimental": ("U alone", "U alone", ORANGE, "dot"),
 }
-"""Who flew a run folder: name on the page and in print, colour, dashes on the page."""
+"""Pilots of a run folder: name on the page and in print, colour, dashes on the page."""
 
 
 def mode_colour(mode: int) -> str:
@@ -121,6 +121,6 @@ def shades(ends: tuple[str, str], count: int) -> list[tuple[float, float, float]
 
 
 def input_labels(system: LinearSystem) -> tuple[str, tuple[str, ...]]:
-    """What the input is called, with its unit, and the name of each axis."""
+    """Return the name of the input, with its unit, and that of each axis."""
     names = tuple(name.removesuffix(" thrust") for name in system.input_names)
     return "Input" if names == system.input_names else "Thrust (N)", names

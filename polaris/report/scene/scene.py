@@ -32,7 +32,7 @@ def shown_axes(picture: Picture, paths: Sequence[Array] = ()) -> list[int]:
 
 
 def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[int] | None = None) -> Scene:
-    """What a scene shows of a picture in two or three axes, by default the plane of the figures.
+    """Return the scene of a picture in two or three axes, by default the plane of the figures.
 
     Widened for paths flown (N, d) [m] that stay near; motion on a line is drawn over time.
     """
@@ -123,7 +123,7 @@ def _part(part: Shape, axes: list[int], at: float | None = None) -> Shape | None
 
 
 def _tube(picture: Picture, axes: list[int]) -> list[Item]:
-    """Where the spacecraft may be over each part of a step, whatever the disturbance."""
+    """Return the reachable positions over each part of a step, whatever the disturbance."""
     tube, dim, delta = picture.tube, len(axes), picture.reference.delta
     if tube is None or not len(tube.bow):
         return []
@@ -183,7 +183,7 @@ class Stretch:
 
     @property
     def times(self) -> Array:
-        """When sets are drawn [s]."""
+        """Times at which sets are drawn [s]."""
         return np.linspace(0, self.picture.duration, INSTANTS)
 
     def edges(self, obstacle: Obstacle) -> Array:

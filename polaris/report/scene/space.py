@@ -70,7 +70,7 @@ class Space:
         return cls(picture, middle - size / 2, middle + size / 2)
 
     def wider(self, share: float) -> "Space":
-        """The same with more room on every side of the plane, as a share of its size."""
+        """Return the space with more room on every side of the plane, as a share of its size."""
         more = np.zeros(len(self.low))
         flat = self.picture.frame.flat
         more[flat] = share * (self.high - self.low)[flat]
@@ -148,6 +148,6 @@ def _within(obstacle: Obstacle, picture: Picture, near: Approach, depth: float) 
 
 
 def moves(obstacle: Obstacle, picture: Picture) -> bool:
-    """Whether an obstacle changes place within the horizon."""
+    """Return True if an obstacle changes place within the horizon."""
     times = np.linspace(0, picture.duration, 5)
     return bool(np.ptp(obstacle.centre(times, picture.system), axis=0).max() > 0)

@@ -91,7 +91,7 @@ def _marks(
 
 
 def instants(obstacle: Obstacle, space: Space) -> list[float]:
-    """When a set is marked: closest approach; if it moves, at hand-overs, or once before and after."""
+    """Return when a set is marked: closest approach; if it moves, at hand-overs, or once before and after."""
     picture, axes, system = space.picture, space.picture.frame.flat, space.picture.system
     closest = picture.approach(obstacle).time
     if not moves(obstacle, picture):
@@ -122,7 +122,7 @@ def instants(obstacle: Obstacle, space: Space) -> list[float]:
 
 
 def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
-    """What the chaser must stay inside: a surface, open where it leaves the scene, and lines along it."""
+    """Return a keep-in set's items: a surface, open where it leaves the scene, and lines along it."""
     name = f"{obstacle.name} (stay inside)"
     if len(axes) == 2:
         outline = closed(flat_outline(space.corners(obstacle, 0.0)[:, axes]))
@@ -174,7 +174,7 @@ def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
 
 
 def prisms(space: Space) -> list[Item]:
-    """What sets in the plane cover from one instant to the next, with time as third axis."""
+    """Return the prisms that sets in the plane sweep between instants, with time as third axis."""
     picture, axes = space.picture, space.picture.frame.flat
     low, high = space.low[axes], space.high[axes]
     found: list[Item] = []

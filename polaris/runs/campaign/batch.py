@@ -30,7 +30,7 @@ class Case:
 
     @property
     def label(self) -> str:
-        """What tables call it: ``static, planner.extra_margin_m=20``."""
+        """Name of the case in tables: ``static, planner.extra_margin_m=20``."""
         shown = [f"{key}={x:g}" if isinstance(x, float) else f"{key}={x}" for key, x in self.parameters]
         return ", ".join([self.scenario, *shown])
 
@@ -80,7 +80,7 @@ def check_trajectory(path: str | Path, force: bool = False) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What became of a task: columns, shapes (modes * runs,), or why its case cannot be flown.
+    """Result of a task: columns, shapes (modes * runs,), or the reason why its case cannot be flown.
 
     All batches of a case must agree on `schedule`, the SHA-256 of what the schedule that flies does.
     """
@@ -106,7 +106,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Kind(ABC):
-    """What a kind of run brings to a campaign; plain data. Every run is flown once by each of the `modes`."""
+    """Kind of run of a campaign, as plain data. Every run is flown once by each of the `modes`."""
 
     modes: tuple[str, ...]
 
@@ -120,7 +120,7 @@ class Kind(ABC):
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> Self:
-        """The same kind from a manifest."""
+        """Return the kind that a manifest describes."""
         options = {field.name: data[field.name] for field in fields(cls)}
         return cls(**options | {"modes": tuple(map(str, data["modes"]))})
 

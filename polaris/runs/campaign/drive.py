@@ -54,7 +54,7 @@ class Driver:
                 yield task
 
     def _kept(self, task: Task) -> bool:
-        """Whether a task needs no work: its part is there, or its case cannot be flown."""
+        """Return True if a task needs no work: its part is there, or its case cannot be flown."""
         if task.case in self.failed:
             return True
         schedule = self.folder.check(task)

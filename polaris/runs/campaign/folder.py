@@ -61,7 +61,7 @@ class CampaignFolder:
         self._add("summary.json", json_text(plan.kind.summarise(results, worst)))
 
     def part(self, task: Task) -> Path:
-        """Where a batch goes: ``runs/case-0000-batch-00000.parquet`` and so on."""
+        """Return the path of a batch: ``runs/case-0000-batch-00000.parquet`` and so on."""
         return self.path / "runs" / f"case-{task.case:04d}-batch-{task.batch:05d}.{self.table}"
 
     def write(self, task: Task, batch: Batch) -> None:

@@ -110,7 +110,7 @@ def initial_states(columns: Mapping[str, Array]) -> Array:
 
 @lru_cache(2)
 def _made(text: str) -> tuple[MonteCarloScenario, InitialConditions, dict[str, BatchFilter]]:
-    """What a process needs of a case: whoever flies draws the initial conditions; filters by study."""
+    """Return the scenario of a case, its drawn initial conditions, and its filters by study."""
     scenario = MonteCarloScenario.from_dict(parse_toml(text, "campaign"))
     plan = scenario.model.campaign
     drawn = InitialConditions(scenario.families(), plan.seed)

@@ -1,4 +1,4 @@
-"""What a campaign is: its cases, runs and seeds, and the digest by which its results are recognised."""
+"""Plan of a campaign: its cases, runs and seeds, and the digest by which its results are recognised."""
 
 import hashlib
 import itertools
@@ -64,6 +64,9 @@ class CampaignPlan:
         whole("--batch", self.batch, 1)
         if not self.cases:
             raise ScenarioError("cases", [], "must hold at least one")
+        if isinstance(self.kind, ScheduleRuns):
+            for case in self.cases:
+                self.kind.check_case(case.text, case.label)
 
     @property
     def batches(self) -> int:
@@ -79,7 +82,7 @@ class CampaignPlan:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def asking(self, boxes: Mapping[str, Ask] | None) -> "CampaignPlan":
-        """The same with what is asked of black boxes, by their names: to be flown by this process alone.
+        """Return the plan with functions that ask black boxes, by their names: this process alone flies it.
 
         No manifest knows more of them than that; to go on, or to fly a run again, give them again.
         """

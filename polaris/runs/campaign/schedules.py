@@ -1,6 +1,7 @@
 """Campaigns of schedules: a case is synthesised once per process, its runs are simulated and measured."""
 
 import hashlib
+import re
 import threading
 import warnings
 from collections.abc import Callable, Mapping
@@ -17,6 +18,7 @@ from ...model.satellite import true_states
 from ...model.system import Array
 from ...scenario.reading import parse_toml
 from ...scenario.scenario import ScheduleScenario
+from ...simulation.baselines import alone_key
 from ...simulation.disturbances import Disturbance
 from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation_interval
 from ...simulation.run_metrics import PART, Runs, evaluate
@@ -30,7 +32,7 @@ from ..tables import columns
 from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
-"""Who flies: the schedule, S alone, or the preferred U alone."""
+"""Modes: the schedule, S alone, the preferred U alone; further U are ``experimental_2`` and so on."""
 
 KEPT = 4  # schedules a process keeps; cases come one after the other, so few are in use at a time
 
@@ -77,7 +79,7 @@ ASSUMPTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """What is asked of black boxes, by their names; None before it is given."""
+    """Functions that ask black boxes, by their names; None before they are given."""
 
     asks: Mapping[str, Ask | None]
     busy: threading.Lock = field(default_factory=threading.Lock)
@@ -118,8 +120,9 @@ def schedule_of(text: str, boxes: Boxes | None = None) -> tuple[Schedule, str]:
 class ScheduleRuns(Kind):
     """Runs of switching schedules, as `polaris.simulate` flies and `polaris.evaluate` measures them.
 
-    The modes are among ``polaris``, ``safety``, ``experimental``; `initial` and `disturbance` are those of
-    `polaris.simulate`. Black boxes are asked by this process alone, and manifests know their names only.
+    The modes are among ``polaris``, ``safety``, ``experimental`` (the preferred one), ``experimental_2`` and
+    so on; `initial` and `disturbance` are those of `polaris.simulate`. Black boxes are asked by this process
+    alone, and manifests know their names only.
     `ScenarioError` if a value is not allowed.
     """
 
@@ -133,8 +136,10 @@ class ScheduleRuns(Kind):
     ranking: ClassVar[str] = "min_distance_m"
 
     def __post_init__(self) -> None:
+        for mode in self.modes:
+            if mode not in MODES and _number(mode) is None:
+                raise ScenarioError("--mode", mode, f"must be one of {', '.join(MODES)}, experimental_2, ...")
         for option, given, allowed in (
-            *(("--mode", mode, tuple(MODES)) for mode in self.modes),
             ("--initial", self.initial, INITIALS),
             ("--disturbance", self.disturbance, DISTURBANCES),
         ):
@@ -142,6 +147,14 @@ class ScheduleRuns(Kind):
                 raise ScenarioError(option, given, f"must be one of {', '.join(allowed)}")
         if not self.modes or len(set(self.modes)) < len(self.modes):
             raise ScenarioError("--mode", list(self.modes), "must name at least one mode, each once")
+
+    def check_case(self, text: str, label: str) -> None:
+        """Raise `ScenarioError` if a mode names an experimental controller that the case does not have."""
+        for mode in self.modes:
+            count = len(parse_toml(text, "campaign")["experimental"]) if mode not in MODES else 1
+            if (_number(mode) or 0) > count:
+                names = ", ".join((*MODES, *map(alone_key, range(2, count + 1))))
+                raise ScenarioError("--mode", mode, f"must be one of {names} for {label}")
 
     def data(self) -> dict[str, Any]:
         """As `Kind.data`."""
@@ -156,7 +169,7 @@ class ScheduleRuns(Kind):
     def fly(self, task: Task, mode: str, run: int | None = None) -> Batch:
         """As `Kind.fly`."""
         schedule, known = schedule_of(task.text, self.boxes)
-        number = MODES[mode]
+        number = _number(mode)
         name = mode if number is None else schedule.controllers[number].name
         claim = schedule.guarantee if number is None else "none" if number else schedule.safety.guarantee
         seed, seed_truth = batch_seeds(task)
@@ -209,6 +222,12 @@ class ScheduleRuns(Kind):
             "assumptions": [ASSUMPTIONS[name] for name in (kind, "independent", "normal")],
             "definitions": DEFINITIONS,
         }
+
+
+def _number(mode: str) -> int | None:
+    """Return the number of the controller that a mode names; None for the schedule or an unknown mode."""
+    named = re.fullmatch("experimental_([2-9]|[1-9][0-9]{1,3})", mode)
+    return int(named[1]) if named else MODES.get(mode)
 
 
 def batch_seeds(task: Task) -> tuple[int, int]:

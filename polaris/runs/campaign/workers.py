@@ -1,4 +1,4 @@
-"""Who flies: this process, a pool of processes, or a Dask cluster; all are `concurrent.futures` executors."""
+"""Workers: this process, a pool of processes, or a Dask cluster, as `concurrent.futures` executors."""
 
 import logging
 import multiprocessing
@@ -94,7 +94,7 @@ def local(workers: int | None = None) -> Workers:
 
 
 def workers_of(executor: Executor | Workers | None) -> Workers:
-    """What users give as executor: somebody else's is neither closed nor replaced; None is this process."""
+    """Return the workers of a user's executor, which is neither closed nor replaced; None is this process."""
     if isinstance(executor, Workers):
         return executor
     return Workers(lambda: executor, lambda: AHEAD * cores(), again=False) if executor else local(1)
@@ -217,7 +217,7 @@ class _Crew:
         return known
 
     def trouble(self) -> str:
-        """Whether there has been no worker for too long."""
+        """Describe a cluster without workers for too long; empty if there are some."""
         if self.threads() or time.monotonic() - self.seen < DESERTED:
             return ""
         return f"the cluster at {self.address} has had no worker for {DESERTED:g} s"

@@ -10,7 +10,8 @@ const $ = (id) => document.getElementById(id);
 const ROUND_OFF = 1e-12; // below this is what rounding leaves of a zero
 const short = (value) => {
   if (value === null || value === undefined) return "none";
-  return Math.abs(value) < ROUND_OFF ? "0" : String(Number(Number(value).toPrecision(4)));
+  if (Math.abs(value) < ROUND_OFF) return "0";
+  return Math.abs(value) < 1e-3 ? Number(value).toExponential(2) : String(Number(Number(value).toPrecision(4)));
 };
 const runOf = (pilot, state) => Math.max(pilot.labels.indexOf(state.run), 0);
 
@@ -47,7 +48,16 @@ function start() {
     });
   }
 
-  const paintScene = () => Plotly.react(scene, themed(sceneTraces(data, state)), themed(layout), options);
+  async function paintScene() {
+    const { traces, names, marks } = sceneParts(data, state);
+    const draw = (annotations) => Plotly.react(scene, themed(traces),
+      themed({ ...layout, ...(data.scene.space === 3 ? { scene: { ...layout.scene, annotations } } : { annotations }) }), options);
+    if (!scene._fullLayout) { // names are placed in what is drawn
+      await draw([]);
+      scene.on("plotly_relayout", drawScene);
+    }
+    await draw(annotationsOf(scene, data, names, marks));
+  }
 
   async function drawTimelines() {
     const figure = timelineFigure(data, state);
@@ -175,12 +185,12 @@ function readout(data, state) {
   $("readout").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
   const notes = data.panels.flatMap((panel) => panel.series.filter((one) => one.pilot === null).map((series) => {
     const [i, s] = place(series.t, series.bars ? state.t + series.width / 2 : state.t);
-    const text = series.text ? ` (${series.text[i]})` : "";
-    return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}${text}`;
+    if (series.text) return `${panel.title}: ${series.text[i]}`;
+    return `${panel.title}, ${series.name}${series.meaning ? ", " + series.meaning : ""}: ${at(series, series.y, i, s)}${panel.unit ? " " + panel.unit : ""}`;
   }));
   const slice = state.groups.has("slice") && sliceAt(data, state);
   if (slice) notes.push(slice.p ? `Recoverable set drawn: at ${short(slice.t)} s${slice.now ? "" : ", not at the time shown"}`
-    : `Recoverable set at ${short(slice.t)} s: not drawn, for the run shown is outside of it`);
+    : `Recoverable set at ${short(slice.t)} s: not drawn, because the run shown is outside of it`);
   $("notes").replaceChildren(...notes.map((text) => element("li", { textContent: text })));
 }
 

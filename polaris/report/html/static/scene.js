@@ -41,7 +41,7 @@ function snapped(data, t) {
 }
 
 // Filled at its own time, later dashed about the chaser's place of then; its time stands at it either way.
-function sliceTraces(data, layer, state) {
+function sliceTraces(data, layer, state, names) {
   const last = sliceAt(data, state), found = last && last.p ? last : null;
   const { space, range } = data.scene, edge = "#8A7F00", none = [[], [], []];
   const name = found ? `recoverable at ${short(found.t)} s` : layer.name;
@@ -53,28 +53,25 @@ function sliceTraces(data, layer, state) {
     return k === 1 ? low : (low + high) / 2;
   });
   const look = (part) => ({ colour: edge, opacity: 1, uid: "slice" + part });
-  return [...(last ? overTraces(data, layer, state, now && last.i) : []),
+  if (found) names.push({ text: name, colour: edge, p: foot, below: true });
+  return [...(last ? overTraces(data, layer, state, now && last.i, names) : []),
     traceOf(space, name, now ? { p, f: fan } : { p: none }, { ...layer, kind: space === 3 ? "mesh" : "area", uid: "slice" }),
     traceOf(space, name, { p }, { ...look("edge"), kind: "line", width: space === 3 ? 4 : 2, dash: now ? "solid" : "dash" }),
     traceOf(space, name + ": the chaser then", { p: found && !now ? found.at.map((v) => [v]) : none },
       { ...look("place"), kind: "points", size: 4, symbol: "circle-open" }),
-    // A trace of its own for each time: plotly shrinks a text in space that changes.
-    { ...traceOf(space, name, { p: found ? foot.map((v) => [v]) : none }, { ...look("time" + (found ? found.i : "")), kind: "text", text: [name], size: 1 }), textposition: (space === 3 ? "bottom" : "top") + " center" },
   ];
 }
 
 // The sets in which the run shown is handed over, rimmed in the colour of who takes over; dashed but at their own times.
-function overTraces(data, layer, state, now) {
+function overTraces(data, layer, state, now, names) {
   const { space, range } = data.scene, run = runOf(data.pilots.find((one) => one.key === layer.pilot), state);
   return layer.over.flatMap(([i, name, colour]) => {
     const frame = (layer.frames[run] || [])[i];
     if (!frame) return [];
     const p = [...frame.p, frame.p[0].map(() => frame.at[2])].slice(0, space), uid = "over" + i;
     const side = name.startsWith("S ") ? 0 : 1, end = p[side].indexOf(Math.max(...p[side])); // apart from one another
-    const text = traceOf(space, name, { p: p.map((axis, k) => [Math.min(Math.max(axis[end], range[k][0]), range[k][1])]) },
-      { kind: "text", colour, opacity: 1, text: [name], size: 1, uid: uid + "name" });
-    return [traceOf(space, name + ": recoverable then", { p }, { kind: "line", colour, opacity: 1, width: space === 3 ? 3 : 1.5, dash: i === now ? "solid" : "dash", uid }),
-      { ...text, textposition: side ? "top center" : "middle right" }];
+    names.push({ text: name, colour, p: p.map((axis, k) => Math.min(Math.max(axis[end], range[k][0]), range[k][1])) });
+    return [traceOf(space, name + ": recoverable then", { p }, { kind: "line", colour, opacity: 1, width: space === 3 ? 3 : 1.5, dash: i === now ? "solid" : "dash", uid })];
   });
 }
 
@@ -103,13 +100,10 @@ function traceOf(space, name, shape, look) {
   }
   const trace = space === 3 ? { type: "scatter3d", z: p[2] || [] } : { type: "scatter" };
   Object.assign(trace, { x: p[0], y: p[1] }, common, hover);
-  if (look.kind === "points" || look.kind === "text") {
-    trace.mode = look.kind === "text" ? "text" : "markers";
-    if (look.text) Object.assign(trace, { text: look.text.map(plain), textfont: { color: look.colour, size: 12 } });
-    trace.textposition = "top center";
+  if (look.kind === "points") {
+    trace.mode = "markers";
     trace.marker = { color: look.colour, size: look.size * (space === 3 ? 1 : 2), symbol: look.symbol,
       line: { color: "#fff", width: 1 } };
-    if (look.kind === "text") trace.hoverinfo = "skip";
     return trace;
   }
   trace.mode = "lines";
@@ -139,22 +133,22 @@ function flown(pilot, run, modes, t) {
   return { paths, here };
 }
 
-function sceneTraces(data, state) {
-  const { space, layers } = data.scene, traces = [], labels = { p: [[], [], []], text: [] };
+// Traces of the scene, the names of what is in it, and the places of the chasers, which names must not cover.
+function sceneParts(data, state) {
+  const { space, layers } = data.scene, traces = [], names = [], marks = [];
   layers.forEach((layer, n) => {
     if (!state.groups.has(layer.group)) return;
-    if (layer.kind === "slice") { traces.push(...sliceTraces(data, layer, state)); return; }
+    if (layer.kind === "slice") { traces.push(...sliceTraces(data, layer, state, names)); return; }
     const all = state.always && layer.group === "tube";
     const shape = all ? whole(layer) : shapeAt(layer, state.t);
     traces.push(traceOf(space, layer.name, shape, { ...layer, uid: "layer" + n }));
     if (layer.label && shape) {
-      shape.p.forEach((axis, k) => {
+      const p = shape.p.map((axis, k) => {
         const [first, last] = data.scene.range[k], cut = (v) => Math.min(Math.max(v, first), last);
         const low = cut(Math.min(...axis)), high = cut(Math.max(...axis));
-        // Names stand above; where a set leaves the scene, in it.
-        labels.p[k].push(k === space - 1 ? Math.min(high, last - (space === 2 ? 0.07 : 0) * (last - first)) : (low + high) / 2);
+        return k === space - 1 ? high : (low + high) / 2;
       });
-      labels.text.push(layer.label);
+      names.push({ text: layer.label, colour: "#8E1620", p });
     }
   });
   const byPilot = data.by === "pilot" && state.shown.length > 1;
@@ -171,15 +165,15 @@ function sceneTraces(data, state) {
     const colour = pilot.colour;
     traces.push(traceOf(space, pilot.name + " now", { p: here.map((v) => [v]) },
       { kind: "points", colour, opacity: 1, size: 5, symbol: "circle", uid: uid + "now" }));
+    marks.push(here);
   }
-  traces.push(traceOf(space, "names", labels, { kind: "text", colour: "#8E1620", opacity: 1, text: labels.text, size: 1, uid: "names" }));
-  return traces;
+  return { traces, names, marks };
 }
 
 function sceneLayout(data, frame) {
   const { space, axes, range } = data.scene;
   const axis = (k) => ({ title: { text: plain(axes[k]), font: { size: 12 } }, range: range[k], autorange: false,
-    gridcolor: "#E2E2E2", color: "#444", zeroline: false, tickfont: { size: 11 }, nticks: 6 });
+    gridcolor: "#E2E2E2", color: "#444", zeroline: false, tickfont: { size: 11 }, nticks: space === 3 && isNarrow() ? 4 : 6 });
   const common = { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "#fff", uirevision: "keep", hovermode: "closest",
     font: { family: "system-ui, sans-serif", color: "#222" } };
   if (space === 2) {
@@ -195,6 +189,7 @@ function sceneLayout(data, frame) {
 }
 
 const WAY = [0.36, -0.78, 0.51]; // to the eye, from the middle of the box
+const HALF = Math.tan(Math.PI / 8); // of half the angle of view
 
 // The corners of a box as seen from a distance (to the right, up, depth), how much room they take, and its aspect.
 function seenFrom(ratio, far) {
@@ -212,8 +207,8 @@ function seenFrom(ratio, far) {
 
 // The nearest camera, from one direction, for which a box and its labels fill the frame and are all within it.
 function cameraFor(ratio, aspect) {
-  // Half the angle of view; labels stand outside of the box, and are as large in a narrow window.
-  const half = Math.tan(Math.PI / 8), room = document.documentElement.clientWidth < 600 ? 0.62 : 0.8;
+  // Titles of axes stand outside of the box, and are as large in a narrow window.
+  const half = HALF, room = isNarrow() ? 0.62 : 0.8;
   let near = 0.1, far = 50;
   for (let i = 0; i < 40; i++) {
     const middle = (near + far) / 2, { points, size } = seenFrom(ratio, middle);

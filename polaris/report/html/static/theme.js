@@ -3,6 +3,7 @@
 const DARK = window.matchMedia("screen and (prefers-color-scheme: dark)"), INK = [230, 232, 235], PAPER = [21, 24, 28];
 let printing = false; // paper is always light
 
+const isNarrow = () => document.documentElement.clientWidth < 600;
 const isDark = () => DARK.matches && !printing;
 const mixed = (a, b, share) => a.map((v, k) => v + share * (b[k] - v));
 

@@ -1,6 +1,6 @@
 // Diagrams over time, one above the other with one time axis, and the line that marks the time shown.
 
-const PANEL = 104, ROW = 22, LINE = 16;
+const PANEL = 104, ROW = 22, LINE = 16, LIMIT = "#555555";
 
 function rowsOf(data, state) {
   return state.shown.map((pilot) => plain(pilot.name));
@@ -78,14 +78,16 @@ function wrapped(text, most) {
   return lines;
 }
 
-// Names of the lines that belong to no pilot, each beside a piece of its line.
+// Names of the lines that belong to no pilot and of limits that shade nothing, each beside a piece of its line.
 function linesOf(panel) {
   const own = panel.series.filter((one) => one.pilot === null && !one.bars);
-  return own.length ? [own.map((one) => `<span style="color:${one.colour}">━━</span> ${plain(one.name)}`).join("   ")] : [];
+  const limits = panel.limits.filter((one) => one.text && !one.unsafe).map((one) => ({ colour: LIMIT, name: one.text }));
+  const lines = [...own, ...limits].map((one) => `<span style="color:${one.colour}">━━</span> ${plain(one.name)}`);
+  return lines.length ? [lines.join("   ")] : [];
 }
 
 function timelineFigure(data, state) {
-  const narrow = document.documentElement.clientWidth < 600, marks = (data.marks || []).map((one) => plain(one.text));
+  const narrow = isNarrow(), marks = (data.marks || []).map((one) => plain(one.text));
   const rows = rowsOf(data, state), heights = [ROW * rows.length + 8, ...data.panels.map(() => PANEL)];
   const titles = [data.modes_title, ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].map((title, n) => {
     const bold = wrapped(title, narrow ? 34 : 90).map((line) => `<b>${plain(line)}</b>`);
@@ -131,14 +133,14 @@ function timelineFigure(data, state) {
 function limitsOf(panel, [low, high], yref, layout) {
   for (const one of panel.limits) {
     layout.shapes.push({ type: "line", xref: "paper", yref, x0: 0, x1: 1, y0: one.y, y1: one.y, layer: "below",
-      line: { color: one.unsafe ? "#C0202B" : "#555", width: 1 } });
+      line: { color: one.unsafe ? "#C0202B" : LIMIT, width: 1 } });
     if (one.unsafe) {
       layout.shapes.push({ type: "rect", xref: "paper", yref, x0: 0, x1: 1, y0: one.y, y1: one.unsafe === "below" ? low : high,
         layer: "below", line: { width: 0 }, fillcolor: "rgba(192,32,43,0.12)" });
     }
-    if (one.text) {
+    if (one.text && one.unsafe) {
       layout.annotations.push({ text: plain(one.text), xref: "paper", yref, x: 1, y: one.y, xanchor: "right", showarrow: false,
-        yanchor: one.unsafe === "below" ? "top" : "bottom", font: { size: 10, color: one.unsafe ? "#A01822" : "#444" } });
+        yanchor: one.unsafe === "below" ? "top" : "bottom", font: { size: 10, color: "#A01822" } });
     }
   }
 }
