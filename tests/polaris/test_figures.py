@@ -40,6 +40,7 @@ from polaris.simulation.baselines import Flights
 from reach.sets.outlines import polygon
 from reach.sets.zonotope import Zonotope
 
+from ..sizes import fewer
 from .random_scenarios import synthesised as random_schedule
 from .tiny import flown, synthesised
 
@@ -358,7 +359,8 @@ SEEDS = (0, 1, 5, 40)
 
 
 @pytest.mark.parametrize(
-    "seed", [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(120) if i not in SEEDS)]
+    "seed",
+    [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(120, 40)) if i not in SEEDS)],
 )
 def test_random_scenes_are_well_drawn(seed):
     picture = random_picture(seed)
@@ -411,7 +413,7 @@ def drawn_gap(picture, obstacle, times, path, axes):
 
 
 @pytest.mark.parametrize(
-    "seed", [5, 11, 2, 8, *(pytest.param(i, marks=pytest.mark.slow) for i in range(14, 300, 3))]
+    "seed", [5, 11, 2, 8, *(pytest.param(i, marks=pytest.mark.slow) for i in range(14, fewer(300, 110), 3))]
 )
 def test_some_panel_shows_every_passage_of_a_set_that_is_not_entered(seed):
     picture = random_picture(seed)
@@ -575,7 +577,8 @@ PROVED = (1, 2, 4, 13)
 
 
 @pytest.mark.parametrize(
-    "seed", [*PROVED, *(pytest.param(i, marks=pytest.mark.slow) for i in range(60) if i not in PROVED)]
+    "seed",
+    [*PROVED, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(60, 30)) if i not in PROVED)],
 )
 def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
     try:

@@ -29,6 +29,7 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.demand import command_errors
 from polaris.synthesis.synthesize import synthesize
 
+from ..sizes import fewer
 from .closed_loops import attack
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, make
 from .test_error_sources import exact, tables
@@ -368,7 +369,8 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
 def test_many_aborted_flights_reach_their_orbit(errors):
     """Every other scene with errors, the rest without, or by phase."""
     scenes, flights, tight = 0, 0, []
-    for seed in range(5000 + errors, 5060 + errors, 2):
+    seeds = range(5000 + errors, fewer(5060, 5024) + errors, 2)
+    for seed in seeds:
         scenario = exact(seed)
         table = random_orbit(scenario, seed) if seed % 3 else 'abort.orbit={kind="goal"}'
         try:
@@ -388,4 +390,4 @@ def test_many_aborted_flights_reach_their_orbit(errors):
             scenes, flights = scenes + 1, flights + len(chosen)
             assert falsify(schedule, 300, seed).failure is None
             assert verified(scenario, schedule), seed
-    assert scenes >= 6 and np.median(tight) > 0.3
+    assert scenes >= len(seeds) / 5 and np.median(tight) > 0.3
