@@ -128,7 +128,7 @@ def test_what_is_in_the_way_after_the_end_alone_is_passed_with_u_in_view_too():
 
 @pytest.mark.slow
 def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
-    kept = changed = 0
+    kept = changed = proven = 0
     seeds = range(fewer(150, 60))
     for seed in seeds:
         try:
@@ -137,11 +137,12 @@ def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
             continue
         if before.guarantee != "proved":
             continue
+        proven += 1
         kept += schedule.share() >= before.share() and schedule.delta_v[0] <= before.delta_v[0] + 1e-12
         changed += not np.array_equal(schedule.safety.reference.chi, before.safety.reference.chi)
         assert schedule.safety.end.until >= before.safety.end.until
-    assert changed >= 0.08 * len(seeds)
-    assert kept >= 0.5 * len(seeds)
+    assert changed >= 0.04 * len(seeds) and proven >= 0.4 * len(seeds)
+    assert kept >= 0.7 * proven
 
 
 def test_the_same_scenario_gives_the_same_schedule(folder):

@@ -413,7 +413,7 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
             judge(seed, attack_monitor(monitor, 30, seed)[0])
         if schedule.safety.problem.system.observer is not None:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1 + 1e-6), seed
-    assert scenes >= len(seeds) / 2
+    assert scenes >= len(seeds) / 3
 
 
 @pytest.mark.slow

@@ -101,7 +101,7 @@ def test_many_drifts_stay_clear():
             least, _ = flown_drifts(schedule, 20, seed)
             assert least >= schedule.passive.least - 1e-3, seed
             told, tight = told + 1, [*tight, schedule.passive.least / least]
-    assert told >= len(seeds) / 2 and np.median(tight) > 0.2
+    assert told >= len(seeds) / 3 and np.median(tight) > 0.2
 
 
 @pytest.fixture(scope="module")

@@ -188,7 +188,7 @@ def test_proofs_of_random_scenes_hold_with_all_of_it():
         judge(seed, attack(schedule, 100, seed))
         if period:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1), seed
-    assert scenes >= 0.4 * len(seeds)
+    assert scenes >= 0.3 * len(seeds)
 
 
 def test_the_smallest_errors_are_confirmed(tmp_path):
