@@ -279,6 +279,7 @@ def test_a_goal_that_is_forged_is_refused(judged, how):
     assert caught.value.claim == "goal"
 
 
+@pytest.mark.usefixtures("few")
 def test_a_whole_folder_with_a_forged_goal_is_refused(forgers):
     lie = Lie(forgers("any state"))
     claim_of(lie)["by_s"] = 1e6

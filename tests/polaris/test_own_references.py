@@ -19,8 +19,6 @@ from polaris.planning.reference import Reference
 from polaris.scenario.experimental import _settled
 from reach.numerics.linear import discretize
 
-from ..sizes import fewer
-
 STEPS = 12
 
 
@@ -83,7 +81,7 @@ def random_system(rng):
     return system, 0.5 * t, x, u
 
 
-SEEDS = [*range(15), *(pytest.param(s, marks=pytest.mark.slow) for s in range(15, fewer(300, 75)))]
+SEEDS = [*range(15), *(pytest.param(s, marks=pytest.mark.slow) for s in range(15, 300))]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
