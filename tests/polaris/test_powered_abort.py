@@ -267,6 +267,7 @@ def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all
     assert sooner
 
 
+@pytest.mark.slow
 def test_an_abort_arrives_at_a_node_for_the_checker_too():
     """With few periods a step, what happens between two of them is much; it does not count in an arrival."""
 
