@@ -129,7 +129,7 @@ def test_what_is_in_the_way_after_the_end_alone_is_passed_with_u_in_view_too():
 @pytest.mark.slow
 def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
     kept = changed = proven = 0
-    seeds = range(fewer(150, 60))
+    seeds = range(fewer(150, 70))
     for seed in seeds:
         try:
             _, schedule, before = random_pair(seed, folder)

