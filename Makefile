@@ -16,7 +16,7 @@ EXTRAS := test docs fast bench gurobi ranges # not basilisk, which needs older p
 RUN := runs/static
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lowest test-latest constraints lint format bench docs schema clean
+.PHONY: help demo test test-slow campaign test-lowest test-latest constraints lint format bench docs schema clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1|/' | \
@@ -31,7 +31,10 @@ test: $(TEST) ## Run the quick tests
 	$(BIN)/python $(PYTEST) $(ARGS)
 
 test-slow: $(TEST) $(FAST) ## Run the long tests, and properties on all of their examples
-	HYPOTHESIS_PROFILE=whole $(BIN)/python -m pytest -q -n 2 -m "slow or property" $(ARGS)
+	HYPOTHESIS_PROFILE=whole $(BIN)/python -m pytest -q -n 2 --dist worksteal -m "slow or property" $(ARGS)
+
+campaign: export POLARIS_CAMPAIGN := 1
+campaign: test-slow ## Run the long tests with all of their seeds, runs and forgeries, which takes many hours
 
 test-lowest: RESOLUTION := lowest-direct
 test-lowest: ## Run the quick tests with the lowest versions that pyproject.toml allows

@@ -16,7 +16,7 @@ import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 # No deadline: how long one example takes says more about the machine than about the code. A plain run tests
-# the same examples every time, and a third of those that each property asks for (see below); "whole" all of
+# the same examples every time, and a fifth of those that each property asks for (see below); "whole" all of
 # them, as `make test-slow` does, and "search" draws new ones.
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "same")
 settings.register_profile("same", deadline=None, derandomize=True)
@@ -43,7 +43,7 @@ def pytest_collection_finish():
 
 
 def pytest_collection_modifyitems(items):
-    """Long files first; a plain run tests a third of the examples that each property asks for."""
+    """Long files first; a plain run tests a fifth of the examples that each property asks for."""
     places, fewer = {f"tests/{name}.py": place for place, name in enumerate(FIRST)}, set()
     items.sort(key=lambda item: places.get(item.nodeid.split("::")[0], len(places)))
     for item in items:
@@ -54,5 +54,5 @@ def pytest_collection_modifyitems(items):
         if PROFILE == "same" and function not in fewer:
             fewer.add(function)
             asked = function._hypothesis_internal_use_settings
-            third = settings(asked, max_examples=-(-asked.max_examples // 3))
-            function._hypothesis_internal_use_settings = third
+            fifth = settings(asked, max_examples=-(-asked.max_examples // 5))
+            function._hypothesis_internal_use_settings = fifth

@@ -239,7 +239,7 @@ def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RUN, ids=lambda path: path.name)
-def test_slow_commands_do_what_they_show(path, shell):
+def test_slow_commands_do_what_they_show(path, shell, kept_schedules):
     needs(path)
     for block in blocks(path):
         if block.check == "slow":

@@ -29,6 +29,7 @@ from polaris.model.hill import free_flight
 from polaris.model.thrusters import Thrusters
 from polaris.rta.one_call import Decision
 
+from ..sizes import fewer
 from .garbage import answers, calls, malformed, odd_times
 
 Q = Inspection()
@@ -535,5 +536,5 @@ def test_the_command_of_the_long_flights(kind, capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", [[], ["--errors"], ["--kind", "implicit"]])
 def test_long_flights_with_harsh_primaries(arguments, capsys):
-    harsh.main(["--flights", "33", "--seconds", "600", *arguments])
+    harsh.main(["--flights", "33", "--seconds", str(fewer(600, 150)), *arguments])
     assert capsys.readouterr().out.endswith(": 0 violated, 0 periods not proven\n")

@@ -80,7 +80,7 @@ def test_the_primary_may_lead_the_way_back_as_under_the_plain_filter(kind):
     assert sum(answer.unproven for _, answer in flown) <= 18  # as long as `centralized` takes
 
 
-@pytest.mark.parametrize("loops", [True, False])
+@pytest.mark.parametrize("loops", [pytest.param(True, marks=pytest.mark.slow), False])
 @pytest.mark.parametrize("kind", KINDS)
 def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, monkeypatch):
     monkeypatch.setattr(compiled, "wanted", lambda: loops)

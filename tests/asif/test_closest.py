@@ -11,6 +11,7 @@ from polaris.inspection.closest import TOLERANCE, ClosestApproach, circle_map, f
 from polaris.inspection.constraints.passive import Passive
 from polaris.model.hill import cw_matrix, free_flight
 
+from ..sizes import fewer
 from . import oracle
 
 N_ORBIT = 1.027e-3
@@ -90,7 +91,7 @@ def test_never_above_the_infimum(kind):
 @pytest.mark.slow
 def test_never_above_the_infimum_of_thousands():
     rng = np.random.default_rng(99)
-    for _ in range(150):
+    for _ in range(fewer(150, 50)):
         n = 10 ** rng.uniform(-5, -2)
         T = min(10 ** rng.uniform(0, 5), np.pi / n)
         for kind in KINDS:

@@ -15,6 +15,8 @@ from polaris.rta.priorities import EXACT, GAP, MET, SPARE, SURE, least_violation
 from polaris.rta.projection import FAILED, FILTERED, SHORT, project, solve
 from polaris.rta.vertex import lowest
 
+from ..sizes import fewer
+
 CLOSE = 5e-3
 """Of the limit: what another 1e-7 for rows that count more may be worth between near-parallel rows."""
 
@@ -144,7 +146,7 @@ def test_no_shortage_can_be_made_less_but_at_the_cost_of_what_counts_more(seed):
 @pytest.mark.slow
 def test_many_random_programs():
     rng = np.random.default_rng(1)
-    for _ in range(1500):
+    for _ in range(fewer(1500, 500)):
         G, bound, desired, limit, rank = random_program(rng)
         u = least_violation(G, bound, desired, limit, rank)
         some = G.any(axis=1)
@@ -173,7 +175,8 @@ def test_odd_programs():
 @pytest.mark.slow
 def test_many_odd_programs():
     rng = np.random.default_rng(3)
-    assert check_odd(odd_program(rng) for _ in range(300)) > 1500
+    count = fewer(300, 100)
+    assert check_odd(odd_program(rng) for _ in range(count)) > 5 * count
 
 
 def test_rows_parallel_to_rounding_get_an_answer_that_keeps_the_first_rank():

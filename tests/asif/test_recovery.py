@@ -10,6 +10,8 @@ from polaris.inspection.filters.explicit import SHARINGS, make_filter
 from polaris.inspection.inspection import Inspection
 from polaris.rta.projection import FAILED
 
+from ..sizes import fewer
+
 ALL = ("centralized", *SHARINGS)
 SPEEDS = ("phi3", "phi9", "phi10", "phi11")
 
@@ -110,4 +112,4 @@ def test_no_way_back_violates_a_separation(sharing, sampled):
 @pytest.mark.parametrize("sampled", [None, SampledData(1.0)])
 def test_many_ways_back_violate_no_separation(sharing, preset, sampled):
     for N in (1, 2, 3, 5):
-        recoveries(N, preset, sharing, sampled, 25, 250, 100 + N)
+        recoveries(N, preset, sharing, sampled, 25, fewer(250, 80), 100 + N)

@@ -21,6 +21,8 @@ from polaris.model.errors import ScenarioError
 from polaris.model.hill import cw_matrix
 from polaris.rta.projection import SHORT
 
+from ..sizes import fewer
+
 PERIODS = (0.1, 0.5, 1.0, 3.0, 10.0)
 GRID = 41
 
@@ -278,7 +280,13 @@ def test_optimised_attacks_fail_too(kind, period):
         return np.where(flew, -worst, 1.0 + np.maximum(-h, 0.0))
 
     found = differential_evolution(
-        objective, [(-1, 1)] * 13, maxiter=150, popsize=20, seed=3, vectorized=True, updating="deferred"
+        objective,
+        [(-1, 1)] * 13,
+        maxiter=fewer(150, 60),
+        popsize=20,
+        seed=3,
+        vectorized=True,
+        updating="deferred",
     )
     assert found.fun >= -1e-10
 

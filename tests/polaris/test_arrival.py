@@ -32,6 +32,7 @@ from polaris.synthesis.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.problem import require_velocities
 from polaris.synthesis.synthesize import synthesize
 
+from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
 from .random_scenarios import synthesised as random_scene
 from .random_scenarios import written
@@ -278,6 +279,7 @@ def test_a_goal_that_is_forged_is_refused(judged, how):
     assert caught.value.claim == "goal"
 
 
+@pytest.mark.usefixtures("few")
 def test_a_whole_folder_with_a_forged_goal_is_refused(forgers):
     lie = Lie(forgers("any state"))
     claim_of(lie)["by_s"] = 1e6
@@ -367,11 +369,11 @@ def test_a_drift_needs_hill_s_frame(forgers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [range(start, start + 12) for start in (0, 12, 24, 36, 48)], ids=str)
-def test_random_scenes_are_verified_and_their_forgeries_are_not(seeds, tmp_path):
+@pytest.mark.parametrize("start", (0, 12, 24, 36, 48))
+def test_random_scenes_are_verified_and_their_forgeries_are_not(start, tmp_path):
     """Every plant, set, goal, rule, law; each number of the claim made a little better than it is."""
     some = loose = 0
-    for seed in seeds:
+    for seed in range(start, start + fewer(12, 5)):
         try:
             folder = written(seed, tmp_path)
         except PolarisError:

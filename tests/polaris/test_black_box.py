@@ -394,6 +394,7 @@ def test_a_comparison_asks_once_a_period_for_all_flights():
     ).refused
 
 
+@pytest.mark.slow
 def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     pytest.importorskip("pyarrow")
     plan = CampaignPlan(make_cases([ScheduleScenario.from_dict(document(**LIKELY))]), 4, batch=2)
@@ -421,6 +422,7 @@ def test_a_campaign_goes_on_with_the_same_box_alone(tmp_path):
     assert replay_run(again, 0, 0, 1).row["guarantee"] == "statistical"
 
 
+@pytest.mark.slow
 def test_points_of_a_trade_off_are_statistical_and_nothing_needed_is_read_from_them(tmp_path):
     scenario, boxes = ScheduleScenario.from_dict(document(**LIKELY)), {"box": follower}
     asked = {"system.disturbance_max": [0.02]}

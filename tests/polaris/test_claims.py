@@ -159,7 +159,7 @@ def in_order(scenario, order):
 
 @pytest.mark.parametrize(
     ("change", "orders"),
-    [({}, ([0, 1, 2, 3], [3, 0, 2, 1])), (CART, ([0, 1, 2], [1, 2, 0]))],
+    [pytest.param({}, ([0, 1, 2, 3], [3, 0, 2, 1]), marks=pytest.mark.slow), (CART, ([0, 1, 2], [1, 2, 0]))],
     ids=["robot", "cart"],
 )
 def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
@@ -183,7 +183,9 @@ def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
 # -- velocities -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("most", "reached"), [(0.5, True), (0.005, "not_proven")])
+@pytest.mark.parametrize(
+    ("most", "reached"), [(0.5, True), pytest.param(0.005, "not_proven", marks=pytest.mark.slow)]
+)
 def test_velocities_have_a_tolerance_of_their_own(most, reached, tmp_path):
     """What is claimed as reached is within both, to the checker too, which refuses a narrower one."""
     near = ["goal.tolerance_m=2.0", f"goal.velocity_tolerance_m_s={most}", "schedule.bound_programs=0"]

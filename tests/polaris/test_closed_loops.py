@@ -19,6 +19,7 @@ from polaris.synthesis.schedule import Step
 from polaris.synthesis.search import Search, SwitchingRules
 from polaris.synthesis.synthesize import synthesize
 
+from ..sizes import fewer
 from .closed_loops import Attack, Loop, arrivals, attack, attack_monitor
 from .random_scenarios import synthesised
 
@@ -171,27 +172,29 @@ def test_a_few_monitors_hold_at_their_worst():
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_worst_cases_break_nothing():
+def test_many_worst_cases_break_nothing():
+    """A hundred thousand in a campaign."""
     scenes, runs, tight, near = 0, 0, [], []
-    for seed, schedule in proved(range(FIRST, FIRST + 130)):
+    seeds = range(FIRST, FIRST + fewer(130, 30))
+    for seed, schedule in proved(seeds):
         found = attack(schedule, 260, seed)
         judge(seed, found)
         scenes, runs = scenes + 1, runs + found.runs
         tight += [found.tight] * (schedule.safety.recoverable.kind == "polytope")
         near.append(arrives(seed, schedule).get("distance", 0.0))
     print(f"\n{scenes} scenes, {runs} trajectories, need flown over need claimed: {max(tight):.1%} at most")
-    assert scenes >= 46 and runs >= 100_000
+    assert scenes >= len(seeds) / 4 and runs >= 400 * len(seeds)
     assert np.median(tight) > 0.8 and max(near) > 0.99
 
 
 @pytest.mark.slow
 def test_many_monitors_hold_at_their_worst():
-    scenes = 0
-    for seed, schedule in proved(range(FIRST, FIRST + 60)):
+    scenes, seeds = 0, range(FIRST, FIRST + fewer(60, 25))
+    for seed, schedule in proved(seeds):
         monitor = monitored(seed, schedule) if len(schedule.controllers) > 1 else None
         if monitor is None:
             continue
         found, _ = attack_monitor(monitor, 120, seed)
         judge(seed, found)
         scenes += 1
-    assert scenes >= 30
+    assert scenes >= len(seeds) / 3

@@ -41,6 +41,7 @@ from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
 from ..kept import ROOT, kept
+from ..sizes import fewer
 from .closed_loops import attack, attack_monitor
 from .forging import CERTIFICATE, COARSE, Forger, make
 from .random_scenarios import random_scenario
@@ -123,13 +124,14 @@ def test_errors_left_out_of_the_proof_break_it():
 @pytest.mark.slow
 def test_many_proofs_hold_with_errors_at_their_worst():
     scenes, tight = 0, []
-    for seed in range(5000, 5080):
+    seeds = range(5000, fewer(5080, 5027))
+    for seed in seeds:
         if (known := made(seed)) is None:
             continue
         found = attack(known[1], 200, seed)
         judge(seed, found)
         scenes, tight = scenes + 1, [*tight, found.tight]
-    assert scenes >= 50 and np.median(tight) > 0.6
+    assert scenes >= len(seeds) / 2 and np.median(tight) > 0.6
 
 
 def test_the_share_of_an_error_is_what_its_worst_signs_reach():
@@ -380,7 +382,8 @@ def test_errors_that_a_monitor_does_not_know_of_break_it():
 @pytest.mark.slow
 def test_many_monitors_hold_with_errors_at_their_worst():
     monitors = 0
-    for seed in range(5000, 5060):
+    seeds = range(5000, fewer(5060, 5020))
+    for seed in seeds:
         try:
             schedule = printed(seed)
         except PolarisError:
@@ -389,7 +392,7 @@ def test_many_monitors_hold_with_errors_at_their_worst():
             if (monitor := monitored(seed + 1000 * number, schedule)) is not None:
                 judge(seed, attack_monitor(monitor, 120, seed)[0])
                 monitors += 1
-    assert monitors >= 70
+    assert monitors >= 0.8 * len(seeds)
 
 
 def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():

@@ -41,6 +41,7 @@ from polaris.simulation.baselines import Flights
 from reach.sets.outlines import polygon
 from reach.sets.zonotope import Zonotope
 
+from ..sizes import fewer
 from .random_scenarios import synthesised as random_schedule
 from .tiny import flown, synthesised
 
@@ -371,7 +372,8 @@ SEEDS = (0, 1, 5, 40)
 
 
 @pytest.mark.parametrize(
-    "seed", [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(120) if i not in SEEDS)]
+    "seed",
+    [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(120, 40)) if i not in SEEDS)],
 )
 def test_random_scenes_are_well_drawn(seed):
     picture = random_picture(seed)
@@ -588,7 +590,8 @@ PROVED = (1, 2, 4, 13)
 
 
 @pytest.mark.parametrize(
-    "seed", [*PROVED, *(pytest.param(i, marks=pytest.mark.slow) for i in range(60) if i not in PROVED)]
+    "seed",
+    [*PROVED, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(60, 30)) if i not in PROVED)],
 )
 def test_slices_of_random_scenes_are_of_their_instants(seed, tmp_path):
     try:

@@ -4,7 +4,6 @@
 """
 
 import json
-import os
 import random
 
 import numpy as np
@@ -17,6 +16,7 @@ from scipy.linalg import solve_continuous_are
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
 
+from ..sizes import CAMPAIGN
 from .conftest import synthesised as bundled
 from .forging import (
     CERTIFICATE,
@@ -30,9 +30,6 @@ from .forging import (
     replaced,
     twice,
 )
-
-WHOLE = bool(os.environ.get("POLARIS_ALL_FORGERIES"))
-"""Whether the slow tests forge every field, which takes about half an hour, or a sample."""
 
 FOLLOWING = {
     "unaware": [],
@@ -338,13 +335,13 @@ def test_fields_forged_one_at_a_time_are_refused(forgers, few):
     cases = list(one_at_a_time(forger, 0, 1, 0.5))
     claims = [case for case in cases if not excused(case[0], EXCUSED)]
     assert len(claims) >= 500
-    wrong, _ = accepted(forger, random.Random(0).sample(claims, 90), EXCUSED)
+    wrong, _ = accepted(forger, random.Random(0).sample(claims, 60), EXCUSED)
     assert not wrong, report(wrong)
 
 
 def some(cases, name, count):
-    """A sample that depends on the name only; all of them if the environment asks for it."""
-    if WHOLE or len(cases) <= count:
+    """A sample that depends on the name only; all of them in a campaign."""
+    if CAMPAIGN or len(cases) <= count:
         return cases
     return random.Random(name).sample(cases, count)
 
@@ -354,10 +351,10 @@ def some(cases, name, count):
 def test_every_field_forged_is_refused(forgers, kind):
     """Excuses are used, too: a list that excuses what is refused would hide nothing, and say less."""
     forger = forgers(kind)
-    cases = some(list(one_at_a_time(forger, 1, 2, 0.5)), kind, 120)
+    cases = some(list(one_at_a_time(forger, 1, 2, 0.5)), kind, 60)
     wrong, used = accepted(forger, cases, EXCUSED)
     assert not wrong, report(wrong)
-    if WHOLE and kind == "unaware":
+    if CAMPAIGN and kind == "unaware":
         assert {"gains.json: error_bounds.ga* up", "certificate.json: facets.*"} <= used
 
 
@@ -369,7 +366,7 @@ def test_every_field_of_a_bundled_run_forged_is_refused(name, tmp_path):
     forger = Forger(run, tmp_path)
     cases = list(one_at_a_time(forger, 2, 1, 0.5))
     claims = [case for case in cases if not excused(case[0], EXCUSED)]
-    wrong, _ = accepted(forger, some(claims, name, 100), EXCUSED)
+    wrong, _ = accepted(forger, some(claims, name, 30), EXCUSED)
     assert not wrong, report(wrong)
 
 

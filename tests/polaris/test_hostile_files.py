@@ -174,10 +174,9 @@ DEEP = "[" * 100_000 + "]" * 100_000
 def test_nested_json_in_a_run_folder_is_one_message(made, tmp_path, name):
     run = shutil.copytree(made / "run", tmp_path / "run")
     (run / name).write_text(f'{{"artefacts": {DEEP}}}', encoding="utf-8")
-    for verb in ("plot", "report"):
+    for verb in ("plot", "report")[name == "summary.json" :]:  # figures do not read it
         done = polaris(verb, run, "-q")
-        if not (verb == "plot" and name == "summary.json"):  # figures do not read it
-            assert done.exit_code == 2 and "error: " in done.stderr, done.output
+        assert done.exit_code == 2 and "error: " in done.stderr, done.output
     assert check([str(run)]) == 5
 
 

@@ -24,6 +24,7 @@ from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis.synthesize import synthesize
 
 from ..kept import kept
+from ..sizes import fewer
 from .closed_loops import attack, attack_monitor
 from .forging import CERTIFICATE, Forger, make
 from .test_closed_loops import judge, monitored
@@ -372,8 +373,8 @@ def test_forged_phases_are_refused(tmp_path):
 
 @pytest.mark.slow
 def test_proofs_of_random_scenes_hold_with_observers_and_phases():
-    scenes = 0
-    for seed in range(5000, 5080):
+    scenes, seeds = 0, range(5000, fewer(5080, 5030))
+    for seed in seeds:
         scenario = exact(seed)
         problem, rng = scenario.problem(), np.random.default_rng(seed)
         hill, widths = problem.system.mean_motion is not None, problem.initial_set.half_widths / 20
@@ -412,7 +413,7 @@ def test_proofs_of_random_scenes_hold_with_observers_and_phases():
             judge(seed, attack_monitor(monitor, 30, seed)[0])
         if schedule.safety.problem.system.observer is not None:
             assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1 + 1e-6), seed
-    assert scenes >= 40
+    assert scenes >= len(seeds) / 3
 
 
 @pytest.mark.slow

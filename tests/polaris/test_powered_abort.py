@@ -29,6 +29,7 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.demand import command_errors
 from polaris.synthesis.synthesize import synthesize
 
+from ..sizes import fewer
 from .closed_loops import attack
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, make
 from .test_error_sources import exact, tables
@@ -266,6 +267,7 @@ def test_a_branch_meets_the_errors_of_its_steps_and_in_its_tail_the_worst_of_all
     assert sooner
 
 
+@pytest.mark.slow
 def test_an_abort_arrives_at_a_node_for_the_checker_too():
     """With few periods a step, what happens between two of them is much; it does not count in an arrival."""
 
@@ -368,7 +370,8 @@ def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
 def test_many_aborted_flights_reach_their_orbit(errors):
     """Every other scene with errors, the rest without, or by phase."""
     scenes, flights, tight = 0, 0, []
-    for seed in range(5000 + errors, 5060 + errors, 2):
+    seeds = range(5000 + errors, fewer(5060, 5024) + errors, 2)
+    for seed in seeds:
         scenario = exact(seed)
         table = random_orbit(scenario, seed) if seed % 3 else 'abort.orbit={kind="goal"}'
         try:
@@ -388,4 +391,4 @@ def test_many_aborted_flights_reach_their_orbit(errors):
             scenes, flights = scenes + 1, flights + len(chosen)
             assert falsify(schedule, 300, seed).failure is None
             assert verified(scenario, schedule), seed
-    assert scenes >= 6 and np.median(tight) > 0.3
+    assert scenes >= len(seeds) / 10 and np.median(tight) > 0.3

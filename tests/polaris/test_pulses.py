@@ -38,6 +38,7 @@ from polaris.synthesis.tracking import Feedback, Tracking
 from reach.numerics.linear import discretize
 
 from ..kept import kept
+from ..sizes import fewer
 from .closed_loops import attack
 from .forging import CERTIFICATE, Forger, make
 from .test_closed_loops import judge
@@ -372,8 +373,8 @@ def test_tubes_with_errors_are_hardly_wider_than_if_nothing_were_merged(monkeypa
 
 @pytest.mark.slow
 def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
-    scenes = 0
-    for seed in range(5030, 5047):
+    scenes, seeds = 0, range(5030, fewer(5047, 5040))
+    for seed in seeds:
         scenario = exact(seed)
         period = scenario.problem().period
         if period is None:
@@ -390,4 +391,4 @@ def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
         assert not simulate(schedule, 50, seed).metrics().collided.any(), seed
         assert np.all(fly_delayed(schedule, 20, seed)[1] <= 1), seed
         assert falsify(schedule, 300, seed).failure is None, seed
-    assert scenes >= 6
+    assert scenes >= len(seeds) / 5

@@ -186,7 +186,14 @@ def test_a_campaign_keeps_files_of_the_user_fresh_or_resumed(tmp_path):
 # -- figures and reports, which come into a folder later ----------------------------------------------
 
 
-def test_figures_are_not_drawn_through_a_link_or_over_a_picture_of_the_user(tmp_path):
+def drawing(picture, folder, figures):
+    """Draw next to nothing."""
+    (folder / "scene.png").write_bytes(b"drawn")
+    return [folder / "scene.png"]
+
+
+def test_figures_are_not_drawn_through_a_link_or_over_a_picture_of_the_user(tmp_path, monkeypatch):
+    monkeypatch.setattr("polaris.report.figures.draw_figures", drawing)
     folder, pictures = tmp_path / "e", tmp_path / "pictures"
     make(folder)
     for name in ("cat.png", "scene.png", "album/x.jpg"):
@@ -225,11 +232,7 @@ def test_a_report_replaces_an_older_one_and_nothing_else(tmp_path):
 
 
 def test_figures_of_the_run_in_a_comparison_are_listed_with_it(tmp_path, monkeypatch):
-    def draw(picture, folder, figures):
-        (folder / "scene.png").write_bytes(b"drawn")
-        return [folder / "scene.png"]
-
-    monkeypatch.setattr("polaris.report.figures.draw_figures", draw)
+    monkeypatch.setattr("polaris.report.figures.draw_figures", drawing)
     with replacing(tmp_path / "c") as beside:
         make(beside / "run")
     draw_run(read_run(tmp_path / "c" / "run"))

@@ -146,11 +146,12 @@ def test_wrong_arguments_come_before_work_and_before_missing_packages(case, refu
 
 
 SPACE = ("--set", "obstacles[0].center_m=[0, 3000, 0]", "--set", "recoverable.recourse=none")
+LIGHT = ("--set", "simulation.runs=2", "--set", "schedule.bound_programs=0")
 JSON = {
-    "run": ("run", TINY, "--no-figures", "--out", "run"),
+    "run": ("run", TINY, "--no-figures", "--out", "run", *LIGHT),
     "model-error": ("model-error", "static", *SPACE, "--set", "horizon.step_s=60"),
     "falsify": ("falsify", TINY, "--runs", "20"),
-    "campaign": ("campaign", TINY, "--runs", "2", "--workers", "1", "--out", "campaign"),
+    "campaign": ("campaign", TINY, "--runs", "2", "--workers", "1", "--out", "campaign", *LIGHT),
     "campaign-replay": ("campaign-replay", "campaign", "--worst", "1"),
     "compare": (
         "compare",
@@ -162,8 +163,18 @@ JSON = {
         "--no-figures",
         "--out",
         "cmp",
+        *LIGHT,
     ),
-    "tradeoff": ("tradeoff", TINY, "--sweep", "planner.extra_margin_m=0.3", "--workers", "1", "--no-figures"),
+    "tradeoff": (
+        "tradeoff",
+        TINY,
+        "--sweep",
+        "planner.extra_margin_m=0.3",
+        "--workers",
+        "1",
+        "--no-figures",
+        *LIGHT,
+    ),
     "evaluate": ("evaluate", "trace.json"),
 }
 OTHERS = {"export": ("export", "run", "trace.json"), "plot": ("plot", "figures"), "report": ("report", "run")}

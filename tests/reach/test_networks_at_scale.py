@@ -7,6 +7,8 @@ from reach.networks.layers import Activation, Affine
 from reach.networks.network import Network
 from reach.sets.zonotope import Zonotope
 
+from ..sizes import fewer
+
 KINDS = [
     Activation("relu"),
     Activation("relu", 0.1),
@@ -62,7 +64,7 @@ def test_some_networks_of_any_shape_hold_their_samples(scaling):
 @pytest.mark.parametrize("scaling", [1.0, 1e3, 1e6])
 @pytest.mark.parametrize("depth", range(1, 7))
 def test_many_networks_up_to_256_wide_hold_their_samples(depth, scaling):
-    for seed in range(120):
+    for seed in range(fewer(120, 20)):
         held(1000 * depth + seed, depth, 256, scaling, 3000)
 
 
@@ -161,7 +163,7 @@ def test_ranges_of_small_networks_are_within_stated_shares_of_exact_ones(depth, 
 @pytest.mark.slow
 @pytest.mark.parametrize("depth", [1, 2, 3])
 def test_ranges_of_many_small_networks_hold_the_exact_ones(depth):
-    for seed in range(400):
+    for seed in range(fewer(400, 100)):
         wider(seed, depth, 3 + seed % 8, 10.0 ** (seed % 5 - 3), low=0.2 * (seed % 3))
 
 

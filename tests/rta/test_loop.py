@@ -16,6 +16,7 @@ from polaris.rta.online.loop import FlightLoop
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 
+from ..sizes import fewer
 from . import oddities
 from .streams import inside_unsafe, need_of_recovery, robot_schedule
 
@@ -162,7 +163,7 @@ def test_u_flies_only_with_a_permission_and_s_can_always_take_over(setting):
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_the_same_in_many_flights(setting):
-    for seed in range(10, 70):
+    for seed in range(10, fewer(70, 30)):
         check(setting, seed, STREAMS[seed % len(STREAMS)], [0.0, 0.02, 0.2][seed % 3])
 
 
