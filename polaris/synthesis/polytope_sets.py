@@ -72,8 +72,7 @@ class PolytopeSets:
             )
             thrust = np.hstack([thrust, *[level - clearance.jumps[1]] * 2])
         nodes = np.repeat(thrust[:, None, :], clearance.q + 1, axis=1)
-        if tracking.feedback.sampled:
-            nodes[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
+        nodes[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
         return np.concatenate([clearance.room, nodes], axis=-1) - self._scheduled
 
     @cached_property

@@ -27,7 +27,7 @@ from polaris.synthesis.synthesize import synthesize
 from reach.networks.layers import Activation, Affine
 from reach.networks.network import Network
 
-from ..kept import CONTINUOUS, printed
+from ..kept import CHOSEN, printed
 from .conftest import synthesised
 from .tiny import TINY
 from .tiny import flown as tiny_flown
@@ -65,7 +65,7 @@ def test_nothing_breaks_a_proven_schedule(name):
 
 
 def test_the_bound_is_neither_violated_nor_idle():
-    found = falsify(printed("static", CONTINUOUS)[1], 1500, seed=0)
+    found = falsify(printed("static", CHOSEN)[1], 1500, seed=0)
     assert 0.6 < found.ratio[0] <= 1, "the debris is approached to within what the proof leaves open"
 
 
@@ -142,7 +142,7 @@ def test_black_box_does_what_the_attack_says():
 
 
 def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
-    schedule = printed("static", CONTINUOUS)[1]
+    schedule = printed("static", CHOSEN)[1]
     claims, coarse = flight_of(schedule)
     box = schedule.safety.problem.unsafe[0]
     attack = Attacker(claims, coarse, np.random.default_rng(0)).worst(60)
@@ -208,7 +208,7 @@ def test_a_tube_that_is_too_thin_is_caught():
 def springy(**more):
     """A schedule whose network swings about the reference, and claims 60 % of its tubes after a while."""
     scenario, _ = tiny()
-    sampled = {"feedback": {"kind": "sampled", "period_s": 0.25}, "tracking.R": [60.0, 60.0]}
+    sampled = {"feedback": {"period_s": 0.25}, "tracking.R": [60.0, 60.0]}
     safety = get_safety(scenario.with_overrides(sampled | more))
     system, eye = safety.problem.system, np.eye(2)
     layers = (

@@ -47,7 +47,6 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
         timing={},
         delta=delta,
         q=1,
-        sampled=False,
         steps=STEPS,
         system_kind="clohessy_wiltshire" if hill else "linear",
         mean_motion=system.mean_motion,

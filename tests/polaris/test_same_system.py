@@ -91,7 +91,7 @@ def test_an_equal_system_is_as_good_as_the_same():
 def grids():
     law = small_controllers()["coasting"]
     own, tracking = law.own, law.tracking
-    yield "period", replace(law, tracking=Tracking(law.system, tracking.gain, Feedback(3, True), 30.0))
+    yield "period", replace(law, tracking=Tracking(law.system, tracking.gain, Feedback(3), 30.0))
     yield "tracking copied", replace(law, tracking=replace(tracking))
     yield "reference copied", replace(law, reference=replace(law.reference), own=law.reference)
     yield "too short", replace(law, own=Reference(own.system, 30.0, own.chi[:31], own.nu[:30]))

@@ -20,7 +20,7 @@ from polaris.rta.online.estimate import BoxFilter, BoxMotion, Measurement
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 
-from ..kept import CONTINUOUS, printed, scheduled
+from ..kept import CHOSEN, printed, scheduled
 from ..polaris import tiny
 
 PATIENT = {"deadline": 1e3, "budget": 1e3}
@@ -34,7 +34,7 @@ def monitor(latency=0.0, trust="thrust_limits", half=HALF):
 
 
 def _static():
-    return printed("static", CONTINUOUS)[1]
+    return printed("static", CHOSEN)[1]
 
 
 class Flight:
