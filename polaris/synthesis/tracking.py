@@ -57,15 +57,19 @@ def choose_feedback(
         return Feedback(q)
     fastest = max(float(np.max(np.abs(np.linalg.eigvals(system.A - system.B @ gain)))) for gain in gains)
     q = int(np.clip(np.ceil(delta * fastest / 0.25), 2, MOST_NODES))
-    while q < MOST_NODES and not _usable(Feedback(q).flow(system, gains[0], delta)):
+    while q < MOST_NODES and not _usable(Feedback(q), system, gains[0], delta):
         q = min(2 * q, MOST_NODES)
     return Feedback(q)
 
 
-def _usable(flow: LinearFlow) -> bool:
-    """Return True if a sampled loop is stable and its motion within a period is bounded."""
-    finite = np.all(np.isfinite(flow.phi)) and np.all(np.isfinite(flow.growth))
-    return bool(finite and np.max(np.abs(np.linalg.eigvals(flow.phi))) < 1)
+def _usable(feedback: Feedback, system: LinearSystem, gain: Array, delta: float) -> bool:
+    """Return True if a loop is stable at its nodes and its motion between them is bounded."""
+    try:
+        flow = feedback.flow(system, gain, delta)
+        finite = np.all(np.isfinite(flow.phi)) and np.all(np.isfinite(flow.growth))
+        return bool(finite and np.max(np.abs(np.linalg.eigvals(flow.phi))) < 1)
+    except ReachError:  # beyond floating point
+        return False
 
 
 @brief

@@ -19,10 +19,6 @@ WIDER = 1.05
 """Most by which the width of a stored set along an axis may exceed what is attained there."""
 
 
-PARTS = 4
-"""Parts of a period at whose ends it is looked at what is reached between two nodes."""
-
-
 def reached(law, start, rows):
     """Supports attained about the law's reference, at the nodes (q+1, r) and within the periods (q, *, r)."""
     flow, q, system = law.flow, law.feedback.nodes_per_cell, law.system
