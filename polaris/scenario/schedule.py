@@ -126,8 +126,8 @@ class ScheduleScenario(Scenario):
         """Control period [s]: the file's, or the one that is chosen without it."""
         if (given := self.model.feedback.period_s) is not None:
             return given
+        from ..synthesis.feedback import choose_feedback
         from ..synthesis.lqr import lqr_gain
-        from ..synthesis.tracking import choose_feedback
         from .experimental import gains_of
 
         system, tracking = self.model.system.build(), self.model.tracking

@@ -13,7 +13,8 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-from .tracking import Feedback, Tracking
+from .feedback import Feedback
+from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 

@@ -23,8 +23,9 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .controllers import AffineController, TubeSegment
+from .feedback import Feedback
 from .policy import Policy, Senses
-from .tracking import Feedback, Tracking
+from .tracking import Tracking
 
 WIDER = 0.02
 """Share by which what the bands leave open is booked wider: a certificate's check merges generators

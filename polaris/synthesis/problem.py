@@ -18,9 +18,9 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.goals import Goal
 from ..planning.problem import Objective, PlannerOptions
+from .feedback import Feedback, choose_feedback
 from .lqr import lqr_gain
 from .passive import Abort
-from .tracking import Feedback, choose_feedback
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
 

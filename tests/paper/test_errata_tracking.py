@@ -10,9 +10,10 @@ from scipy.linalg import expm
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
 from polaris.synthesis.error_bounds import get_err_bounds
+from polaris.synthesis.feedback import Feedback, choose_feedback
 from polaris.synthesis.get_safety import get_recover
 from polaris.synthesis.lqr import lqr_gain
-from polaris.synthesis.tracking import Feedback, Tracking, choose_feedback
+from polaris.synthesis.tracking import Tracking
 from reach.numerics.linear import discretize, powers
 
 from ..polaris.conftest import small_safety

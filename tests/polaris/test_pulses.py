@@ -32,9 +32,10 @@ from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
 from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis import controllers
+from polaris.synthesis.feedback import Feedback
 from polaris.synthesis.lqr import lqr_gain
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Feedback, Tracking
+from polaris.synthesis.tracking import Tracking
 from reach.numerics.linear import discretize
 
 from ..kept import kept

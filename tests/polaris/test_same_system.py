@@ -12,10 +12,11 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.ball_sets import BallSets
 from polaris.synthesis.clearance import best_facets
 from polaris.synthesis.controllers import AffineController, AnyThrust, TubeSegment, construct_s
+from polaris.synthesis.feedback import Feedback
 from polaris.synthesis.get_safety import get_recover, get_safety
 from polaris.synthesis.search import SwitchingRules
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Feedback, Tracking
+from polaris.synthesis.tracking import Tracking
 from reach.sets.zonotope import Zonotope
 
 from .conftest import small_controllers, small_problem, small_safety

@@ -8,7 +8,8 @@ from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
 from polaris.synthesis.clearance import error_tube
 from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.tracking import Feedback, Tracking
+from polaris.synthesis.feedback import Feedback
+from polaris.synthesis.tracking import Tracking
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
