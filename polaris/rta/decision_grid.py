@@ -35,7 +35,7 @@ class DecisionGrid:
     Parameters
     ----------
     schedule : Schedule
-        As synthesised; its safety is on the planner's coarser grid.
+        As synthesised.
     period : float
         Time between decisions [s]; divides the planning step.
     latency : float
@@ -43,11 +43,11 @@ class DecisionGrid:
     half_widths : ndarray, shape (n,)
         Largest error of the state estimate that decisions are made on, per entry.
     tracking : Tracking
-        S on the fine grid.
+        S, its faults as late as decisions meet them.
     clearance : Clearance
-        Room around the reference on the fine grid.
+        Room around the reference.
     nodes, delay : int
-        Nodes of the fine grid per decision, and per latency.
+        Nodes per decision, and per latency.
     """
 
     schedule: Schedule
@@ -63,7 +63,7 @@ class DecisionGrid:
     def of(
         cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = None
     ) -> "DecisionGrid":
-        """Lay the fine grid.
+        """Lay the grid.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class DecisionGrid:
 
     @cached_property
     def fine_schedule(self) -> Schedule:
-        """The same schedule on the fine grid, for integration."""
+        """Schedule with the grid's own S, for integration."""
         safety = replace(
             self.schedule.safety,
             tracking=self.tracking,

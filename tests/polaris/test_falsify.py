@@ -153,10 +153,14 @@ def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
     nearest = np.full(len(x), np.inf)
     for step in range(fine.steps):
         k, sub = divmod(step, fine.steps_per_cell)
-        number = int(claims.modes[k])
-        force = fine_attack.w[step] @ fine.system.D.T
-        middle = x + fine.dt / 2 * fine.rate(number, k, 2 * sub, 0, x, force)
-        x = x + fine.dt * fine.rate(number, k, 2 * sub, 1, middle, force)
+        if sub % 16 == 0:
+            limit = fine.system.u_max
+            u = np.clip(fine.command(int(claims.modes[k]), k, sub, x), -limit, limit)
+
+        def rate(state, u=u, w=fine_attack.w[step]):
+            return state @ fine.system.A.T + u @ fine.system.B.T + w @ fine.system.D.T
+
+        x = x + fine.dt * rate(x + fine.dt / 2 * rate(x))
         outside = np.max(np.abs(x[:, :3] - box.anchor) - np.asarray(box.half_widths), axis=1)
         nearest = np.minimum(nearest, outside)
     assert np.allclose(measured.margin[:, 0], nearest, atol=0.02)
