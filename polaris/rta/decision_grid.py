@@ -236,15 +236,15 @@ def check_decisions(
     n, delta = problem.system.n, problem.delta
     h = problem.period or delta / problem.feedback.nodes_per_cell
     period = positive("period", h if period is None else period, "s")
-    _check_parts("period", delta, period, f"must divide the planning step of {delta:g} s")
+    _check_parts("period", period, delta / period, f"must divide the planning step of {delta:g} s")
     if not 0 <= non_negative("latency", latency, "s") <= period:
         raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
     half = np.asarray(problem.system.navigation if half_widths is None else half_widths, dtype=float)
     if half.shape not in ((), (n,)) or not (np.all(np.isfinite(half)) and np.all(half >= 0)):
         raise ScenarioError("half_widths", half.tolist(), f"must be one or {n} finite numbers >= 0")
     rule = f"must be a multiple of the control period of {h:g} s"
-    _check_parts("period", period, h, rule)
-    _check_parts("latency", latency, h, rule)
+    _check_parts("period", period, period / h, rule)
+    _check_parts("latency", latency, latency / h, rule)
     return period, half
 
 
@@ -267,6 +267,6 @@ def _judged(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSys
     return replace(system, transients=known)
 
 
-def _check_parts(name: str, whole: float, part: float, rule: str) -> None:
-    if not abs(round(whole / part) * part - whole) <= WHOLE * max(whole, part):
-        raise ScenarioError(name, part if name == "period" else whole, rule)
+def _check_parts(name: str, given: float, count: float, rule: str) -> None:
+    if not abs(round(count) - count) <= WHOLE * max(count, 1.0):
+        raise ScenarioError(name, given, rule)

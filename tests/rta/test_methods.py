@@ -19,8 +19,8 @@ PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit
 SETTINGS = {
     "chosen": {},
     "given": {"feedback": 0.1, "period": 0.5},
-    "anything": {"unknown": True, "period": 0.1},
-    "late": {"period": 0.25, "latency": 0.125},
+    "anything": {"unknown": True, "feedback": 0.1, "period": 0.1},
+    "late": {"feedback": 0.125, "period": 0.25, "latency": 0.125},
     "whole period late, estimated": {"period": 0.25, "latency": 0.25, "half": 0.01},
     "slow": {"period": 0.5, "half": (0.02, 0.02, 0.005, 0.005)},
     "robot": {"name": "robot"},

@@ -70,7 +70,7 @@ MADE = {
     "sampled": lambda: SwitchingEnv(
         sampled(), half_widths=0.005, inputs=("state", "time", "reference_input")
     ),
-    "chosen": lambda: SwitchingEnv(tiny()[1], period_s=0.5),
+    "chosen": lambda: SwitchingEnv(tiny()[1], period_s=1 / 3),
     "inspection": lambda: InspectionEnv(inspected()),
 }
 
@@ -278,7 +278,7 @@ def colliding():
 SCENES = {
     "sampled": (sampled, {}),
     "estimated": (sampled, {"half_widths": 0.01}),
-    "chosen": (lambda: tiny()[1], {"period_s": 0.125}),
+    "chosen": (lambda: tiny()[1], {"period_s": 1 / 9}),
     "inexact": (inexact, {}),
 }
 
