@@ -165,6 +165,7 @@ def against_files(corrupt):
     yield "start enlarged", change("initial_set", "generators", to=larger), {"initial_set"}
     yield "start shrunk", change("initial_set", "generators", to=tenth), {"initial_set"}
     yield "start moved", change("initial_set", "center", 1, to=(0.01).hex()), {"initial_set"}
+    yield "kind of feedback", change("sampling", to=lambda x: x | {"kind": "continuous"}), {"format"}
     yield "coarser nodes", change("sampling", "nodes_per_step", to=lambda q: q + 1), {"sampling", "format"}
     for mode in (0, 1):
         yield f"gain of {mode}", change("controllers", mode, "gain", to=larger), {"controllers"}

@@ -193,7 +193,7 @@ def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
         ("chaser.radius_m=-1.0", "chaser.radius_m"),
         ("thrusters.magnitude_error=0.5", "thrusters.magnitude_error"),
         ("thrusters.misalignment_deg=1.0", "thrusters.misalignment_deg"),
-        ("thrusters.impulse_bit_N_s=0.1", "thrusters.impulse_bit_N_s"),
+        ("thrusters.impulse_bit_N_s=0.2", "thrusters.impulse_bit_N_s"),
         ("tracking.thrust_share=0.0", "tracking.thrust_share"),
     ],
 )
@@ -393,7 +393,7 @@ def test_many_monitors_hold_with_errors_at_their_worst():
 def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():
     mild = ["navigation.state_error=[0.004, 0.004, 0.001, 0.001]", "thrusters.magnitude_error=0.01"]
     schedule = synthesize(load_scenario(TINY).with_assignments([*mild, "system.input_max=2.0"]))
-    found = compare_methods(DecisionGrid.of(schedule, latency=0.5, period=0.5), 4)
+    found = compare_methods(DecisionGrid.of(schedule, latency=1 / 3, period=1 / 3), 4)
     assert not found.refused and found.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
     for one in found.results.values():
         assert one.claim.kind == "none" or not one.metrics.collided.any(), one.name

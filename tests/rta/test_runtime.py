@@ -20,7 +20,7 @@ from polaris.rta.online.estimate import BoxFilter, BoxMotion, Measurement
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
 
-from ..kept import CHOSEN, printed, scheduled
+from ..kept import printed, scheduled
 from ..polaris import tiny
 
 PATIENT = {"deadline": 1e3, "budget": 1e3}
@@ -30,11 +30,12 @@ HALF = 0.01
 @cache
 def monitor(latency=0.0, trust="thrust_limits", half=HALF):
     """The bundled scenario ``static``: 1800 decisions, one per second."""
-    return Monitor(DecisionGrid.of(_static(), latency=latency, half_widths=half), trust)
+    schedule = _static(0.5 if latency else 1.0)
+    return Monitor(DecisionGrid.of(schedule, 1.0, latency, half), trust)
 
 
-def _static():
-    return printed("static", CHOSEN)[1]
+def _static(period=1.0):
+    return printed("static", f"feedback.period_s={period}")[1]
 
 
 class Flight:
@@ -547,7 +548,7 @@ def test_a_motion_too_fast_to_bound_is_refused():
 # -- the quick way through ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("period", "latency"), [(0.125, 0.0), (0.25, 0.125)])
+@pytest.mark.parametrize(("period", "latency"), [(1 / 9, 0.0), (1 / 3, 1 / 9)])
 @pytest.mark.parametrize("trust", ["declared", "thrust_limits"])
 def test_one_error_is_judged_as_many_are(period, latency, trust):
     schedule = tiny.synthesised()[1]
