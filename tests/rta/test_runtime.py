@@ -555,8 +555,8 @@ def test_one_error_is_judged_as_many_are(period, latency, trust):
     mon = Monitor(DecisionGrid.of(schedule, period=period, latency=latency, half_widths=0.002), trust)
     rng, spread = np.random.default_rng(0), mon.grid.tracking.W_inverse.T
     seen = set()
-    for k in range(0, mon.grid.decisions, 7):
-        e = rng.normal(size=(12, 4)) @ spread * rng.uniform(0, 0.3, (12, 1))
+    for k in range(0, mon.grid.decisions, 3):
+        e = rng.normal(size=(12, 4)) @ spread * rng.choice([0.02, 0.3], (12, 1))
         flown = rng.integers(0, 2, 12)
         modes, _ = mon.judge(k, e, flown)
         for one, before, expected in zip(e, flown.tolist(), modes.tolist(), strict=True):
