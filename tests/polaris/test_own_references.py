@@ -45,6 +45,7 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
         carried=0.0,
         prompt_thrusters=(),
         timing={},
+        transients=[],
         delta=delta,
         q=1,
         steps=STEPS,
