@@ -205,7 +205,7 @@ def rows(seeds: tuple[int, ...]) -> Iterator[str]:
             path.write_text(random_scenario(seed), encoding="utf-8")
             scene = load_scenario(path, ["recoverable.kind=polytope"])
             if scene.problem().period is None:
-                scene = scene.with_assignments([f"feedback={{kind='sampled',period_s={scene.step!r}}}"])
+                scene = scene.with_assignments([f"feedback={{period_s={scene.step!r}}}"])
             scenes.append(scene)
         for name in sources(scenes[0]):
             sets, budgets = [], []

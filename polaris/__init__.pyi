@@ -99,6 +99,7 @@ from .synthesis.controllers import Controller as Controller
 from .synthesis.controllers import TubeSegment as TubeSegment
 from .synthesis.end_condition import EndCondition as EndCondition
 from .synthesis.error_bounds import ErrorBounds as ErrorBounds
+from .synthesis.feedback import Feedback as Feedback
 from .synthesis.get_safety import Safety as Safety
 from .synthesis.get_safety import get_safety as get_safety
 from .synthesis.neural import NeuralController as NeuralController
@@ -111,7 +112,6 @@ from .synthesis.schedule import Schedule as Schedule
 from .synthesis.schedule import Step as Step
 from .synthesis.search import SwitchingRules as SwitchingRules
 from .synthesis.synthesize import synthesize as synthesize
-from .synthesis.tracking import Feedback as Feedback
 from .synthesis.tracking import Tracking as Tracking
 from .traces import TraceMetrics as TraceMetrics
 from .traces import evaluate_trace as evaluate_trace

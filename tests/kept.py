@@ -30,8 +30,8 @@ PLACE = ROOT / ".pytest_cache" / "kept"
 LIBRARIES = ("numpy", "scipy", "control", "pulp", "highspy", "gurobipy", "daqp", "pydantic")
 GENERATIONS = 3
 
-CONTINUOUS = "feedback={kind='continuous'}"
-"""Where tests do not care about the sampling: fewer, finer or other steps are flown."""
+CHOSEN = "feedback={}"
+"""Where tests do not care about the period: it is chosen, and fewer steps are flown."""
 
 
 @cache

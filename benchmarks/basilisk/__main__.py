@@ -35,7 +35,6 @@ from .world import Errors, Flight, absolute, fly, inertial
 
 SCENES = ("static", "dynamic", "hold_point")
 REAL = (
-    "feedback.kind=sampled",
     "feedback.period_s=2",
     "navigation.position_error_m=0.05",
     "navigation.velocity_error_m_s=0.002",

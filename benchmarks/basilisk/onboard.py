@@ -31,17 +31,13 @@ class FlightSoftware:
     Parameters
     ----------
     folder : Path
-        A run folder of a switching schedule with sampled feedback. After its end the safety controller goes
+        A run folder of a switching schedule. After its end the safety controller goes
         on along the reference's coasting tail.
     """
 
     def __init__(self, folder: Path) -> None:
         gains = json.loads((folder / "gains.json").read_text())
         scenario = tomllib.loads((folder / "scenario.toml").read_text())
-        if gains["sampling"]["kind"] != "sampled":
-            raise ValueError(
-                f"{folder}: thrusters are commanded periodically; feedback.kind must be 'sampled'"
-            )
         self.A, self.B = (np.array(gains["system"][name]) for name in "AB")
         self.limit = np.array(gains["system"]["input_max"])
         self.period = float(gains["sampling"]["step"]) / gains["sampling"]["nodes_per_step"]

@@ -45,7 +45,7 @@ class Premises:
     """
 
     w_max: float  # bound on the disturbance
-    period: float | None  # of sampled feedback [s]
+    period: float  # in which commands are renewed once [s]
     resting: bool = True  # whether any unsafe set is at rest
     satellites: bool = False  # whether any is another satellite
     horizon: str = "none"  # how long safety is claimed
@@ -95,11 +95,7 @@ class Premises:
         predicted = delay > 0 or missed > 0
         seen = "an estimate of the state" if any(errors) else "the exact state"
         seen = "a prediction of the state" if predicted else seen
-        if self.period is None:
-            yield f"sampling: every controller acts continuously on {seen}"
-        else:
-            each = f"every controller renews its input each {self.period:g} s"
-            yield f"sampling: {each}, in time and with {seen}"
+        yield f"sampling: commands are renewed every {self.period:g} s and held, in time and with {seen}"
         if measured := list(self.observer):
             of = " in each period that is not missed" if missed else " in each period"
             told = f"what is measured{of} is within [{_listed(measured)}] of what it should be"

@@ -32,7 +32,7 @@ CHECKED = {
     "initial_set": {
         "initial_set": "kind center half_widths position_radius_m velocity_radius_m_s generators"
     },
-    "sampling": {"feedback": "kind period_s", "horizon": "duration_s step_s"},
+    "sampling": {"feedback": "period_s", "horizon": "duration_s step_s"},
     "controllers": {
         "tracking": "Q R",
         "experimental": "kind name Q R gain path inputs input_scale output_scale_N precision",

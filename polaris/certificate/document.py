@@ -15,7 +15,7 @@ from .structure import Lengths, conform, contents, strict_json
 from .verdict import Rejected, Undecided
 
 FORMAT = "polaris-certificate"
-VERSION = 2
+VERSION = 3
 
 ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
 MOST_NODES = 100_000  # most periods in a step
@@ -72,7 +72,6 @@ class Document:
         self.steps: int = sampling["steps"]
         self.q: int = sampling["nodes_per_step"]
         self.delta: float = sampling["step"]
-        self.sampled: bool = sampling["kind"] == "sampled"
         self.system_kind: str = system["kind"]
         self.A: Matrix = system["A"]
         self.B: Matrix = system["B"]
@@ -98,8 +97,6 @@ class Document:
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
         self.transients: list[dict[str, Any]] = system.get("transients") or []
-        if self.transients and not self.sampled:
-            raise ValueError("faults isolated late need sampled feedback")
         self.input_names: list[str] = system["input_names"]
         if self.q > MOST_NODES:
             raise ValueError(f"more than {MOST_NODES} periods in a step")
@@ -204,7 +201,7 @@ class Document:
         self.satellites = SATELLITES in read["assumptions"]  # a scenario beside it must agree
         self.assumptions = Premises(
             self.w_max,
-            self.delta / self.q if self.sampled else None,
+            self.delta / self.q,
             resting=any(item.resting for item in self.unsafe),
             satellites=self.satellites,
             horizon=self.horizon,
@@ -239,7 +236,7 @@ class Document:
             raise ValueError("modes must be known")
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):
-            check_law(law, self.steps, self.sampled, sum(sizes.get(name, len(self.C)) for name in law.reads))
+            check_law(law, self.steps, sum(sizes.get(name, len(self.C)) for name in law.reads))
             work, entries = law.work
             if work * self.q * self.modes.count(mode) > MOST_WORK or entries > MOST_ENTRIES:
                 raise Undecided("controllers", f"the network {law.name} would take too long to follow")

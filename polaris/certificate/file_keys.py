@@ -74,9 +74,7 @@ CERTIFICATE = {
         "transients?": Rows({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
     },
     "chaser_radius?": AT_LEAST_0,
-    "sampling": {
-        "kind": Text(("continuous", "sampled")), "step": ABOVE_0, **every(Whole(1), "steps nodes_per_step"),
-    },
+    "sampling": {"step": ABOVE_0, **every(Whole(1), "steps nodes_per_step")},
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
     "unsafe_sets": Rows({
         "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("covered two *"),

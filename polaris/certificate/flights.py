@@ -31,8 +31,8 @@ from .timing import late, measured_error
 from .verdict import Rejected
 from .zonotopes import Merging, Zonotope
 
-GUESSES, ROUNDS = (1e-3, 4e-3, 2e-2), 5
-"""How much more than found is guessed of commands of a period, in turn; rounds that narrow a clip's range."""
+GUESSES = 1e-3, 4e-3, 2e-2
+"""How much more than found is guessed of commands of a period, in turn."""
 GUESSED = "safety", "affine", "saturated_affine"  # kinds of laws of which they are
 
 
@@ -114,11 +114,9 @@ class Pilot:
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
-            most = d.through(self.commands).tops()
-            most = most if plant.sampled else period.within(self.commands, d, most)
-            tops = self.clipped(command_ranges(u, most))
+            tops = self.clipped(command_ranges(u, d.through(self.commands).tops()))
         linear = self.law.kind == "safety" or (self.law.kind in GUESSED and self.slopes[k] is None)
-        linear = linear and period.push is None and plant.sampled and not plant.jitter
+        linear = linear and period.push is None and not plant.jitter
         errors = (self.noise, plant.thruster_error(tops)) if linear else ()
         return Spell(plant.spent(tops), u - self.gain * d.c if linear else u, errors)
 
@@ -167,10 +165,7 @@ class Pilot:
         kind, plant = self.law.kind, self.plant
         error = plant.push(sums(self.noise, plant.thruster_error(most)))
         linear = Period(self.loop(), arb_mat(d.c.nrows(), 1), None, error)
-        reach = d.through(self.commands).tops()
-        if not plant.sampled:
-            reach = linear.within(self.commands, d, reach)
-        ranges = command_ranges(u, reach)
+        ranges = command_ranges(u, d.through(self.commands).tops())
         # What an error of the estimate adds to a command comes after the clip; without one, it counts.
         noise = self.noise if kind == "affine" else [arb(0)] * len(most)
         room = [top - x for top, x in zip(plant.u_max, noise, strict=True)]
@@ -265,26 +260,12 @@ def _clipped(
 ) -> tuple[Period, list[arb]]:
     """A clipped law over a period, as a linear one and an input within a band; and its commands at most.
 
-    The range of the command comes from what any thrust known so far may do within the period, and a
-    range of the command limits that thrust: each round of this is valid because the one before was.
-
     With the slopes of whoever stored them, and a range that is no wider, the motion found here lies within
     the one found there. With other slopes neither need contain the other.
     """
-    plant, rows = pilot.plant, pilot.commands
+    plant = pilot.plant
     commands = list(zip(plant.u_max, u.entries(), strict=True))
-    at_node = d.through(rows).tops()
-    ranges = command_ranges(u, at_node)
-    if not plant.sampled:
-        pushes = [(-top - x, top - x) for top, x in commands]
-        for _ in range(ROUNDS):
-            middle, spread = zip(*(around(*push) for push in pushes), strict=True)
-            free = Period(plant.open, plant.B * column(middle), Push.in_box(plant.B, list(spread)), error)
-            ranges = command_ranges(u, free.within(rows, d, at_node))
-            pushes = [
-                (clip(lo, top) - x, clip(hi, top) - x)
-                for (lo, hi), (top, x) in zip(ranges, commands, strict=True)
-            ]
+    ranges = command_ranges(u, d.through(pilot.commands).tops())
     slopes = stored or [secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
     known, bands = [], []
     for slope, (lo, hi), (top, x) in zip(slopes, ranges, commands, strict=True):

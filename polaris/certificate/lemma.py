@@ -2,7 +2,7 @@
 
 ``norm(R e(t)) <= gamma exp(-beta t) norm(W e(0)) + gain w_max``. No proof of safety rests on them. What is
 checked is necessary: at nodes up to 64 memories of the loop for beta and gamma, and for the gain the sum of
-``norm(R phi^l int_0^h e^{X s} ds D, 2)``, below which no bound by norms can be.
+``norm(R phi^l int_0^h e^{A s} ds D, 2)``, below which no bound by norms can be.
 """
 
 from dataclasses import dataclass

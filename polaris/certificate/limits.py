@@ -91,7 +91,7 @@ class Limits:
                     for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))
                 ]
                 # A held input is renewed at the end of its period.
-                nodes.append(met + inputs if i < plant.q or not plant.sampled else met)
+                nodes.append(met + inputs if i < plant.q else met)
             targets.append(nodes)
         return cls(above(facets, gain, -gain), targets)
 

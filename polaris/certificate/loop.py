@@ -34,7 +34,7 @@ class Memory:
     errors: list[list[arb]] = field(default_factory=list)
     """Bounds, l periods after a hand-over, on the part of the errors of every input that commands cause."""
     rates: list[Needs] = field(default_factory=list, repr=False)
-    """Of ``A_c e`` and of ``X A_c e``, once they are known."""
+    """Of ``A_c e`` and of ``A A_c e``, once they are known."""
 
     @property
     def periods(self) -> int:
@@ -188,10 +188,10 @@ class Needs:
 
     @property
     def rates(self) -> tuple[Needs, Needs]:
-        """The same of ``A_c e`` and of ``X A_c e``, which bend the motion between nodes."""
+        """The same of ``A_c e`` and of ``A A_c e``, which bend the motion between nodes."""
         known, closed = self.memory.rates, self.motion.closed
         if not known or known[0].motion is not self.motion:
-            known[:] = [Needs(self.motion, self.memory, M) for M in (closed, self.motion.X * closed)]
+            known[:] = [Needs(self.motion, self.memory, M) for M in (closed, self.motion.A * closed)]
         return known[0], known[1]
 
     @cached_property
@@ -202,7 +202,7 @@ class Needs:
     @cached_property
     def disturbed(self) -> list[list[arb]]:
         """The disturbance's share until the end of the period after node l, l = 0 ... N, then for ever."""
-        # Bounds on what the disturbance adds to ``A_c e`` and ``X A_c e`` at any node.
+        # Bounds on what the disturbance adds to ``A_c e`` and ``A A_c e`` at any node.
         rates = (magnitude(column(needs.peak)) for needs in self.rates)
         curved = self.motion.lesser_bow(self.rows, *rates)
         first = [self._steady[1]] * len(self.memory.powers)

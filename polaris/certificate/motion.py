@@ -1,8 +1,8 @@
 """One period of a linear motion with uncertain inputs, between two instants at which it is known as a set.
 
-``x' = X x + g + V v + D w`` with measurable v in a box about zero and ``norm(w, 2) <= w_max``. Under
-sampled feedback the input of the period is fixed at its start, so ``x(s) = M(s) x(0) + ...`` with
-``M'' = X e^{X s} A_c`` and ``A_c = A - B K``; under continuous feedback ``X = A_c`` and ``M(s) = e^{X s}``.
+``x' = A x + B u + g + V v + D w`` with measurable v in a box about zero and ``norm(w, 2) <= w_max``. The
+input ``u = -K x(0)`` is fixed at the period's start, so ``x(s) = M(s) x(0) + ...`` with
+``M'' = A e^{A s} A_c`` and ``A_c = A - B K``; without one ``A_c = A``.
 """
 
 from __future__ import annotations
@@ -70,7 +70,6 @@ class Plant:
     u_max: list[arb]
     w_max: arb  # bound on the 2-norm of the disturbance
     h: arb  # length of a period [s]
-    sampled: bool  # whether inputs are held over a period
     q: int = 1  # periods per step
     estimate: tuple[float, ...] = ()  # bounds on the error of the estimate of every state, if any is not zero
     thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
@@ -96,10 +95,7 @@ class Plant:
 
     def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
         """Motion under ``u = -gain x``, every input off by an error at most."""
-        closed = self.A - self.B * gain
-        if self.sampled:
-            return Motion(self, self.A, closed, gain, error or [])
-        return Motion(self, closed, closed, None, error or [])
+        return Motion(self, self.A - self.B * gain, gain, error or [])
 
     def command_error(self, gain: arb_mat) -> list[arb]:
         """By how much a command may differ from what it would be on the exact state, ``|gain| eta``.
@@ -137,7 +133,7 @@ class Plant:
     @cached_property
     def open(self) -> Motion:
         """Motion under inputs that do not depend on the state."""
-        return Motion(self, self.A, self.A)
+        return Motion(self, self.A)
 
     @cached_property
     def disturbance(self) -> Push:
@@ -156,16 +152,20 @@ class Motion:
     """One period of it."""
 
     plant: Plant
-    X: arb_mat  # matrix of the motion within the period
     closed: arb_mat  # A_c
-    held: arb_mat | None = None  # the gain, if its input is held
+    held: arb_mat | None = None  # the gain of the input that is held, if there is one
     error: list[arb] = field(default_factory=list)  # bounds on the error of every input, if there is any
     _asked: dict[int, tuple[arb_mat, list[arb], list[arb]]] = field(default_factory=dict, repr=False)
     _bent: dict[int, tuple[arb_mat, arb_mat, arb_mat]] = field(default_factory=dict, repr=False)
 
+    @property
+    def A(self) -> arb_mat:
+        """Matrix of the motion within the period."""
+        return self.plant.A
+
     @cached_property
     def _exponentials(self) -> tuple[arb_mat, arb_mat]:
-        return exponential(self.X, self.plant.h) if self.held is None else self.plant.open._exponentials
+        return exponential(self.A, self.plant.h) if self.held is None else self.plant.open._exponentials
 
     @cached_property
     def phi(self) -> arb_mat:
@@ -175,32 +175,32 @@ class Motion:
 
     @property
     def gamma(self) -> arb_mat:
-        """``int_0^h e^{X s} ds``."""
+        """``int_0^h e^{A s} ds``."""
         return self._exponentials[1]
 
     @cached_property
     def over(self) -> arb_mat:
-        """Enclosure of ``e^{X s}`` for all s of the period."""
-        return exponential_over(self.X, self.plant.h) if self.held is None else self.plant.open.over
+        """Enclosure of ``e^{A s}`` for all s of the period."""
+        return exponential_over(self.A, self.plant.h) if self.held is None else self.plant.open.over
 
     def bend(self, rows: arb_mat) -> arb_mat:
-        """Bound on ``(h^2/8) |row X e^{X s}|``, entry by entry, for all s of the period.
+        """Bound on ``(h^2/8) |row A e^{A s}|``, entry by entry, for all s of the period.
 
         By the chord lemma ``row x(s)`` differs from the chord of its end values by at most this times
         the size of ``A_c x(0) + g``.
         """
-        return magnitude(rows * self.X * self.over * (self.plant.h**2 / 8))
+        return magnitude(rows * self.A * self.over * (self.plant.h**2 / 8))
 
     def bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
         """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
 
-        The lesser of ``|row X e^{X s}| |rate|`` and ``|row e^{X s}| |X rate|``: X commutes with ``e^{X s}``.
+        The lesser of ``|row A e^{A s}| |rate|`` and ``|row e^{A s}| |A rate|``: A commutes with ``e^{A s}``.
         """
-        return self.lesser_bow(rows, rate.size(), rate.through(self.X).size())
+        return self.lesser_bow(rows, rate.size(), rate.through(self.A).size())
 
     def closer_bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
-        """The same, or ``|row X rate| + h |row X e^{X s}| |X rate|``, the first part of the whole set."""
-        turned = rate.image(self.X)
+        """The same, or ``|row A rate| + h |row A e^{A s}| |A rate|``, the first part of the whole set."""
+        turned = rate.image(self.A)
         size, along = turned.size(), turned.image(rows).size() * (self.plant.h**2 / 8)
         third = (along + self._bends(rows)[0] * size * self.plant.h).entries()
         return [
@@ -208,13 +208,13 @@ class Motion:
         ]
 
     def lesser_bow(self, rows: arb_mat, rate: arb_mat, turned: arb_mat) -> list[arb]:
-        """The same from bounds on ``|rate|`` and ``|X rate|``, shapes (n, 1)."""
+        """The same from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
         bend, more = self._bends(rows)
         both = (bend * rate).entries(), (more * turned).entries()
         return [a if a <= b else b for a, b in zip(*both, strict=True)]
 
     def _bends(self, rows: arb_mat) -> tuple[arb_mat, arb_mat]:
-        """`bend` and the same without X, once for the same rows."""
+        """`bend` and the same without A, once for the same rows."""
         if id(rows) not in self._bent:
             more = magnitude(rows * self.over * (self.plant.h**2 / 8))
             self._bent[id(rows)] = rows, self.bend(rows), more
@@ -223,23 +223,23 @@ class Motion:
     # -- uncertain inputs ---------------------------------------------------------------------------
 
     def pushed(self, push: Push) -> arb_mat:
-        """Generators that enclose ``int_0^h e^{X s} V v(s) ds`` for measurable v.
+        """Generators that enclose ``int_0^h e^{A s} V v(s) ds`` for measurable v.
 
-        The mean of v lies in its (convex) set; the rest is at most ``(h^2/3) |X| sup|e^{X s}| |V v|``.
+        The mean of v lies in its (convex) set; the rest is at most ``(h^2/3) |A| sup|e^{A s}| |V v|``.
         """
         size = column(push.along(push.V))
-        rest = magnitude(self.X) * magnitude(self.over) * size * (self.plant.h**2 / 3)
+        rest = magnitude(self.A) * magnitude(self.over) * size * (self.plant.h**2 / 3)
         return beside(self.gamma * push.V * push.cover, diagonal(rest.entries()))
 
     def push_gain(self, rows: arb_mat, push: Push) -> list[arb]:
-        """Bound on ``int_0^s |row e^{X r} V v| dr`` for every row, and any s of the period.
+        """Bound on ``int_0^s |row e^{A r} V v| dr`` for every row, and any s of the period.
 
-        The bound on ``|row e^{X r} V v|`` lies below its chord plus what ``row e^{X r} V`` bends:
+        The bound on ``|row e^{A r} V v|`` lies below its chord plus what ``row e^{A r} V`` bends:
         the trapezoid rule and ``h^3/12`` times a bound on the second derivative are an upper bound.
         """
         h, V = self.plant.h, push.V
         left, right = push.along(rows * V), push.along(rows * (self._exponentials[0] * V))
-        bent = push.along(magnitude(rows * self.X * self.X * self.over * V))
+        bent = push.along(magnitude(rows * self.A * self.A * self.over * V))
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
     def gains_over(self, rows: arb_mat, pushes: list[Push], count: int) -> tuple[list[arb], arb_mat]:
@@ -258,15 +258,15 @@ class Motion:
     def push_bend(self, rows: arb_mat, push: Push) -> list[arb]:
         """Bound on how far `push_gain` over a part of the period exceeds that part of the whole period's.
 
-        ``P(s) = int_0^s |row e^{X r} V v| dr`` starts at 0, and its slope changes by no more than
-        ``sup |row X e^{X r} V v|`` in a unit of time: the chord lemma applies.
+        ``P(s) = int_0^s |row e^{A r} V v| dr`` starts at 0, and its slope changes by no more than
+        ``sup |row A e^{A r} V v|`` in a unit of time: the chord lemma applies.
         """
-        rates = push.along(magnitude(rows * self.X * self.over * push.V))
+        rates = push.along(magnitude(rows * self.A * self.over * push.V))
         return [self.plant.h**2 / 8 * rate for rate in rates]
 
     def disturbance_along(self, rows: arb_mat) -> tuple[list[arb], list[arb]]:
         """`push_bend` and `push_gain` of the disturbance, once for the same rows: every period asks."""
-        if self.held is not None and not self.error:  # X is that of the open motion
+        if self.held is not None and not self.error:
             return self.plant.open.disturbance_along(rows)
         if id(rows) not in self._asked:
             bends = [self.push_bend(rows, push) for push in self.disturbances]

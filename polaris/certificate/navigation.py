@@ -38,8 +38,6 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
         return rows
     if any(declared) or spec.get("phases"):
         raise Rejected("system", "an observer's estimates are declared as well")
-    if not document.sampled:
-        raise Rejected("system", "an observer needs a control period")
     if document.transients and timing.get("missed_periods", 0):  # as the scenario has them
         raise Rejected("system", "an observer that may miss periods, with faults isolated late")
     initial = _declared(document, asked.get("initial", {}))
@@ -165,7 +163,7 @@ def _check_settled(
     """
     (settled, first), (loop, noisy), known = bounds, filtering, column(bounds[0])
     part, errors = replace(plant, h=plant.h / PARTS).open, plant.thruster_error(plant.u_max)
-    pushes = Motion(plant, plant.A, plant.A, None, errors).disturbances
+    pushes = Motion(plant, plant.A, error=errors).disturbances
     left, passed, n = identity(len(settled)), 0, len(settled)
     come = [[arb(0)] * n for _ in range(LONGEST + len(updates) + 1)]
 

@@ -208,7 +208,7 @@ def abort_of(drift: dict[str, Any], q: int) -> Abort:
     return Abort(drift["horizon"], drift["keep_in"], drift["parts"], found)
 
 
-def check_law(law: Law, steps: int, sampled: bool, reads: int) -> None:
+def check_law(law: Law, steps: int, reads: int) -> None:
     """The parts of a law fit each other and the schedule; `reads` is how many numbers a network reads."""
     if (law.states is None) != (law.inputs is None):
         raise ValueError(f"{law.name} has half a reference of its own")
@@ -216,8 +216,6 @@ def check_law(law: Law, steps: int, sampled: bool, reads: int) -> None:
         raise ValueError(f"the reference of {law.name} must cover every step")
     if reads != len(law.input_scale):
         raise ValueError(f"{law.name} reads another number of values than it scales")
-    if law.kind in ("neural", "black_box") and not sampled:
-        raise ValueError(f"{law.name} is held over a period, which needs sampled feedback")
     _check_bodies(law)
 
 

@@ -49,12 +49,6 @@ class Period:
                 last = sums(last, motion.push_gain(rows, push))
         return first, sums(first, last)
 
-    def within(self, rows: arb_mat, d: Zonotope, at_node: list[arb]) -> list[arb]:
-        """Bound on ``row d`` over the whole period; `at_node` is that at its start."""
-        first, last = self.extra(rows, d)
-        ends = sums(self.ends(d).through(rows).tops(), last)
-        return [largest(pair) for pair in zip(sums(at_node, first), ends, strict=True)]
-
 
 @dataclass(frozen=True, eq=False)
 class Spell:

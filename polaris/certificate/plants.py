@@ -34,11 +34,8 @@ def plant_of(document: Document) -> Plant:
     jitter = document.timing.get("jitter", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
-    told_apart = document.sampled and not document.transients
-    plant = Plant(
-        A, B, D, C, u_max, w_max, h, document.sampled, document.q, *errors, jitter, document.carried
-    )
-    return replace(plant, unmeasured=delay + missed * h, hidden=hidden if told_apart else 0)
+    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, *errors, jitter, document.carried)
+    return replace(plant, unmeasured=delay + missed * h, hidden=0 if document.transients else hidden)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

@@ -98,7 +98,7 @@ SCENARIO = {
         "drift_orbits?": Real(above=0, most=100), "drift_s?": POSITIVE, **every(bool, "required? keep_in?"),
         "orbit?": Kinds({"goal": {}, **_ORBITS}), **every(POSITIVE, "within_s? delta_v_max_m_s?"),
     },
-    "feedback?": Kinds({"continuous": {}, "sampled": {"period_s": POSITIVE}}),
+    "feedback?": {"period_s?": POSITIVE},
     "initial_set": Kinds({
         "box": {"center": VECTOR, "half_widths": WIDTHS},
         "ball": {"center": VECTOR, **every(NOT_NEGATIVE, "position_radius_m velocity_radius_m_s")},

@@ -50,7 +50,7 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
         own = [answer[a, a] for answer in answers]
         commanded[a, a] = smallest([commanded[a, a], peak(own)])
         applied[a, a] = smallest([applied[a, a], peak([arb(1), *own]).max(arb(1))])
-    within = magnitude(loop.X) * magnitude(loop.over) * magnitude(plant.B) * (plant.h**2 / 2)
+    within = magnitude(plant.A) * magnitude(loop.over) * magnitude(plant.B) * (plant.h**2 / 2)
     rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * within
     known, made = (
         column([_long(each, count) for each in zip(*part, strict=True)])

@@ -45,14 +45,14 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     delay, jitter, missed = (spec.get(keys[key], 0) for key in ("delay", "jitter", "missed"))
     plant, nothing = plant_of(document), [arb(0)] * len(document.u_max)
     stored = document.estimate or [0.0] * len(document.A)
-    if (missed or jitter) and not (document.sampled and 2 * arb(jitter) <= plant.h):
-        raise Rejected("system", "missed periods and jitter need a control period, at least twice the jitter")
+    if not 2 * arb(jitter) <= plant.h:
+        raise Rejected("system", "the control period must be at least twice the jitter")
     pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
     top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
     if document.fired != (per_axis(top, len(document.u_max)) if pulsed else []):
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
-    if pulsed and (jitter or "directions" in thrusters or not document.sampled):
-        raise Rejected("system", "pulses need a control period, no jitter, and no directions of thrusters")
+    if pulsed and (jitter or "directions" in thrusters):
+        raise Rejected("system", "pulses go with no jitter, and no directions of thrusters")
     exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
     none = arb(0), [arb(0)] * len(stored)
     late, moved = _jitter(plant) if jitter else none
@@ -116,7 +116,7 @@ def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n
-    pushes = Motion(plant, plant.A, plant.A, None, plant.thruster_error(most)).disturbances
+    pushes = Motion(plant, plant.A, error=plant.thruster_error(most)).disturbances
     found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
     return absolute(rows), found
 

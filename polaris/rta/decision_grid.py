@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -17,26 +16,26 @@ from ..model.system import Array, LinearSystem
 from ..model.timed_polytope import TimedPolytope
 from ..synthesis.black_box import BlackBox
 from ..synthesis.clearance import Clearance
-from ..synthesis.controllers import AffineController, Controller
+from ..synthesis.controllers import Controller
 from ..synthesis.neural import NeuralController
 from ..synthesis.polytope_sets import PolytopeSets
 from ..synthesis.problem import Problem
 from ..synthesis.schedule import Schedule
-from ..synthesis.tracking import Feedback, Tracking
+from ..synthesis.tracking import Tracking
 from ..synthesis.transients import hidden
 
-PERIOD, WHOLE = 1.0, 1e-9  # longest decision period by default [s]; relative tolerance on "divides"
+WHOLE = 1e-9  # relative tolerance on "divides"
 
 
 @brief
 @dataclass(frozen=True, eq=False)
 class DecisionGrid:
-    """A schedule's scene, on a grid fine enough for every decision.
+    """A schedule's scene, on the nodes at which decisions are made and take effect.
 
     Parameters
     ----------
     schedule : Schedule
-        As synthesised; its safety is on the planner's coarser grid.
+        As synthesised.
     period : float
         Time between decisions [s]; divides the planning step.
     latency : float
@@ -44,11 +43,11 @@ class DecisionGrid:
     half_widths : ndarray, shape (n,)
         Largest error of the state estimate that decisions are made on, per entry.
     tracking : Tracking
-        S on the fine grid.
+        S, its faults as late as decisions meet them.
     clearance : Clearance
-        Room around the reference on the fine grid.
+        Room around the reference.
     nodes, delay : int
-        Nodes of the fine grid per decision, and per latency.
+        Nodes per decision, and per latency.
     """
 
     schedule: Schedule
@@ -64,14 +63,13 @@ class DecisionGrid:
     def of(
         cls, schedule: Schedule, period: float | None = None, latency: float = 0.0, half_widths: Any = None
     ) -> "DecisionGrid":
-        """Lay the fine grid.
+        """Lay the grid.
 
         Parameters
         ----------
         schedule : Schedule
         period : float, optional
-            [s]; by default the control period of sampled feedback, else the longest part of the planning
-            step that is at most `PERIOD`.
+            [s]; by default the control period.
         latency : float
             [s]
         half_widths : array_like, optional
@@ -83,21 +81,16 @@ class DecisionGrid:
         Raises
         ------
         ScenarioError
-            If the period does not fit into the planning step (or is no multiple of the control period),
-            or the latency is longer than the period.
+            If the period does not fit into the planning step, it or the latency is no multiple of the
+            control period, or the latency is longer than the period.
         """
         of_kind("schedule", schedule, Schedule, "polaris.synthesize")
         safety = schedule.safety
-        known, delta, feedback = safety.tracking, safety.tracking.delta, safety.tracking.feedback
-        period, per_step, half = check_decisions(safety.problem, period, latency, half_widths)
-        if feedback.sampled:
-            nodes, delay = round(period / known.flow.h), round(latency / known.flow.h)
-            q = feedback.nodes_per_cell
-        else:
-            nodes, delay = _split(period, latency, ceil(feedback.nodes_per_cell / per_step))
-            q = per_step * nodes
+        known = safety.tracking
+        period, half = check_decisions(safety.problem, period, latency, half_widths)
+        nodes, delay = round(period / known.flow.h), round(latency / known.flow.h)
         system = _judged(known.system, nodes, delay, known.flow.h)
-        tracking = Tracking(system, known.gain, Feedback(q, feedback.sampled), delta)
+        tracking = Tracking(system, known.gain, known.feedback, known.delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
         moved = 0.0 if half_widths is None else known.system.displaced
@@ -157,7 +150,7 @@ class DecisionGrid:
 
     @cached_property
     def fine_schedule(self) -> Schedule:
-        """The same schedule on the fine grid, for integration."""
+        """Schedule with the grid's own S, for integration."""
         safety = replace(
             self.schedule.safety,
             tracking=self.tracking,
@@ -227,13 +220,6 @@ class DecisionGrid:
         return np.asarray(np.clip(self.command(mode, node, x), -self.system.u_max, self.system.u_max))
 
     @cached_property
-    def fastest(self) -> float:
-        """Fastest rate [1/s] of the free motion and of the closed loops."""
-        A, B = self.system.A, self.system.B
-        loops = [A, *(A - B @ law.gain for law in self.controllers if isinstance(law, AffineController))]
-        return max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
-
-    @cached_property
     def held(self) -> tuple[Array, Array, Array]:
         """Transition from node to node, and what an input and a disturbance held meanwhile add."""
         Ad, Bd = discretize(self.system.A, self.system.B, self.h)
@@ -242,27 +228,24 @@ class DecisionGrid:
 
 def check_decisions(
     problem: Problem, period: float | None = None, latency: float = 0.0, half_widths: Any = None
-) -> tuple[float, int, Array]:
+) -> tuple[float, Array]:
     """Check arguments of `DecisionGrid.of` before the synthesis.
 
-    Returns the period [s], the number of decisions per planning step, and half widths, shape () or (n,).
+    Returns the period [s] and half widths, shape () or (n,).
     """
-    n, delta, h = problem.system.n, problem.delta, problem.period
-    if period is None:
-        period = h or delta / ceil(delta / PERIOD - WHOLE)
-    positive("period", period, "s")
-    per_step = _parts("period", delta, period, f"must divide the planning step of {delta:g} s")
+    n, delta = problem.system.n, problem.delta
+    h = problem.period or delta / problem.feedback.nodes_per_cell
+    period = positive("period", h if period is None else period, "s")
+    _check_parts("period", period, delta / period, f"must divide the planning step of {delta:g} s")
     if not 0 <= non_negative("latency", latency, "s") <= period:
         raise ScenarioError("latency", latency, f"must be at most the decision period of {period:g} s")
     half = np.asarray(problem.system.navigation if half_widths is None else half_widths, dtype=float)
     if half.shape not in ((), (n,)) or not (np.all(np.isfinite(half)) and np.all(half >= 0)):
         raise ScenarioError("half_widths", half.tolist(), f"must be one or {n} finite numbers >= 0")
-    if h is None:
-        _split(period, latency, 1)
-    else:
-        rule = f"must be a multiple of the control period of {h:g} s"
-        _parts("period", period, h, rule), _parts("latency", latency, h, rule)
-    return period, per_step, half
+    rule = f"must be a multiple of the control period of {h:g} s"
+    _check_parts("period", period, period / h, rule)
+    _check_parts("latency", latency, latency / h, rule)
+    return period, half
 
 
 def _at_nodes(arcs: Array) -> Array:
@@ -284,17 +267,6 @@ def _judged(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSys
     return replace(system, transients=known)
 
 
-def _parts(name: str, whole: float, part: float, rule: str) -> int:
-    count = round(whole / part)
-    if abs(count * part - whole) <= WHOLE * max(whole, part):
-        return count
-    raise ScenarioError(name, part if name == "period" else whole, rule)
-
-
-def _split(period: float, latency: float, least: int) -> tuple[int, int]:
-    """Fewest nodes per period, at least so many, of which the latency takes a whole number."""
-    for nodes in range(max(least, 1), 101):
-        delay = round(latency / period * nodes)
-        if abs(delay * period - latency * nodes) <= WHOLE * period * nodes:
-            return nodes, delay
-    raise ScenarioError("latency", latency, f"must be a simple share of the period of {period:g} s")
+def _check_parts(name: str, given: float, count: float, rule: str) -> None:
+    if not abs(round(count) - count) <= WHOLE * max(count, 1.0):
+        raise ScenarioError(name, given, rule)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,8 +104,7 @@ def fly(
 ) -> Flight:
     """Fly one method from the first decision to T.
 
-    Feedback laws are integrated by a fourth-order Runge-Kutta scheme between the nodes (continuous
-    feedback) or held exactly (sampled feedback); inputs of a filter are held for a decision period.
+    Commands of feedback laws are renewed at the nodes and held, inputs of a filter for a decision period.
     """
     engine, system = Engine(grid), grid.system
     R, D, c = len(conditions.x0), grid.decisions, grid.nodes
@@ -164,9 +162,8 @@ class Engine(Integrator):
     """Integration from node to node, every run under its own mode."""
 
     def __init__(self, grid: DecisionGrid) -> None:
-        self.grid, sampled = grid, grid.tracking.feedback.sampled
-        parts = 1 if sampled else max(ceil(grid.h * grid.fastest / 0.1), 1)
-        super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), parts)
+        self.grid = grid
+        super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), 1)
         self._asked: dict[int, Array] = {}
         self._rows: slice | NDArray[np.bool_] = slice(None)
 
@@ -177,22 +174,22 @@ class Engine(Integrator):
         """
         eta = w[:, self.columns[1]]
         self.eta = np.broadcast_to(eta, (self.steps, *eta.shape)) if eta.size else None
-        seen = self.estimate(node * self.substeps, x)
+        seen = self.estimate(node, x)
         boxes = (i for i, law in enumerate(self.grid.controllers) if isinstance(law, BlackBox))
         self._asked = {i: self.grid.command(i, node, seen) for i in boxes}
         told = self._asked[mode] if mode in self._asked else self.grid.command(mode, node, seen)
         return np.asarray(np.clip(told, -self.system.u_max, self.system.u_max))
 
-    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
+    def command(self, number: int, k: int, at: int, x: Array) -> Array:
         """As `Integrator.command`; black boxes have answered in `desired`."""
         if number in self._asked:
             return self._asked[number][self._rows]
-        return super().command(number, k, half, x, later)
+        return super().command(number, k, at, x)
 
     def step(
         self, node: int, flying: NDArray[np.int_], u: Array, x: Array, w: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """States at the next node, inputs right after this one, demand, and sum of ``|u|`` over the parts."""
+        """States at the next node, inputs right after this one, demand, and 1-norm of the inputs."""
         present = np.unique(flying)
         if len(present) == 1:
             return self._under(int(present[0]), node, u, x, w)
@@ -214,15 +211,14 @@ class Engine(Integrator):
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
         w, *errors = (w[:, part] for part in self.columns)
-        # The same at every step of the period.
         held = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
         self.eta, self.thrust, self.shares = held
         if mode != FILTERED:
             k, place = divmod(node, self.q)
-            return self.period(mode, k, place, x, [w] * self.substeps)
+            return self.period(mode, k, place, x, [w])
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
         applied, pushed = self.applied(u, node), w @ Dd.T
-        demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1) * self.substeps
+        demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
         after = x @ Ad.T + applied @ Bd.T + pushed + self.bow()
         if self.failing is not None:
             eta = 0.0 if self.eta is None else self.eta[0]

@@ -104,9 +104,9 @@ class Prospect:
         blocks = [self.end.M, *(W @ stage.M for stage in stages)]
         known = [self.end.offset, *(stage.offset @ W.T for stage in stages)]
         self.commands = n * (1 + len(stages))
-        self.room = self.per_size = np.zeros(0)  # of the commands
+        self.room = np.zeros(0)  # of the commands
         if leg.law is not None:
-            matrix, offset, self.room, self.per_size = _commands(grid, leg, leg.law, stages[grid.delay :])
+            matrix, offset, self.room = _commands(grid, leg, leg.law, stages[grid.delay :])
             blocks.append(matrix)
             known.append(offset)
         self.stack, self.known = np.vstack(blocks).T.copy(), np.hstack(known)[::c].copy()
@@ -117,7 +117,7 @@ class Prospect:
         self._near_rows = np.ascontiguousarray(self.demand.tall[:near].T)
         self._far_rows = np.ascontiguousarray(self.demand.tall[near:].T)
         self._norms = [(i, i + n) for i in range(n, self.commands, n)]
-        self._rooms = list(zip(self.room.tolist(), self.per_size.tolist(), strict=True))
+        self._rooms = self.room.tolist()
         self._beyond = recovery.far_shares.tolist()
 
     def _lay_out_inner(self, inner: list[Stage]) -> None:
@@ -157,8 +157,7 @@ class Prospect:
         share = self.recovery.share(end, moved[:, :n], size, self.demand)
         if self.inner:
             share = np.maximum(share, self.inner_share(k, e, size))
-        room = self.room - np.multiply.outer(size, self.per_size)
-        return share, (np.abs(moved[:, self.commands :]) <= room).all(axis=-1)
+        return share, (np.abs(moved[:, self.commands :]) <= self.room).all(axis=-1)
 
     def size(self, k: int, e: Array) -> Array:
         """Bound on ``norm(W e)`` at every node until the next decision takes effect, shape (R,)."""
@@ -181,8 +180,8 @@ class Prospect:
         moved += self.known[k]
         values = moved.tolist()
         size = max([hypot(*values[i:j]) for i, j in self._norms]) + self.radius
-        for value, (room, per_size) in zip(values[self.commands :], self._rooms, strict=True):
-            if not abs(value) <= room - size * per_size:
+        for value, room in zip(values[self.commands :], self._rooms, strict=True):
+            if not abs(value) <= room:
                 return inf, 0, False
         vector = np.array([*values[:n], size, 1.0])
         share, where = self._worst(vector, self._near_rows, end * r)
@@ -229,26 +228,14 @@ class Prospect:
 
 def _commands(
     grid: DecisionGrid, leg: Leg, law: AffineController, stages: list[Stage]
-) -> tuple[Array, Array, Array, Array]:
-    """Commands ``matrix e + known``, within limits all the time if at most ``room - per_size norm(W e)``."""
+) -> tuple[Array, Array, Array]:
+    """Commands ``matrix e + known`` at every node, within limits if at most ``room``."""
     system, count = grid.system, len(stages[0].offset)
-    W_size = np.linalg.norm(grid.tracking.W_inverse, axis=1)
-    sampled = grid.tracking.feedback.sampled
-    matrices, known, room, per_size = [], [], [], []
+    matrices, known, room = [], [], []
     steps = np.repeat(law.own.nu[: grid.clearance.planned], grid.clearance.q, axis=0)[:count]
-    for j in range(len(stages) - 1):
+    for j, stage in enumerate(stages[:-1]):
         cells = np.minimum(np.arange(count) + grid.delay + j, count - 1)
-        for end in (0,) if sampled else (0, 1):
-            stage = stages[j + end]
-            matrices.append(-law.gain @ stage.M)
-            known.append(steps[cells] + (leg.zeta[cells, end] - stage.offset) @ law.gain.T)
-            spread = np.abs(law.gain @ stage.G).sum(axis=1)
-            bent = np.zeros((system.m, system.n))
-            if not sampled:
-                curve = np.abs(law.gain @ leg.flow.A_c @ leg.flow.A_c) @ leg.flow.growth
-                bent = leg.flow.h**2 / 8 * curve
-                spread = spread + 2 * np.abs(law.gain) @ leg.flow.period_box
-                spread = spread + bent @ np.abs(leg.zeta).max(axis=(0, 1))
-            room.append(system.u_max * (1 - ROUNDING) - spread)
-            per_size.append(bent @ W_size)
-    return np.vstack(matrices), np.hstack(known), np.concatenate(room), np.concatenate(per_size)
+        matrices.append(-law.gain @ stage.M)
+        known.append(steps[cells] + (leg.zeta[cells, 0] - stage.offset) @ law.gain.T)
+        room.append(system.u_max * (1 - ROUNDING) - np.abs(law.gain @ stage.G).sum(axis=1))
+    return np.vstack(matrices), np.hstack(known), np.concatenate(room)

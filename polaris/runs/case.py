@@ -76,14 +76,13 @@ def write_case(
     """
     if found.case is None or found.failure is None:
         raise ScenarioError("case", None, "there is none: the search found no violation")
-    attack, tail, substeps = found.case
+    attack, tail = found.case
     data = {
         "format": FORMAT,
         "version": VERSION,
         "scenario": scenario.text_elsewhere(),
         "schedule": digest(found.schedule),
         "tail": tail,
-        "substeps": substeps,
         "violation": vars(found.failure),
         "x0": attack.x0[0],
         "w": _packed(attack.w[:, 0]),
@@ -127,7 +126,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
             Failing.of(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
         claims = Claims(schedule, bool(data["tail"]), attack.failing is not None)
-        flight = flight_of(schedule, claims.modes, int(data["substeps"]))
+        flight = flight_of(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
         runs, known = attack.fly(flight), Failure(**data["violation"])
@@ -149,7 +148,7 @@ def _read(path: Path) -> dict[str, Any]:
         data: Any = load_json(path)
     except (OSError, ValueError) as error:
         raise ScenarioError("case", str(path), f"must be a case file ({error})") from error
-    wanted = {"scenario", "schedule", "tail", "substeps", "x0", "w", "inputs", "failing", "violation"}
+    wanted = {"scenario", "schedule", "tail", "x0", "w", "inputs", "failing", "violation"}
     known = isinstance(data, dict) and data.get("format") == FORMAT and wanted <= set(data)
     if not known or not isinstance(data["scenario"], str):
         raise ScenarioError("case", str(path), "must be a case file, as `polaris falsify` writes them")

@@ -101,7 +101,6 @@ def _flown(schedule: Schedule) -> dict[str, Any]:
     return {
         "system": _system(safety),
         "sampling": {
-            "kind": "sampled" if feedback.sampled else "continuous",
             "step": float(safety.problem.delta),
             "steps": safety.problem.K,
             "nodes_per_step": feedback.nodes_per_cell,

@@ -34,16 +34,15 @@ class Thrusters(ScenarioPart):
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
-    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. Needs sampled
-    feedback."""
+    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded."""
     remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
     """What becomes of the rest that is no multiple of the bit: dropped, the nearest multiple being made; or
     carried to the next period, from none at the start: what is commanded and left from before is rounded
     towards zero, and never exceeds the limits."""
     pulse: Literal["held", "centred"] = unit("-", default="held")
     """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
-    the full `system.thrust_max_N` (`input_max`) and as long as it takes. Pulses need sampled feedback; errors
-    of the thrusters are constant in a period then."""
+    the full `system.thrust_max_N` (`input_max`) and as long as it takes. Errors of the thrusters are constant
+    in a period then."""
     directions: f.Matrix | None = unit("-", default=None)
     """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
     thrust). Without it there is one either way along every input."""
@@ -51,24 +50,20 @@ class Thrusters(ScenarioPart):
     """Largest thrust, one number for all thrusters or one each; needed with `directions`. The limits of the
     inputs are then those of the largest box within the system's own, and of its shape, that they make."""
 
-    def build(self, system: LinearSystem, period: float | None) -> Errors:
+    def build(self, system: LinearSystem, period: float) -> Errors:
         """Bounds on the errors of the inputs."""
         if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
             rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
             raise ScenarioError("thrusters.misalignment_deg", self.misalignment_deg, rule)
-        if self.impulse_bit_N_s > 0 and period is None:
-            rule = "needs sampled feedback (feedback.kind = 'sampled')"
-            raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
-        if period is not None and self.impulse_bit_N_s > (most := float(system.u_max.min()) * period):
+        if self.impulse_bit_N_s > (most := float(system.u_max.min()) * period):
             rule = f"must be at most what full thrust makes in a period, {most:.6g} N s"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
-        if self.pulse != "held" and (period is None or self.directions is not None):
-            rule = "needs sampled feedback (feedback.kind = 'sampled'), and thrusters without directions"
-            raise ScenarioError("thrusters.pulse", self.pulse, rule)
+        if self.pulse != "held" and self.directions is not None:
+            raise ScenarioError("thrusters.pulse", self.pulse, "needs thrusters without directions")
         if self.directions is not None and (self.magnitude_error > 0 or self.impulse_bit_N_s > 0):
             given, rule = (self.magnitude_error, self.impulse_bit_N_s), "is not covered with directions"
             raise ScenarioError("thrusters.magnitude_error, impulse_bit_N_s", given, rule)
-        bit = 0.0 if period is None else self.impulse_bit_N_s / (2 * period)
+        bit = self.impulse_bit_N_s / (2 * period)
         turned = float(np.deg2rad(self.misalignment_deg))
         if self.remainder == "dropped":
             return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
@@ -87,29 +82,24 @@ class Timing(ScenarioPart):
     """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
     effect; more than a period, too."""
     jitter_s: f.NonNegative = unit("s", default=0.0)
-    """Largest time by which it is early or late; at most half a period. Needs sampled feedback. Of
+    """Largest time by which it is early or late; at most half a period. Of
     inspections: by how much calls of the filter may be."""
     missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
     """Periods in a row for which there may be no new measurement or command: commands for so many periods
-    ahead are sent each time. Needs sampled feedback; at most 20 with an observer, and none if faults are
+    ahead are sent each time. At most 20 with an observer, and none if faults are
     isolated late besides."""
     clock_error_s: f.NonNegative = unit("s", default=0.0)
     """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
     obstacles of kind `satellite`."""
 
     def build(
-        self, system: LinearSystem, period: float | None, thrusters: Thrusters | None, limits: Array
+        self, system: LinearSystem, period: float, thrusters: Thrusters | None, limits: Array
     ) -> LinearSystem:
         """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
         made = thrusters or Thrusters()
         fired = () if made.pulse == "held" else tuple(limits.tolist())
         carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
-        for name in ("jitter_s", "missed_periods"):
-            if (value := getattr(self, name)) and period is None:
-                raise ScenarioError(
-                    f"timing.{name}", value, "needs sampled feedback (feedback.kind = 'sampled')"
-                )
-        if period is not None and self.jitter_s > period / 2:
+        if self.jitter_s > period / 2:
             rule = f"must be at most half of the period of {period:g} s"
             raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
         if fired and self.jitter_s > 0:

@@ -21,14 +21,14 @@ from ..synthesis.black_box import Ask, BlackBox
 from ..synthesis.controllers import AffineController, AnyThrust, Controller
 from ..synthesis.get_safety import Safety
 from ..synthesis.lqr import lqr_gain
-from ..synthesis.neural import NEEDS_SAMPLES, NeuralController
+from ..synthesis.neural import NeuralController
 from ..synthesis.policy import Policy, Senses
 from ..synthesis.problem import Problem
 from .goal_tables import hill_rate
 from .scene_tables import Affine, Experimental, Neural
 from .scene_tables import AnyThrust as AnyThrustTable
 from .scene_tables import BlackBox as BlackBoxTable
-from .tables import SampledFeedback, ScenarioModel
+from .tables import ScenarioModel
 
 
 def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:
@@ -51,15 +51,12 @@ def read_policies(
 ) -> dict[str, tuple[Path, Policy]]:
     """Networks of a scenario and their files, by the name of their controller.
 
-    Raises `ScenarioError` if feedback is not sampled, a file cannot be read, or a network does not fit the
-    system.
+    Raises `ScenarioError` if a file cannot be read, or a network does not fit the system.
     """
     found: dict[str, tuple[Path, Policy]] = {}
     for path, spec in model.controllers():
         if not isinstance(spec, (Neural, BlackBoxTable)):
             continue
-        if not isinstance(model.feedback, SampledFeedback):
-            raise ScenarioError("feedback.kind", model.feedback.kind, NEEDS_SAMPLES)
         if isinstance(spec, BlackBoxTable):
             continue
         file = (folder or Path()) / spec.path

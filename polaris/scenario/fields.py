@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
@@ -55,15 +55,16 @@ class ScenarioPart(BaseModel):
         use_attribute_docstrings=True,
     )
 
+    GONE: ClassVar[Mapping[str, str]] = {}  # keys of former versions, and what to write instead
+
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         """Refuse an unknown key before anything else: it explains a missing one (a slip of the pen)."""
         for key in data if isinstance(data, Mapping) else ():
             if key not in cls.model_fields:
-                raise PydanticCustomError(
-                    "unknown_key", "unknown key", {"key": key, "known": [*cls.model_fields]}
-                )
+                told = {"key": key, "known": [*cls.model_fields], "gone": cls.GONE.get(key, "")}
+                raise PydanticCustomError("unknown_key", "unknown key", told)
         return data
 
     def arguments(self) -> dict[str, Any]:

@@ -83,12 +83,9 @@ class Measurement(ScenarioPart):
         return np.eye(6)[: len(noise)], noise
 
     def known(
-        self, system: LinearSystem, horizon: tuple[int, float], period: float | None, timing: Timing
+        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing
     ) -> LinearSystem:
         """The system whose estimates are an observer's; see `Navigation.known`."""
-        if period is None:
-            rule = "needs sampled feedback (feedback.kind = 'sampled')"
-            raise ScenarioError("navigation.measurement", None, rule)
         if timing.missed_periods > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
             raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
@@ -114,10 +111,10 @@ class Navigation(Estimate):
 
     phases: tuple[Phase, ...] = unit("-", "Later phases of the flight.", default=(), max_length=64)
     measurement: Measurement | None = unit("-", default=None)
-    """What an observer measures, in the place of bounds on what it estimates. Needs sampled feedback."""
+    """What an observer measures, in the place of bounds on what it estimates."""
 
     def known(
-        self, system: LinearSystem, horizon: tuple[int, float], period: float | None, timing: Timing
+        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing
     ) -> LinearSystem:
         """The system with these errors of estimates.
 
@@ -136,7 +133,7 @@ class Navigation(Estimate):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         bounds, (steps, step) = np.array([declared, *later]), horizon
-        oldest = timing.delay_s + timing.missed_periods * (period or 0.0)
+        oldest = timing.delay_s + timing.missed_periods * period
         start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
         met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
         rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)

@@ -137,7 +137,7 @@ def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, A
     if kind == "unknown_key":
         key, known = context["key"], context["known"]
         hint = did_you_mean(key, known, 0.5) or f"; known here: {', '.join(known)}"
-        return join_path([*path, key]), value[key], f"unknown key{hint}"
+        return join_path([*path, key]), value[key], context["gone"] or f"unknown key{hint}"
     if kind == "union_tag_invalid":
         rule = f"must be one of {context['expected_tags']}"
         return join_path([*path, "kind"]), value.get("kind", NOTHING), rule

@@ -106,8 +106,7 @@ def check_time(model: models.ScenarioModel) -> None:
     if model.schedule.min_dwell_steps > K:
         rule = f"must be at most the number of steps, {K}"
         raise ScenarioError("schedule.min_dwell_steps", model.schedule.min_dwell_steps, rule)
-    if isinstance(model.feedback, models.SampledFeedback):
-        period = model.feedback.period_s
+    if (period := model.feedback.period_s) is not None:
         if T / period > MAX_STEPS:
             rule = f"must give at most {MAX_STEPS} periods in all, gives {T / period:.4g}"
             raise ScenarioError("feedback.period_s", period, rule)

@@ -176,9 +176,9 @@ class AnyThrust(ScenarioPart):
 class Neural(ScenarioPart):
     """A feed-forward network that is evaluated once a control period, clipped at the thrust limits.
 
-    Needs sampled feedback. Each number that it reads is multiplied by its entry of `input_scale`, its outputs
-    by `output_scale_N`; what it reads is taken at the start of the period, the time at that of the step. Of
-    an obstacle it is told any state that the declared motion allows then, relative to its own estimate.
+    Each number that it reads is multiplied by its entry of `input_scale`, its outputs by `output_scale_N`;
+    what it reads is taken at the start of the period, the time at that of the step. Of an obstacle it is told
+    any state that the declared motion allows then, relative to its own estimate.
     """
 
     kind: Literal["neural"] = unit("-", "Neural network from an ONNX file.")
@@ -206,8 +206,8 @@ class Neural(ScenarioPart):
 class BlackBox(ScenarioPart):
     """A controller that is asked for its commands once a control period: its sets come from samples.
 
-    Needs sampled feedback, and to be given when it is run: `polaris run --black-box NAME=COMMAND`, or a
-    callable from Python. Where it flies the guarantee is `statistical`.
+    To be given when it is run: `polaris run --black-box NAME=COMMAND`, or a callable from Python.
+    Where it flies the guarantee is `statistical`.
     """
 
     kind: Literal["black_box"] = unit("-", "Unknown controller that can be asked.")

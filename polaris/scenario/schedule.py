@@ -23,7 +23,7 @@ from .error_tables import Timing, allocation, transients
 from .fields import whole_parts
 from .reading import write_toml
 from .scene_tables import BlackBox, Neural
-from .tables import SampledFeedback, ScenarioModel, Simulation
+from .tables import ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.allocation import Allocation
@@ -46,20 +46,21 @@ class ScheduleScenario(Scenario):
     def _check(self) -> None:
         model = self.model
         rules.check_system(model)
-        system = self.system()
-        rules.check_shapes(model, system)
+        plain = model.system.build()  # the period of the errors may be chosen by what comes first
+        rules.check_shapes(model, plain)
         rules.check_time(model)
-        rules.check_numerics(model, system)
+        rules.check_numerics(model, plain)
         for path, Q, R in rules.weights(model):
-            rules.check_weights(path, Q, R, system)
+            rules.check_weights(path, Q, R, plain)
+        system = self.system()
         rules.check_names(model)
         rules.check_scene(model, self.obstacles(), system)
         self.goal()
         rules.check_start_and_goal(model, self.obstacles(), system, self.initial_set())
         self.policies()
         late = [fault for fault in (each.build() for each in model.faults) if fault.isolation > 0]
-        if late and (self._period is None or min(fault.isolation for fault in late) < self._period):
-            rule = "isolated late need sampled feedback, and last no less than its period"
+        if late and min(fault.isolation for fault in late) < self.period():
+            rule = f"isolated late last no less than the control period of {self.period():g} s"
             raise ScenarioError("faults", [(fault.name, fault.isolation) for fault in late], rule)
         if late and system.observer is not None and system.timing.missed:
             rule = "isolated late need timing.missed_periods = 0 where there is navigation.measurement"
@@ -75,9 +76,10 @@ class ScheduleScenario(Scenario):
     def outline(self) -> str:
         """What it describes, on one line."""
         system, sets = self.system(), len(self.model.obstacles) + len(self.model.keep_in)
+        chosen = f" (commands each {self.period():g} s)" if self.model.feedback.period_s is None else ""
         return (
             f"{counted(system.n, 'state')}, {counted(system.m, 'input')},"
-            f" {counted(self.steps, 'step')} of {self.step:g} s, unsafe sets: {sets},"
+            f" {counted(self.steps, 'step')} of {self.step:g} s{chosen}, unsafe sets: {sets},"
             f" experimental controllers: {len(self.model.experimental)}"
         )
 
@@ -103,11 +105,13 @@ class ScheduleScenario(Scenario):
         """The controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, self.model.system.build()
         if model.thrusters is not None:
-            system = replace(system, thrusters=model.thrusters.build(system, self._period))
+            system = replace(system, thrusters=model.thrusters.build(system, self.period()))
         allocation, limits = self.allocation(), system.u_max
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
-        period, timing = self._period, model.timing or Timing()
+        if (model.navigation, model.thrusters, model.timing) == (None, None, None):
+            return system
+        period, timing = self.period(), model.timing or Timing()
         if model.navigation is not None:
             system = model.navigation.known(system, (self.steps, self.step), period, timing)
         return timing.build(system, period, model.thrusters, limits)
@@ -117,11 +121,19 @@ class ScheduleScenario(Scenario):
         """What the thrusters make of the inputs in every fault, where anything is said of it."""
         return allocation(self.model.thrusters, self.model.faults, self.model.system.build().u_max)
 
-    @property
-    def _period(self) -> float | None:
-        """Control period of sampled feedback [s]."""
-        feedback = self.model.feedback
-        return feedback.period_s if isinstance(feedback, SampledFeedback) else None
+    @kept
+    def period(self) -> float:
+        """Control period [s]: the file's, or the one that is chosen without it."""
+        if (given := self.model.feedback.period_s) is not None:
+            return given
+        from ..synthesis.feedback import choose_feedback
+        from ..synthesis.lqr import lqr_gain
+        from .experimental import gains_of
+
+        system, tracking = self.model.system.build(), self.model.tracking
+        gain = lqr_gain(system, rules.full_weight(tracking.Q), rules.full_weight(tracking.R))
+        gains = [gain, *gains_of(self.model, system)]
+        return self.step / choose_feedback(system, gains, self.step, None).nodes_per_cell
 
     @kept
     def initial_set(self) -> Zonotope:
@@ -251,7 +263,7 @@ class ScheduleScenario(Scenario):
             goal_velocity_tolerance=self.model.goal.velocity_tolerance_m_s,
             recoverable=self.model.recoverable.kind,
             recourse=self.model.recoverable.recourse,
-            period=self._period,
+            period=self.period(),
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else rules.full_weight(weight),
             objective=given.pop("objective"),

@@ -177,20 +177,14 @@ class Horizon(ScenarioPart):
     )
 
 
-class ContinuousFeedback(ScenarioPart):
-    """Feedback acts at every instant."""
+class Feedback(ScenarioPart):
+    """The flight computer's clock: once per control period the state is read and the input set and held."""
 
-    kind: Literal["continuous"] = unit("-", "Idealised continuous feedback.")
+    GONE = {"kind": "is gone, as all feedback is sampled: write period_s alone, or leave out the table"}
 
-
-class SampledFeedback(ScenarioPart):
-    """The flight computer's reality: the state is read and the input set once per control period."""
-
-    kind: Literal["sampled"] = unit("-", "Zero-order hold.")
-    period_s: f.Positive = unit("s", "Control period. Must divide step_s.")
-
-
-Feedback = Annotated[ContinuousFeedback | SampledFeedback, *f.BY_KIND]
+    period_s: f.Positive | None = unit("s", default=None)
+    """Control period. Must divide step_s. Without it a quarter of the fastest closed-loop time constant,
+    rounded down to a whole part of step_s: at least 2 parts, at most 200."""
 
 
 class Simulation(ScenarioPart):
@@ -217,8 +211,7 @@ class ScenarioModel(f.Head):
     abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)
     initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
     horizon: Horizon = unit("-", "Time covered and its steps.")
-    feedback: Feedback = unit("-", default_factory=lambda: ContinuousFeedback(kind="continuous"))
-    """When the controllers act; continuous feedback without it."""
+    feedback: Feedback = unit("-", "When the controllers act.", default_factory=Feedback)
     tracking: Tracking = unit("-", "The safety controller's tracking part.")
     recoverable: Recoverable = unit("-", "Which recoverable sets.", default_factory=Recoverable)
     planner: Planner = unit("-", "How the reference is planned.", default_factory=Planner)

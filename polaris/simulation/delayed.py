@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ..model.errors import ScenarioError
 from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule import Schedule
@@ -15,7 +14,7 @@ PAST = 100
 
 
 class Predicting(Integrator):
-    """A flight whose controllers predict the state from measurements that are late; sampled feedback.
+    """A flight whose controllers predict the state from measurements that are late.
 
     `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
     Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
@@ -41,8 +40,6 @@ class Predicting(Integrator):
     def prepare(self, runs: int, rng: np.random.Generator | None) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
         system, timing, self.thrusters = self.system, self.system.timing, self.system.prompt.thrusters
-        if not self.sampled:
-            raise ScenarioError("feedback.kind", "continuous", "must be 'sampled' to fly delays step by step")
         nodes = len(self.modes) * self.q
         self.lag, self.off = round(timing.delay / self.dt), np.zeros(system.n)
         self.drawn, each = rng is not None, np.arange(nodes)[:, None] % (timing.missed + 1)
@@ -147,13 +144,13 @@ class Predicting(Integrator):
         self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
         return super().applied(raw, step)
 
-    def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
+    def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States a step later, what is measured at its start being noted."""
         at = k * self.steps_per_cell + step
         self.seen[at] = x[:, : self.system.n]
         if at and at % self.substeps == 0:  # part of the step still flies what was commanded before
             u = u + self.late[at // self.substeps][:, None] * (self.told[at - 1] - self.told[at])
-        return super().move(number, k, step, x, u, w)
+        return super().move(k, step, x, u, w)
 
     def _unclipped(self, *cell: object) -> None:
         """What is commanded depends on more than the state."""

@@ -181,7 +181,7 @@ def _answered(flight: Integrator, number: int, step: int, x: Array, kick: Array)
         fit = getattr(flight.schedule.steps[k].tube, "fit", None)
         return np.asarray(0 * x if fit is None else kick @ fit[place // flight.substeps, :, :-2]), x[:, :0]
     assert isinstance(law, NeuralController)
-    own = flight.own.get(number, flight.safe)[k, 2 * (place - place % flight.substeps)]
+    own = flight.own.get(number, flight.safe)[k, place - place % flight.substeps]
     passed = place // flight.substeps * law.tracking.flow.h
     free = np.abs(law.command(k, own, own, x, passed)) < flight.system.u_max
     back = law.pullback(k, own, np.broadcast_to(x, (len(kick), x.shape[1])), kick * free, passed)
@@ -207,7 +207,7 @@ def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]
     back, push, thrust = [], [], []
     for case in range(2**system.m):
         free = np.array([not case >> axis & 1 for axis in range(system.m)], dtype=float)
-        held = flight.sampled and flight.substeps == 1
+        held = flight.substeps == 1
         loop = system.A if held else system.A - system.B @ (free[:, None] * gain)
         carried, pushed = discretize(loop, system.D, dt)
         kicked = discretize(loop, system.B, dt)[1]

@@ -29,7 +29,7 @@ def simulate(
     initial: Initial = "mixed",
     disturbance: Disturbance = "failing",
     tail: bool = False,
-    substeps: int | None = None,
+    substeps: int = 1,
 ) -> Runs:
     """Fly the schedule, or one controller alone, many times at once.
 
@@ -49,17 +49,14 @@ def simulate(
     tail : bool
         Fly S on along the coasting tail after T.
     substeps : int, optional
-        Integration steps per node: by default 4, or 1 for sampled feedback (exact, for pulses too).
+        Steps per control period, over each of which a disturbance is constant. All are exact, pulses too.
 
     Returns
     -------
     Runs
-        By a fourth-order Runge-Kutta scheme on the exact reference, or exact zero-order hold if feedback is
-        sampled. An observer is flown as it would be on board.
+        By exact zero-order hold. An observer is flown as it would be on board.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
-    if substeps is None:
-        substeps = 1 if schedule.safety.tracking.feedback.sampled else 4
     for name, value, least in (("runs", n, 1), ("seed", seed, 0), ("substeps", substeps, 1)):
         whole(f"simulation.{name}", value, least)
     one_of("simulation.initial", initial, INITIALS)

@@ -13,8 +13,8 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-from .demand import taken_over
-from .tracking import Feedback, Tracking
+from .feedback import Feedback
+from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 
@@ -31,7 +31,6 @@ class AffineLaw:
     tracking: Tracking
     clips: bool = False
     most: Array | None = None
-    _relaxed: dict[bytes, LinearFlow] = field(default_factory=dict, repr=False)
     _levels: dict[bytes, "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -44,7 +43,7 @@ class AffineLaw:
 
     @property
     def feedback(self) -> Feedback:
-        """Continuous or sampled, as the safety controller."""
+        """The safety controller's."""
         return self.tracking.feedback
 
     @cached_property
@@ -56,25 +55,6 @@ class AffineLaw:
     def error(self) -> Array:
         """Bounds on the errors of what is applied, shape (m,), as long as commands are within `most`."""
         return self.system.input_error(self.gain, self.system.u_max if self.most is None else self.most)
-
-    @cached_property
-    def open_flow(self) -> LinearFlow:
-        """Motion under a known input: what bounds a clipped law before its command is known."""
-        return self._continuous(self.system.A, self.error)
-
-    def _continuous(self, A: Array, error: Array) -> LinearFlow:
-        """Continuous motion of some matrix under the disturbance and errors of the inputs."""
-        system = self.system
-        E = system.error_map(error)
-        return LinearFlow.continuous(A, system.D, system.w_max, self.flow.h, E)
-
-    def relaxed_flow(self, slope: Array) -> LinearFlow:
-        """Error dynamics where the clip lets a share `slope`, shape (m,), of the feedback through."""
-        key = slope.tobytes()
-        if key not in self._relaxed:
-            A_c = self.system.A - self.system.B @ (slope[:, None] * self.gain)
-            self._relaxed[key] = self._continuous(A_c, self.error)
-        return self._relaxed[key]
 
     @cached_property
     def powers(self) -> Array:
@@ -106,27 +86,9 @@ class AffineLaw:
         q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
         return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
 
-    @cached_property
-    def period_box(self) -> Array:
-        """Elementwise bound on what the disturbance adds within a period, shape (n,).
-
-        Whatever the law does meanwhile: unclipped, clipped (the clip has slope at most 1, so nothing
-        grows faster than ``|A| + |B| |Lambda_U|`` lets it), or giving way to S at any instant.
-        """
-        if self.feedback.sampled:
-            return self.flow.period_box
-        fastest = np.maximum(np.abs(self.flow.A_c), np.abs(self.tracking.flow.A_c))
-        if self.clips:
-            fastest = np.maximum(fastest, np.abs(self.system.A) + np.abs(self.system.B) @ np.abs(self.gain))
-        error = np.maximum(self.error, taken_over(self.tracking, self.reference))
-        return self._continuous(fastest, error).period_box
-
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""
         return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
-
-
-SLOPES = 8  # different slopes of the relaxed clip per axis: each needs its own matrix exponentials, kept
 
 
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
@@ -136,47 +98,19 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
     are the slopes of the band, shape (m,): what the set rests on, and a certificate repeats.
     """
     phi, known, push, slope = clipped_map(law, d, mu)
-    noise = law.flow if law.feedback.sampled else law.relaxed_flow(slope)
-    out = phi @ d + known + noise.period_zonotope
+    out = phi @ d + known + law.flow.period_zonotope
     return (out + push if np.any(push.G) else out).reduce(6), slope
 
 
 def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Zonotope, Array]:
     """What `clipped_step` makes of d but for the disturbance, ``phi d + known + push``, and the slopes.
 
-    The clip is replaced by an affine band over the range of the command: at the node for sampled
-    feedback (the input is then held), over the whole period for continuous feedback.
+    The clip is replaced by an affine band over the range of the command at the node, which is then held.
     """
     system = law.system
     image = law.gain @ d
     lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
-    if law.feedback.sampled:
-        slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
-        Ah, Bh = discretize(system.A, system.B, law.flow.h)
-        known = Bh @ (slope * mu + offset - mu)
-        return Ah - Bh @ (slope[:, None] * law.gain), known, Zonotope(np.zeros(system.n), Bh * radius), slope
-    command = np.maximum(np.abs(mu - lo), np.abs(hi - mu)) + np.maximum(np.abs(mu) - system.u_max, 0)
-    moved, _ = clipped_motion(law, d.extent, command, mu)
-    drift = np.abs(law.gain) @ moved
-    slope, offset, radius = clip_relaxation(lo - drift, hi + drift, system.u_max, SLOPES)
-    step = law.relaxed_flow(slope)
-    push = step.input_zonotope(system.B, np.diag(radius), np.abs(system.B) @ radius)
-    return step.phi, step.input_map(system.B) @ (slope * mu + offset - mu), push, slope
-
-
-def clipped_motion(law: AffineLaw, extent: Array, command: Array, mu: Array) -> tuple[Array, Array]:
-    """How far a clipped law moves within one period, and how hard it can push, elementwise.
-
-    From bounds on ``|d|`` at the node (..., n) and on ``|Lambda_U d|`` there (..., m), plus what mu (m,), the
-    law's own input, exceeds the limits by: bounds on ``|d(s) - d(0)|``, disturbance included, and on
-    ``|clip(mu - Lambda_U d) - mu|``: at most ``|Lambda_U d|``, as the clip has slope at most 1, and at most
-    what the thrusters have.
-    """
-    system, loose = law.system, law.open_flow
-    most = system.u_max + np.abs(mu)
-    push = np.broadcast_to(most, command.shape)
-    still = extent @ (loose.growth - np.eye(system.n)).T + loose.period_box
-    for _ in range(3):
-        moved = still + loose.h * push @ np.abs(system.B).T @ loose.growth.T
-        push = np.minimum(most, command + moved @ np.abs(law.gain).T)
-    return still + loose.h * push @ np.abs(system.B).T @ loose.growth.T, push
+    slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
+    Ah, Bh = discretize(system.A, system.B, law.flow.h)
+    known = Bh @ (slope * mu + offset - mu)
+    return Ah - Bh @ (slope[:, None] * law.gain), known, Zonotope(np.zeros(system.n), Bh * radius), slope

@@ -17,12 +17,12 @@ from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
-from ..model.errors import NoAnswer, PolarisError, ScenarioError
+from ..model.errors import NoAnswer, PolarisError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .controllers import AnyThrust, Controller, TubeSegment
-from .neural import NEEDS_SAMPLES, WIDER, NeuralController, misapplied, no_tube, reduced
+from .neural import WIDER, NeuralController, misapplied, no_tube, reduced
 from .tracking import Tracking
 
 Ask = Callable[[float, Array, Array], Any]
@@ -83,7 +83,7 @@ class BlackBox:
     Raises
     ------
     ScenarioError
-        If feedback is not sampled; `NoAnswer` on flying, if an answer is none.
+        `NoAnswer` on flying, if an answer is none.
     """
 
     name: str
@@ -96,8 +96,6 @@ class BlackBox:
     memory: bool = False
 
     def __post_init__(self) -> None:
-        if not self.tracking.feedback.sampled:
-            raise ScenarioError("feedback.kind", "continuous", NEEDS_SAMPLES)
         if hasattr(self.ask, "reset"):
             object.__setattr__(self, "memory", True)
 

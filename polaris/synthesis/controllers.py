@@ -18,7 +18,6 @@ from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .affine_law import AffineLaw, clipped_step
-from .demand import taken_over
 from .intersample import affine_bow, at_nodes, clipped_bow
 from .tracking import Tracking
 
@@ -39,8 +38,8 @@ class TubeSegment:
         Stack of q+1 sets in error coordinates. The set over ``[t_i, t_{i+1}]`` lies within the
         convex hull of the two nodes (corresponding points), up to `bow`.
     bow : ndarray, shape (q, n)
-        Elementwise bound on the distance from that hull: curvature of the motion, of a switch to S
-        at any instant in between, and the disturbance since the node.
+        Elementwise bound on the distance from that hull: curvature of the motion, and the disturbance
+        since the node.
     end : Zonotope
         Set at the end of the step, reduced.
     refused : str
@@ -99,7 +98,7 @@ class AffineController(AffineLaw):
     own : Reference
         The law's own reference (the same object if shared), on the same steps.
     tracking : Tracking
-        The safety tracker (for switches between nodes).
+        The safety tracker, whose nodes are the law's.
     clips : bool
         Whether commands beyond the limits are part of the model.
     """
@@ -126,7 +125,7 @@ class AffineController(AffineLaw):
         if (system := known.get("system")) is self.system:
             return self
         key = (known["most"] if system is None else system.navigation).tobytes()
-        law = self._levels.get(key) or replace(self, **known, _relaxed={}, _levels={})
+        law = self._levels.get(key) or replace(self, **known, _levels={})
         self._levels[key] = law
         assert isinstance(law, AffineController)
         return law
@@ -163,7 +162,7 @@ class AffineController(AffineLaw):
     def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
         """The same law beside another safe reference; one that shares the safe reference shares that one."""
         own = reference if self.own is self.reference else self.own
-        return replace(self, reference=reference, own=own, tracking=tracking, _relaxed={}, _levels={})
+        return replace(self, reference=reference, own=own, tracking=tracking, _levels={})
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
         """Command on the exact state before clipping in step k, its middle and spread, shapes (q+1, m) [N].
@@ -218,12 +217,6 @@ class AnyThrust:
         B, u_max = self.system.B, self.system.u_max + self.system.thrusters.error(self.system.u_max)
         return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
 
-    @cached_property
-    def _back(self) -> Array:
-        """What disturbs S within the period in which it takes over, shape (n,)."""
-        E = self.system.error_map(taken_over(self.tracking, self.reference))
-        return replace(self.tracking.flow, E=E).period_box
-
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """The worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
         direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
@@ -244,7 +237,7 @@ class AnyThrust:
         bent = (
             self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
         )
-        bow = bent + self.flow.period_box + self._back
+        bow = bent + self.flow.period_box
         return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 

@@ -21,12 +21,11 @@ from .clearance import Clearance, best_facets
 from .controllers import AffineController, construct_s
 from .end_condition import EndCondition
 from .error_bounds import ErrorBounds, get_err_bounds
-from .lqr import lqr_gain
 from .passive import FreeFlight
 from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet, directed
-from .tracking import Tracking, choose_feedback
+from .tracking import Tracking
 
 SHARES = (0.5, 1.0)
 """Shares of the thrust limits that are tried for S's feedback where errors of thrusters grow with it."""
@@ -167,9 +166,9 @@ def find_safety(problem: Problem, along: Plan | None = None) -> Safety:
 
 def _of_share(problem: Problem, along: Plan | None) -> Safety:
     """The same with the share of the thrust limits that is given for S's feedback, or the first."""
-    clock, gain = Clock(), lqr_gain(problem.system, problem.Q, problem.R)  # lines 1 and 2: solveARE, Lambda
-    feedback = choose_feedback(problem.system, [gain, *problem.gains], problem.delta, problem.period)
-    tracking = Tracking(problem.system, gain, feedback, problem.delta, problem.thrust_share or SHARES[0])
+    clock, share = Clock(), problem.thrust_share or SHARES[0]
+    # Lines 1 and 2: solveARE, Lambda.
+    tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, share)
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
     return _proven(problem, tracking, bounds, Attempts(problem, tracking, clock, along))
 

@@ -3,7 +3,7 @@
 The printed Algorithm 1 plans one reference before U is known; U is then pulled back as soon as S could no
 longer return to it. Here the reference is planned with U in view: it follows U's predicted path, leaves it
 only in a few windows in which S flies, and ends at the goal. U then stays beside the reference by its own
-tube alone, so that S, taking over at any instant, starts where it wants to be. Which windows, and on which
+tube alone, so that S, taking over at any node, starts where it wants to be. Which windows, and on which
 side of an obstacle they lead, is decided by what the schedule is worth. Nothing in the proof changes: any
 reference will do for Theorem 2, and each candidate passes both algorithms whole.
 """

@@ -18,14 +18,14 @@ from reach.numerics.rounding import gamma
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
-from ..model.errors import ScenarioError
 from ..model.obstacle import Obstacle
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from ..planning.reference import Reference
 from .controllers import AffineController, TubeSegment
+from .feedback import Feedback
 from .policy import Policy, Senses
-from .tracking import Feedback, Tracking
+from .tracking import Tracking
 
 WIDER = 0.02
 """Share by which what the bands leave open is booked wider: a certificate's check merges generators
@@ -47,7 +47,7 @@ class NeuralController:
     reference, own : Reference
         The safe reference, and the one that the policy reads (the same object if shared).
     tracking : Tracking
-        The safety tracker, whose feedback must be sampled.
+        The safety tracker, whose nodes are the policy's.
     unsafe : tuple of obstacles
         The scene's, some of which the policy may read. What it is told of one is any state that this one's
         motion allows at the instant.
@@ -55,7 +55,7 @@ class NeuralController:
     Raises
     ------
     ScenarioError
-        If feedback is not sampled, or the policy does not fit the system or the scene.
+        If the policy does not fit the system or the scene.
     """
 
     name: str
@@ -67,13 +67,11 @@ class NeuralController:
     unsafe: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.feedback.sampled:
-            raise ScenarioError("feedback.kind", "continuous", NEEDS_SAMPLES)
         self.policy.check(self.senses, self.name)
 
     @property
     def feedback(self) -> Feedback:
-        """Sampled, as the safety controller's."""
+        """The safety controller's."""
         return self.tracking.feedback
 
     def along(self, reference: Reference, tracking: Tracking) -> "NeuralController":
@@ -208,10 +206,6 @@ class NeuralController:
         known = zip(*(part[k] for part in self.known), spread, strict=True)
         sets = [self.loop.command(error[i], *given) for i, given in enumerate(known)]
         return np.array([z.c for z in sets]), np.array([z.half_widths for z in sets]) * (1 + WIDER)
-
-
-NEEDS_SAMPLES = "must be sampled where a network or a black box flies: it is asked once a control period"
-"""What a scenario with one of them must have."""
 
 
 def misapplied(system: LinearSystem, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:

@@ -72,8 +72,7 @@ class PolytopeSets:
             )
             thrust = np.hstack([thrust, *[level - clearance.jumps[1]] * 2])
         nodes = np.repeat(thrust[:, None, :], clearance.q + 1, axis=1)
-        if tracking.feedback.sampled:
-            nodes[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
+        nodes[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
         return np.concatenate([clearance.room, nodes], axis=-1) - self._scheduled
 
     @cached_property
@@ -200,7 +199,7 @@ class PolytopeSets:
         # Rounding is booked on the size of the terms, not on what is left of them after cancelling.
         support = centre + spread + ROUNDING * (np.abs(centre) + spread)
         if np.any(bow > 0):
-            # A switch between two nodes is seen from the later one: one period less to decay.
+            # More than is needed: only U's own claim between two nodes is left, at lag 0 (Lemma 5).
             before = np.concatenate([carried[:1], carried[:-1]])[keep]
             support += np.maximum(np.abs(exact) @ bow.T, np.abs(before) @ bow.T)
         need = np.repeat(coarse[None], len(nodes), axis=0)
@@ -261,7 +260,7 @@ class PolytopeSets:
     def _grown(self, k: int, nodes: Zonotope, bow: Array) -> tuple[int, Array, float]:
         """First node of a tube over cell k, its bow at every node, and a bound on ``norm(W e)`` over it."""
         grown, W = at_nodes(bow), self.clearance.tracking.W
-        # States between two nodes, and those of a switch there, are as large as the larger node's.
+        # States between two nodes are as large as the larger node's.
         radius = float(np.max(nodes.norm_bound(W) + np.linalg.norm(grown @ np.abs(W).T, axis=-1)))
         return k * self.clearance.q, grown, radius
 

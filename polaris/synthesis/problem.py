@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..planning.goals import Goal
 from ..planning.problem import Objective, PlannerOptions
+from .feedback import Feedback, choose_feedback
+from .lqr import lqr_gain
 from .passive import Abort
 
 RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
@@ -68,7 +71,8 @@ class Problem:
         Whether `synthesize` may plan the reference with the experimental controllers in view; with ``none``
         it is the one reference of the printed Algorithm 1.
     period : float or None
-        Control period [s] of sampled feedback; None for continuous feedback.
+        Control period [s], in which commands are renewed once and held; None for a quarter of the fastest
+        closed-loop time constant, rounded to a whole part of the step.
     bound : {"envelope", "lyapunov"}
         Method of Lemma 1 (used by the balls).
     weight : {"auto", "identity"} or array_like
@@ -86,7 +90,7 @@ class Problem:
     planner : PlannerOptions
         Solver, time limit, gap.
     gains : tuple of ndarray
-        Gains of the experimental controllers, so that the time grid is fine enough for them.
+        Gains of the experimental controllers, so that a period that is not given is short enough for them.
     abort : Abort or None
         What is asked of the drift should all thrust stop; None for nothing.
     powered : PoweredAbort or None
@@ -165,6 +169,16 @@ class Problem:
         if share is not None and not 0 < number("tracking.thrust_share", share) <= 1:
             raise ScenarioError("tracking.thrust_share", share, "must be above 0 and at most 1")
         one_of("recourse", self.recourse, RECOURSE)
+
+    @cached_property
+    def gain(self) -> Array:
+        """Gain of the safety controller, shape (m, n)."""
+        return lqr_gain(self.system, self.Q, self.R)
+
+    @cached_property
+    def feedback(self) -> Feedback:
+        """Nodes per step, at which commands are renewed."""
+        return choose_feedback(self.system, [self.gain, *self.gains], self.delta, self.period)
 
 
 def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: float) -> None:

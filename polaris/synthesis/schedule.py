@@ -130,7 +130,7 @@ class Schedule:
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
         premises = Premises(
             problem.system.w_max,
-            problem.delta / safety.clearance.q if safety.tracking.feedback.sampled else None,
+            problem.delta / safety.clearance.q,
             resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,

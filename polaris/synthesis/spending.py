@@ -38,7 +38,7 @@ class Spell:
             limit = getattr(law, "system", None)
             most = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
             return cls(law, tube, most, most)
-        system, sampled = law.system, law.feedback.sampled
+        system = law.system
         centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
         middle, known = np.minimum(np.abs(centre), system.u_max), 0 * spread
         told, hidden, at = centre + 0.0, system.timing.hidden, system.at_step(k)
@@ -49,8 +49,6 @@ class Spell:
             top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
             told[i] = np.minimum(top, system.u_max)
         most = system.spent(told)
-        if not sampled:
-            return cls(law, tube, (middle[:-1] + middle[1:]) / 2, np.maximum(most[:-1], most[1:]))
         alone = isinstance(law, AffineController) and tube.slopes is None and not system.timing.jitter
         errors = (known[:-1], system.thrusters.error(told[:-1])) if alone else ()
         return cls(law, tube, middle[:-1], most[:-1], errors)

@@ -14,49 +14,12 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import ScenarioError
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
+from .feedback import Feedback
 from .profile import profile, summed
 from .transients import answered, lost, misled, moved
 
 LEFT_OVER = 1e-3
 """Share of an error (contraction norm) below which one ball collects all limits. Smaller: more rows."""
-
-
-@dataclass(frozen=True)
-class Feedback:
-    """How a feedback law runs: continuously, or on a flight computer with a control period.
-
-    Parameters
-    ----------
-    nodes_per_cell : int
-        Number q of nodes per planning step. For sampled feedback the control period is delta / q.
-    sampled : bool
-        Whether the input is held from node to node.
-    """
-
-    nodes_per_cell: int
-    sampled: bool = False
-
-    def flow(self, system: LinearSystem, gain: Array, delta: float, error: Array | float = 0.0) -> LinearFlow:
-        """Error dynamics under ``u = mu + gain (xi - x)``, every input off by `error` at most."""
-        h, E = delta / self.nodes_per_cell, system.error_map(np.asarray(error))
-        if self.sampled:
-            return LinearFlow.sampled(system.A, system.B, gain, system.D, system.w_max, h, E)
-        return LinearFlow.continuous(system.A - system.B @ gain, system.D, system.w_max, h, E)
-
-
-def choose_feedback(system: LinearSystem, gains: list[Array], delta: float, period: float | None) -> Feedback:
-    """Nodes per step: the control period if one is given, else fine enough for the fastest loop.
-
-    A node every quarter of the fastest closed-loop time constant keeps what is booked between
-    nodes below one per cent of the error.
-    """
-    if period is not None:
-        q = round(delta / period)
-        if q < 1 or abs(q * period - delta) > 1e-9 * delta:
-            raise ScenarioError("feedback.period_s", period, f"must divide the step of {delta:g} s")
-        return Feedback(q, sampled=True)
-    fastest = max(float(np.max(np.abs(np.linalg.eigvals(system.A - system.B @ gain)))) for gain in gains)
-    return Feedback(int(np.clip(np.ceil(delta * fastest / 0.25), 2, 200)))
 
 
 @brief
@@ -71,7 +34,7 @@ class Tracking:
     gain : ndarray, shape (m, n)
         Lambda.
     feedback : Feedback
-        Continuous, or sampled with its control period.
+        The control period, as a number of nodes per step.
     delta : float
         Planning step [s].
     level : float, optional
@@ -135,8 +98,7 @@ class Tracking:
         try:
             flow.lyapunov  # noqa: B018  an unstable sampled loop is refused here, with its reason
         except ReachError as error:
-            field = "feedback.period_s" if self.feedback.sampled else "tracking.Q"
-            raise ScenarioError(field, flow.h, f"must give a stable loop: {error}") from error
+            raise ScenarioError("feedback.period_s", flow.h, f"must give a stable loop: {error}") from error
         if not np.all(np.isfinite(flow.growth)):
             rule = (
                 "is too long for the fastest motion of the system: what happens within it cannot be bounded"
@@ -293,7 +255,5 @@ class Tracking:
         gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
         sums, within = summed(gains, errors), errors @ gains[0].T
         more = np.maximum(sums[:-1] + within, sums[1:])
-        # A switch between two nodes is seen from both: a period more or less since the hand-over.
-        more[1:] = np.maximum(more[1:], more[:-1])
         tail, curved = self.late(rows, errors[0])
         return np.asarray(found + curved + np.vstack([more, sums[-1:] + within[-1:] + tail]))

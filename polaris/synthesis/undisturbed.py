@@ -20,7 +20,6 @@ from ..planning.lp import GrowingLP
 from .affine_law import clipped_map
 from .controllers import AffineController
 from .get_safety import Safety
-from .intersample import at_nodes
 
 FREE = 0  # a step in which any thrust within the limits is allowed, as under S
 PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)
@@ -95,12 +94,10 @@ class Flights:
 
         `error`, shape (n,), is what round-off may have added to d.
         """
-        mu, q, flow = law.own.nu[k], law.feedback.nodes_per_cell, law.flow
+        mu, q = law.own.nu[k], law.feedback.nodes_per_cell
         nodes = law.powers @ d
-        image = law.gain @ (nodes[:-1] if law.feedback.sampled else nodes)
+        image = law.gain @ nodes[:-1]
         command = np.abs(mu - image.c) + image.half_widths
-        if not law.feedback.sampled:
-            command = command + at_nodes(flow.bow(nodes[:-1])) @ np.abs(law.gain).T
         if np.all(command * (1 + ROUNDING) + np.abs(law.gain) @ error <= self.system.u_max):
             return nodes.c[-1], nodes.G[-1], np.abs(law.powers[-1])
         moved = np.eye(self.system.n)

@@ -1,6 +1,6 @@
 """Linear closed loops from node to node: exact at the nodes, bounded between them.
 
-Nodes are a fine grid under continuous feedback, and the instants of renewal under sampled feedback.
+Nodes are the instants at which a held input is renewed, or a fine grid of a motion without one.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class LinearFlow:
     Over one period of length h from a node, ``e(s) = M(s) e(0) + int_0^s e^{A_x (s-r)} D w(r) dr``
     with ``M'' (s) = A_x e^{A_x s} A_c``, where ``A_c = A - B K`` and
 
-    * continuous feedback: ``A_x = A_c``, ``M(s) = e^{A_c s}``;
-    * sampled feedback (u held over the period): ``A_x = A``, ``M(s) = e^{A s} - int_0^s e^{A r} dr B K``.
+    * `sampled` (u held over the period): ``A_x = A``, ``M(s) = e^{A s} - int_0^s e^{A r} dr B K``;
+    * `continuous` (K = 0, or fed back at every instant): ``A_x = A_c``, ``M(s) = e^{A_c s}``.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class LinearFlow:
     @classmethod
     @checked
     def continuous(cls, A_c: Array, D: Array, w_max: float, h: float, E: Array | None = None) -> LinearFlow:
-        """Continuous feedback, closed-loop matrix A_c."""
+        """Motion of the matrix A_c: free, or under continuous feedback."""
         require_square("A_c", A_c)
         return cls(A_c, A_c, D, w_max, h, np.asarray(expm(A_c * h)), E)
 

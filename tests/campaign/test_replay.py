@@ -209,7 +209,7 @@ def test_replay_needs_to_know_which_run(flown):
         assert done.exit_code == 2 and word in done.stderr
 
 
-SOFT = ["feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60.0,60.0]"]
+SOFT = ["feedback.period_s=0.25", "tracking.R=[60.0,60.0]"]
 LITTLE = "state_error=[0.001,0.001,0.001,0.001]"
 PLACES = "matrix=[[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0]]"
 TOGETHER = (

@@ -1,10 +1,10 @@
 """Closed loops flown against a schedule's claim, by an integrator and worst cases of their own.
 
-Nothing here uses the package's simulation, search or reachable sets: matrix exponentials from scipy, the
-classical Runge-Kutta scheme, and the adjoint of the loop as it was flown. What is claimed is read off the
-schedule: modes, references, gains, timed polytopes, printed margins. In every run S may take over at an
-instant of its own within the steps of an experimental controller, and keeps control to the end of the tail,
-or twice as far where safety is claimed for ever.
+Nothing here uses the package's simulation, search or reachable sets: matrix exponentials from scipy, and the
+adjoint of the loop as it was flown. What is claimed is read off the schedule: modes, references, gains, timed
+polytopes, printed margins. In every run S may take over at a node of its own within the steps of an
+experimental controller, and keeps control to the end of the tail, or twice as far where safety is claimed for
+ever.
 """
 
 from __future__ import annotations
@@ -80,8 +80,7 @@ class Loop:
     def __init__(self, schedule: Schedule, parts: int = 0) -> None:
         self.schedule, safety = schedule, schedule.safety
         self.system, self.unsafe = safety.problem.system, safety.clearance.unsafe
-        self.q, self.sampled = safety.tracking.feedback.nodes_per_cell, safety.tracking.feedback.sampled
-        self.parts = parts or (2 if self.sampled else 3)
+        self.q, self.parts = safety.tracking.feedback.nodes_per_cell, parts or 2
         self.per = self.q * self.parts
         self.K, known = safety.problem.K, safety.reference.cells
         self.cells = known + (known - self.K if safety.end.horizon == "infinite" else 0)
@@ -100,26 +99,26 @@ class Loop:
         }
 
     def _path(self, chi: Array, nu: Array) -> Array:
-        """States at every half step of every cell, (cells, 2 per + 1, n); coasting beyond what is known."""
-        carried, pushed = held(self.system.A, self.system.B, self.dt / 2)
+        """States at every step of every cell, (cells, per + 1, n); coasting beyond what is known."""
+        carried, pushed = held(self.system.A, self.system.B, self.dt)
         starts = [*chi[: len(nu)]]
         whole = held(self.system.A, self.system.B, self.dt * self.per)[0]
         while len(starts) < len(nu):
             starts.append(whole @ starts[-1])
-        out = np.empty((len(nu), 2 * self.per + 1, self.system.n))
+        out = np.empty((len(nu), self.per + 1, self.system.n))
         out[:, 0] = starts
-        for i in range(2 * self.per):
+        for i in range(self.per):
             out[:, i + 1] = out[:, i] @ carried.T + nu @ pushed.T
         return out
 
     # -- flying -----------------------------------------------------------------------------------------
 
-    def command(self, number: int, k: int, half: int, x: Array) -> Array:
+    def command(self, number: int, k: int, step: int, x: Array) -> Array:
         """Command of a law before clipping."""
         if number == 0:
-            return self.nu[k] + (self.xi[k, half] - x) @ self.gain.T
+            return self.nu[k] + (self.xi[k, step] - x) @ self.gain.T
         gain, nu, own = self.laws[number]
-        return nu[k] + (own[k, half] - x) @ gain.T
+        return nu[k] + (own[k, step] - x) @ gain.T
 
     def fly(self, attack: Attack, who: Who) -> Flown:
         """Fly runs; `who` is asked at every step."""
@@ -130,7 +129,7 @@ class Loop:
         states[0] = x = attack.x0
         Ad, Bd = held(A, B, self.dt)
         Dd = held(A, D, self.dt)[1]
-        limit, dt, eta = self.system.u_max, self.dt, np.broadcast_to(attack.eta, (self.N, R, n))
+        limit, eta = self.system.u_max, np.broadcast_to(attack.eta, (self.N, R, n))
         off, errors = np.broadcast_to(attack.off, (self.N, R, m)), self.system.thrusters
         for i in range(self.N):
             k, j = divmod(i, self.per)
@@ -141,35 +140,20 @@ class Loop:
                 if (mine := flying == number).any()
             ]
 
-            def inputs(half: int, at: Array) -> tuple[Array, Array]:
-                raw = np.empty((R, m))
-                for number, mine in parts:  # noqa: B023
-                    free = number and number not in self.laws
-                    seen = at[mine] + eta[i, mine]  # noqa: B023
-                    raw[mine] = attack.free[i, mine] if free else self.command(number, k, half, seen)  # noqa: B023
-                u = np.clip(raw, -limit, limit)
-                return u + off[i] * errors.error(u), np.abs(raw) > limit  # noqa: B023
-
-            if self.sampled:
-                fresh, over = inputs(2 * j, x)
-                if j % self.parts == 0:
-                    u, last = fresh, over
-                for number, mine in parts:
-                    if number not in self.laws:
-                        u[mine] = fresh[mine]
-                clipped[i] = last
-                x = x @ Ad.T + u @ Bd.T + attack.w[i] @ Dd.T
-            else:
-                push = attack.w[i] @ D.T
-                u, clipped[i] = inputs(2 * j, x)
-                a = x @ A.T + u @ B.T + push
-                y = x + dt / 2 * a
-                b = y @ A.T + inputs(2 * j + 1, y)[0] @ B.T + push
-                y = x + dt / 2 * b
-                c = y @ A.T + inputs(2 * j + 1, y)[0] @ B.T + push
-                y = x + dt * c
-                x = x + dt / 6 * (a + 2 * b + 2 * c + y @ A.T + inputs(2 * j + 2, y)[0] @ B.T + push)
-            states[i + 1] = x
+            raw = np.empty((R, m))
+            for number, mine in parts:
+                free = number and number not in self.laws
+                seen = x[mine] + eta[i, mine]
+                raw[mine] = attack.free[i, mine] if free else self.command(number, k, j, seen)
+            fresh = np.clip(raw, -limit, limit)
+            fresh = fresh + off[i] * errors.error(fresh)
+            if j % self.parts == 0:
+                u, last = fresh, np.abs(raw) > limit
+            for number, mine in parts:
+                if number not in self.laws:
+                    u[mine] = fresh[mine]
+            clipped[i] = last
+            states[i + 1] = x = x @ Ad.T + u @ Bd.T + attack.w[i] @ Dd.T
         return Flown(states, clipped, modes)
 
     def scheduled(self, over: NDArray[np.int_]) -> Who:
@@ -179,19 +163,10 @@ class Loop:
     # -- the worst case ---------------------------------------------------------------------------------
 
     @cached_property
-    def _adjoint(self) -> dict[tuple[int, int], tuple[Array, Array, Array]]:
-        """Of a law and a set of clipped inputs: transition over a step, and what w and u held over it add."""
-        made = {}
+    def _adjoint(self) -> tuple[Array, Array, Array]:
+        """Transition over a step, and what w and u held over it add."""
         A, B, D = self.system.A, self.system.B, self.system.D
-        for number in range(len(self.schedule.controllers)):
-            for case in range(2**self.system.m):
-                gain = np.zeros((self.system.m, self.system.n))
-                if number in self.laws and not self.sampled:
-                    gain = self.laws[number][0] * [[1.0 - (case >> a & 1)] for a in range(self.system.m)]
-                loop = A - B @ gain
-                back, push = held(loop, D, self.dt)
-                made[number, case] = back, push, held(loop, B, self.dt)[1]
-        return made
+        return *held(A, D, self.dt), held(A, B, self.dt)[1]
 
     def worst(
         self,
@@ -205,7 +180,7 @@ class Loop:
         w, free, kept = np.zeros((self.N, R, p)), np.zeros((self.N, R, m)), np.zeros((self.N, R, n))
         lam, spent, eta = np.zeros((R, n)), np.zeros((R, m)), np.zeros((self.N, R, n))
         off = np.zeros((self.N, R, m))
-        bits = 2 ** np.arange(m)
+        bits, (back, push, kick) = 2 ** np.arange(m), self._adjoint
         for i in range(self.N - 1, -1, -1):
             k, j = divmod(i, self.per)
             begins = targets == i + 1
@@ -214,7 +189,6 @@ class Loop:
             for both in np.unique(case):
                 run = np.flatnonzero(case == both)
                 number, which = divmod(int(both), 2**m)
-                back, push, kick = self._adjoint[number, 0 if self.sampled else which]
                 way = lam[run] @ push
                 size = np.linalg.norm(way, axis=1, keepdims=True)
                 w[i, run] = self.system.w_max * way / np.where(size > 0, size, 1)
@@ -228,7 +202,7 @@ class Loop:
                     eta[i, run] = far
                 if number not in self.laws:
                     free[i, run] = np.where(thrust < 0, -1, 1) * self.system.u_max
-                elif self.sampled:
+                else:
                     spent[run] += thrust
                     if j % self.parts == 0:
                         answers = 1.0 - ((which >> np.arange(m)) & 1)
@@ -252,7 +226,7 @@ class Loop:
         known = self.schedule.safety.clearance.facets
         for k in range(self.cells):
             at = slice(k * self.per, (k + 1) * self.per + 1)
-            x, xi = states[at], self.xi[k, ::2][:, None]
+            x, xi = states[at], self.xi[k][:, None]
             time = np.arange(k * self.per, (k + 1) * self.per + 1)[:, None]
             taken = (time >= over) & (over < (k + 1) * self.per)  # a cell's limits end with it
             p, s = x @ system.position.T, np.linspace(0, 1, self.per + 1)[:, None, None]
@@ -266,19 +240,17 @@ class Loop:
                 f = known[k, u]
                 room = (xi @ system.position.T) @ unsafe.normals[f] - b[..., f]
                 share = np.minimum(share, _least(1 - _share(room - out[..., f], room), taken))
-            end = self.per if self.sampled else self.per + 1
-            every = self.parts if self.sampled else 1
-            e = (x - xi)[:end:every]
+            e = (x - xi)[: self.per : self.parts]
             need = e @ self.gain.T
             mode = flown.modes[k * self.per : (k + 1) * self.per]
-            safe = (np.vstack([mode, mode[-1:]]) == 0)[:end:every]
+            safe = (mode == 0)[:: self.parts]
             raw = np.abs(self.nu[k] - need)
             most = system.u_max - self.known[k] @ np.abs(self.gain).T  # estimates add to commands
             thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
             for sign in (1, -1):
                 room = most + sign * self.nu[k]
                 free = 1 - _share(sign * need, np.broadcast_to(room, need.shape)).max(axis=2)
-                share = np.minimum(share, _least(free, taken[:end:every]))
+                share = np.minimum(share, _least(free, taken[: self.per : self.parts]))
         return Outcome(left, thrust / system.u_max, share, printed)
 
 
@@ -397,9 +369,7 @@ def _aims(loop: Loop, count: int, rng: np.random.Generator) -> tuple[Any, ...]:
     if len(flown):
         some = who > 0.25
         step[some] = rng.choice(flown, int(some.sum()))
-        place = rng.integers(0, loop.per + 1, int(some.sum()))
-        nodes = rng.random(len(place)) < (1.0 if loop.sampled else 0.4)
-        place = np.where(nodes, place // loop.parts * loop.parts, place)
+        place = rng.integers(0, loop.per + 1, int(some.sum())) // loop.parts * loop.parts
         over[some] = step[some] * loop.per + place
     first = np.where(over == loop.N, 0, over)
     ahead = np.exp(rng.uniform(0, np.log(np.maximum(loop.N - first, 2)))).astype(int)
@@ -471,7 +441,7 @@ def arrivals(schedule: Schedule, rounds: int = 3) -> dict[str, float]:
 
 
 def _spent(loop: Loop, flown: Flown, end: int) -> float:
-    """Largest velocity change until a step [m/s]; by the trapezoidal rule if the feedback is continuous."""
+    """Largest velocity change until a step [m/s]."""
     total = np.zeros(flown.states.shape[1])
     for i in range(end):
         k, j = divmod(i, loop.per)
@@ -479,10 +449,9 @@ def _spent(loop: Loop, flown: Flown, end: int) -> float:
         if number and number not in loop.laws:
             total += u_max.sum() * loop.dt
             continue
-        first = i - j % loop.parts if loop.sampled else i
-        ends = [(first, first - k * loop.per)] if loop.sampled else [(i, j), (i + 1, j + 1)]
-        raw = [loop.command(number, k, 2 * place, flown.states[step]) for step, place in ends]
-        total += np.abs(np.clip(raw, -u_max, u_max)).sum(axis=2).mean(axis=0) * loop.dt
+        since = j % loop.parts
+        raw = loop.command(number, k, j - since, flown.states[i - since])
+        total += np.abs(np.clip(raw, -u_max, u_max)).sum(axis=1) * loop.dt
     return float(total.max()) / loop.system.mass
 
 
@@ -525,10 +494,7 @@ class Watched:
 def attack_monitor(monitor: Any, runs: int, seed: int, rounds: int = 3) -> tuple[Attacked, float]:
     """The same under an online monitor: no hand-overs but its own. Also the share of time under U."""
     schedule = monitor.grid.fine_schedule
-    loop, rng = (
-        Loop(schedule, 0 if monitor.grid.tracking.feedback.sampled else 2),
-        np.random.default_rng(seed),
-    )
+    loop, rng = Loop(schedule), np.random.default_rng(seed)
     if monitor.trust == "thrust_limits":
         loop.laws = {0: loop.laws[0]}
     found, under = Attacked(0, np.full(len(loop.unsafe), np.inf), np.inf, -np.inf, 0.0), []

@@ -85,7 +85,7 @@ def few(monkeypatch):
     monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
 
 
-@pytest.fixture(params=[None, 2.0], ids=["continuous", "sampled"])
+@pytest.fixture(params=[None, 2.0], ids=["chosen", "given"])
 def period(request):
-    """Both kinds of feedback."""
+    """Control period: chosen, or given."""
     return request.param

@@ -29,7 +29,7 @@ def restate(data):
     period = float.fromhex(sampling["step"]) / sampling["nodes_per_step"]
     data["assumptions"] = Premises(
         float.fromhex(data["system"]["disturbance_max"]),
-        period if sampling["kind"] == "sampled" else None,
+        period,
         resting=any(all(b == pairs[0][0] for pair in pairs for b in pair) for pairs in offsets),
         satellites=any(line.startswith("other satellites") for line in data["assumptions"]),
         horizon=end["horizon"],
@@ -165,7 +165,7 @@ def against_files(corrupt):
     yield "start enlarged", change("initial_set", "generators", to=larger), {"initial_set"}
     yield "start shrunk", change("initial_set", "generators", to=tenth), {"initial_set"}
     yield "start moved", change("initial_set", "center", 1, to=(0.01).hex()), {"initial_set"}
-    yield "sampled", sampled(change), {"sampling"}
+    yield "kind of feedback", change("sampling", to=lambda x: x | {"kind": "continuous"}), {"format"}
     yield "coarser nodes", change("sampling", "nodes_per_step", to=lambda q: q + 1), {"sampling", "format"}
     for mode in (0, 1):
         yield f"gain of {mode}", change("controllers", mode, "gain", to=larger), {"controllers"}
@@ -277,13 +277,6 @@ def opposite(normals, facet):
     """The facet that looks the other way."""
     dots = [sum(a * b for a, b in zip(normals[facet], other, strict=True)) for other in normals]
     return dots.index(min(dots))
-
-
-def sampled(change):
-    data = change("sampling", "kind", to="sampled")
-    restate(data)
-    data["digest"] = digest(data)
-    return data
 
 
 def without(change, o):

@@ -32,7 +32,7 @@ TREES = (CERTIFICATE, "scenario.toml", "schedule.json", "gains.json", "summary.j
 TABLES = ("schedule.csv", "reference.csv")
 
 
-COARSE = 'feedback={kind="sampled",period_s=0.5}'
+COARSE = "feedback={period_s=0.5}"
 """Two periods a step instead of nine: sets of few generators, in which a forgery is soon refused for good."""
 
 

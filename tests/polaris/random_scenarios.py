@@ -104,7 +104,7 @@ def _plane(rng: Random, name: str) -> Table:
     document["initial_set"] = _initial_set(rng, plant.at(start), size, d, plant.C is None)
     document["horizon"] = {"duration_s": steps * step, "step_s": step}
     if sampled:
-        document["feedback"] = {"kind": "sampled", "period_s": step / int(rng.integers(1, 6))}
+        document["feedback"] = {"period_s": step / int(rng.integers(1, 6))}
     soft = rng.uniform(1, 6) if rng.random() < 0.9 else rng.uniform(20, 60)  # slow to forget
     document["tracking"] = {"Q": plant.weights, "R": np.full(m, soft), **_norm(rng, n)}
     if rests or rng.random() < 0.4:
@@ -303,7 +303,7 @@ def _spacecraft(rng: Random, name: str) -> Table:
     step = round(pace / steps, 1)
     document["horizon"] = {"duration_s": steps * step, "step_s": step}
     if rng.random() < 0.5:
-        document["feedback"] = {"kind": "sampled", "period_s": step / int(rng.integers(2, 5))}
+        document["feedback"] = {"period_s": step / int(rng.integers(2, 5))}
     rate = rng.uniform(12, 20) / pace
     soft = 1 / (push * mass) ** 2 * (rng.uniform(0.3, 2) if rng.random() < 0.85 else rng.uniform(100, 3000))
     near = 16 / size**2

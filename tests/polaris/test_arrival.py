@@ -64,7 +64,7 @@ def forgers(tmp_path_factory):
 
 def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     """What counts as reached rests on the last commands of the profile: a longer memory gives the same."""
-    sampled = ["feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]"]
+    sampled = ["feedback.period_s=0.25", "tracking.R=[60,60]"]
     scenario = load_scenario(TINY).with_assignments([*sampled, "thrusters.magnitude_error=0.2"])
     tracking, rows = get_safety(scenario.problem()).tracking, np.vstack([np.eye(4), -np.eye(4)])
     count = 5 * tracking.memory

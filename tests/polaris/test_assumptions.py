@@ -41,7 +41,7 @@ def scene(name):
         data["obstacles"].append(SATELLITE)
     if name == "at rest, sampled":
         del data["obstacles"][1]
-        data["feedback"] = {"kind": "sampled", "period_s": 0.1}
+        data["feedback"] = {"period_s": 0.1}
     scenario = type(load_scenario(TINY)).from_dict(data)
     return scenario, synthesize(scenario)
 
@@ -106,7 +106,9 @@ def test_satellites_that_are_none_need_no_assumption():
     data = certificate(schedule, scenario.name)
     safety = schedule.safety
     end = {"horizon": "one_period", "until": safety.end.until}
-    found = Premises(0.02, None, satellites=True, position=safety.problem.system.C, **end)
+    found = Premises(
+        0.02, schedule.safety.tracking.flow.h, satellites=True, position=safety.problem.system.C, **end
+    )
     data["assumptions"] = found.told()
     data["digest"] = digest(data)
     rejected_beside(scenario, data)
@@ -122,5 +124,5 @@ def rejected_beside(scenario, data):
 
 
 def test_nothing_is_said_of_time_after_t_where_nothing_is_claimed():
-    assert Premises(0.0, None).told()[-1] == "fuel: enough for every command up to T"
-    assert "until 5 s" in Premises(0.0, None, horizon="one_period", until=5.0).told()[-1]
+    assert Premises(0.0, 1.0).told()[-1] == "fuel: enough for every command up to T"
+    assert "until 5 s" in Premises(0.0, 1.0, horizon="one_period", until=5.0).told()[-1]

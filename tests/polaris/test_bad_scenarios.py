@@ -159,24 +159,16 @@ BROKEN = {
     "a thousand million steps": ({"horizon.step_s": 1.8e-6}, "horizon.step_s", "at most 100000 steps"),
     "step of no size": ({"horizon.step_s": 1e-310}, "horizon.step_s", "at most 100000 steps"),
     "period does not divide": (
-        {"feedback": {"kind": "sampled", "period_s": 7.0}},
+        {"feedback": {"period_s": 7.0}},
         "feedback.period_s",
         "must divide step_s = 30",
     ),
-    "period longer than a step": (
-        {"feedback": {"kind": "sampled", "period_s": 60.0}},
-        "feedback.period_s",
-        "must divide",
-    ),
-    "period tiny": (
-        {"feedback": {"kind": "sampled", "period_s": 1e-6}},
-        "feedback.period_s",
-        "at most 100000",
-    ),
-    "period of continuous feedback": (
-        {"feedback": {"kind": "continuous", "period_s": 1.0}},
-        "feedback.period_s",
-        "unknown key",
+    "period longer than a step": ({"feedback": {"period_s": 60.0}}, "feedback.period_s", "must divide"),
+    "period tiny": ({"feedback": {"period_s": 1e-6}}, "feedback.period_s", "at most 100000"),
+    "kind of feedback": (
+        {"feedback": {"kind": "continuous"}},
+        "feedback.kind",
+        "all feedback is sampled: write period_s alone",
     ),
     "Q of five numbers": ({"tracking.Q": [1, 1, 1, 1, 1]}, "tracking.Q", "6 numbers"),
     "Q indefinite": ({"tracking.Q": [1, 1, 1, 1, 1, -1]}, "tracking.Q", "semidefinite"),

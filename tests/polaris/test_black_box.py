@@ -51,14 +51,14 @@ LIKELY = {"probability": 0.2, "confidence": 0.9}  # so little needs few flights
 
 
 def document(**table):
-    found = load_scenario(TINY, {"feedback": {"kind": "sampled", "period_s": PERIOD}}).to_dict()
+    found = load_scenario(TINY, {"feedback": {"period_s": PERIOD}}).to_dict()
     return found | {"experimental": [TABLE | table], "simulation": {"runs": 3}}
 
 
 @cache
 def hasty():
     """What the box of these tests asks in secret: the affine law of the scene, by time."""
-    scenario = load_scenario(TINY, {"feedback": {"kind": "sampled", "period_s": PERIOD}})
+    scenario = load_scenario(TINY, {"feedback": {"period_s": PERIOD}})
     law = scenario.controllers(polaris.get_safety(scenario))[0]
     nodes = law.own.fine(4)[:, :-1].reshape(-1, 4)
 
@@ -658,13 +658,6 @@ def test_a_callable_that_fails_is_one_error_and_changes_nothing_but_its_own():
     assert np.all(box(scribbles).command(0, xi, xi, x) == 1.0) and not x.any() and not xi.any()
 
 
-@pytest.mark.parametrize(("changes", "field"), [({"feedback": {"kind": "continuous"}}, "feedback.kind")])
-def test_what_no_band_covers_is_refused_on_loading(changes, field):
-    with pytest.raises(ScenarioError) as told:
-        ScheduleScenario.from_dict(document() | changes)
-    assert told.value.field == field
-
-
 def test_a_program_that_is_none_is_one_error():
     with pytest.raises(ScenarioError, match="cannot be started"), program(["/nowhere/at-all"]):
         pass
@@ -742,7 +735,7 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
 def test_random_scenes(seed):
     """A tracker with ripples as the box: what is said holds of fresh flights, and the checker follows it."""
     scene = tomllib.loads(random_scenario(seed))
-    scene["feedback"] = {"kind": "sampled", "period_s": scene["horizon"]["step_s"] / 3}
+    scene["feedback"] = {"period_s": scene["horizon"]["step_s"] / 3}
     scene["recoverable"] = {"kind": "polytope", "recourse": "none"}
     scene.get("schedule", {}).pop("delta_v_max_m_s", None)
     scene["experimental"] = [TABLE]

@@ -49,7 +49,7 @@ def test_a_scene_of_walls_through_the_origin_is_proven_drawn_and_verified(tmp_pa
 # -- tubes.npz --------------------------------------------------------------------------------------
 
 SOFT = (
-    *('feedback={kind="sampled",period_s=0.25}', "tracking.Q=[0.1,0.1,0.1,0.1]", "tracking.R=[10.0,10.0]"),
+    *("feedback={period_s=0.25}", "tracking.Q=[0.1,0.1,0.1,0.1]", "tracking.R=[10.0,10.0]"),
     *("initial_set.half_widths=[0.0005,0.0005,0.0001,0.0001]", "system.disturbance_max=0.0001"),
     *("experimental.0.Q=[0.1,0.1,0.1,0.1]", "experimental.0.R=[10.0,10.0]"),
     *('experimental.0.reference={kind="shared"}', "planner.extra_margin_m=0.0"),
@@ -165,7 +165,7 @@ def in_order(scenario, order):
 def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
     """Velocities are those of the position, wherever they stand, to the synthesis and to the checker."""
     base = tomllib.loads(TINY.read_text(encoding="utf-8")) | change
-    base |= {"feedback": {"kind": "sampled", "period_s": 0.25}, "simulation": {"runs": 2}}
+    base |= {"feedback": {"period_s": 0.25}, "simulation": {"runs": 2}}
     base |= {"schedule": {"bound_programs": 0}}
     claims = []
     for order in orders:

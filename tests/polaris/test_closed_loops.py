@@ -77,12 +77,8 @@ def monitored(seed, schedule):
     """An online monitor of random period, latency, trust and error of the estimate; None if it is refused."""
     rng, safety = np.random.default_rng(seed), schedule.safety
     h, q = safety.tracking.flow.h, safety.tracking.feedback.nodes_per_cell
-    if safety.tracking.feedback.sampled:
-        nodes = int(rng.choice([c for c in range(1, q + 1) if q % c == 0]))
-        period, latency = nodes * h, int(rng.integers(0, nodes + 1)) * h
-    else:
-        period = safety.problem.delta / int(rng.choice([1, 2]))
-        latency = period * float(rng.choice([0, 0.5, 1]))
+    nodes = int(rng.choice([c for c in range(1, q + 1) if q % c == 0]))
+    period, latency = nodes * h, int(rng.integers(0, nodes + 1)) * h
     half = safety.start.half_widths * float(rng.choice([0, 0.3]))
     try:
         return Monitor(

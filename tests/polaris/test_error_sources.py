@@ -141,13 +141,11 @@ def test_the_share_of_an_error_is_what_its_worst_signs_reach():
     system, flow = tracking.system, tracking.flow
     rows = np.vstack([system.position, tracking.gain])
     bound = tracking.disturbance(rows)[-1]
-    steps = 20
-    loop = type(flow).continuous(flow.A_c, flow.D, 0.0, flow.h / steps)
-    kick = loop.input_map(system.B) @ tracking.gain
+    kick = flow.input_map(system.B) @ tracking.gain
     reached, carried = np.zeros(len(rows)), rows
-    for _ in range(tracking.memory * steps):
+    for _ in range(tracking.memory):
         reached += np.abs(carried @ kick) @ system.navigation
-        carried = carried @ loop.phi
+        carried = carried @ flow.phi
     assert np.all(reached <= bound) and np.all((reached / bound).reshape(2, 2).T > [0.9, 0.6])
 
 
@@ -197,7 +195,7 @@ def test_a_need_grows_with_the_error_and_what_cannot_be_met_is_named():
         ("chaser.radius_m=-1.0", "chaser.radius_m"),
         ("thrusters.magnitude_error=0.5", "thrusters.magnitude_error"),
         ("thrusters.misalignment_deg=1.0", "thrusters.misalignment_deg"),
-        ("thrusters.impulse_bit_N_s=0.1", "thrusters.impulse_bit_N_s"),
+        ("thrusters.impulse_bit_N_s=0.2", "thrusters.impulse_bit_N_s"),
         ("tracking.thrust_share=0.0", "tracking.thrust_share"),
     ],
 )
@@ -256,7 +254,7 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     law, start = schedule.controllers[1], schedule.safety.start
     told = law.fly(start, 0)
     assert all(np.all(kept <= law.system.u_max) for kept in map(np.frombuffer, law._levels))
-    least, most = (replace(law, most=share * law.system.u_max, _relaxed={}) for share in (1e-9, 1.0))
+    least, most = (replace(law, most=share * law.system.u_max) for share in (1e-9, 1.0))
     sizes = [tube.end.half_widths for tube in (least._flown(start, 0)[0], told, most._flown(start, 0)[0])]
     assert np.all(sizes[0] <= sizes[1] + 1e-12) and np.all(sizes[1] <= sizes[2] + 1e-12)
 
@@ -292,7 +290,7 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
 
 @pytest.mark.slow
 def test_a_certificate_with_errors_holds_far_beyond_the_memory_of_the_loop():
-    given = ["feedback.kind=sampled", "feedback.period_s=2.0", "thrusters.impulse_bit_N_s=0.005"]
+    given = ["feedback.period_s=2.0", "thrusters.impulse_bit_N_s=0.005"]
     given += ["thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"]
     schedule = synthesize(load_scenario("static").with_assignments([*given, "tracking.thrust_share=0.5"]))
     assert schedule.share() >= 0.8 and schedule.safety.end.horizon == "infinite"
@@ -398,7 +396,7 @@ def test_many_monitors_hold_with_errors_at_their_worst():
 def test_run_time_methods_fly_with_errors_and_none_that_is_proven_collides():
     mild = ["navigation.state_error=[0.004, 0.004, 0.001, 0.001]", "thrusters.magnitude_error=0.01"]
     schedule = synthesize(load_scenario(TINY).with_assignments([*mild, "system.input_max=2.0"]))
-    found = compare_methods(DecisionGrid.of(schedule, latency=0.5, period=0.5), 4)
+    found = compare_methods(DecisionGrid.of(schedule, latency=1 / 3, period=1 / 3), 4)
     assert not found.refused and found.grid.half_widths.tolist() == [0.004, 0.004, 0.001, 0.001]
     for one in found.results.values():
         assert one.claim.kind == "none" or not one.metrics.collided.any(), one.name

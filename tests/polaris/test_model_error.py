@@ -12,17 +12,16 @@ from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
 from polaris.model.satellite import SatelliteObstacle
 from polaris.scenario.scenario import load_scenario
-from polaris.simulation.integration import runge_kutta
 from polaris.simulation.orbit.environment import MU, Environment
 from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
 from polaris.simulation.orbit.model_error import justify, model_error, sample_residual, two_digits
 from polaris.simulation.orbit.region import Region, visited
 from polaris.simulation.orbit.residual import residual_bound
-from polaris.simulation.orbit.truth import declared, fly_true
+from polaris.simulation.orbit.truth import declared, fly_true, runge_kutta
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from ..kept import CONTINUOUS, printed
+from ..kept import CHOSEN, printed
 
 SPACECRAFT = ["static", "dynamic", "keep_out", "hold_point"]
 ETA = 0.0012
@@ -38,13 +37,13 @@ def box(radial, along, cross, speed):
 def drift_true(env, target, x, ballistic, h, nodes):
     """Free nonlinear motion from states x (R, 6) at targets (R, 6), shape (R, nodes + 1, 6), h apart [s]."""
 
-    def rate(later, state):
+    def rate(state):
         x_rate, target_rate, _ = relative_rate(env, state[:, 6:], state[:, :6], ballistic)
         return np.concatenate([x_rate, target_rate], axis=1)
 
     path = [np.concatenate([x, target], axis=1)]
     for _ in range(nodes):
-        path.append(runge_kutta(rate, path[-1], h, rate(0, path[-1])))
+        path.append(runge_kutta(rate, path[-1], h, rate(path[-1])))
     return np.stack(path, axis=1)[..., :6]
 
 
@@ -192,7 +191,7 @@ def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
 )
 def test_schedule_is_safe_in_the_nonlinear_motion(name):
-    scenario, schedule = printed(name, *[CONTINUOUS] * (name in SPACECRAFT[:2]))
+    scenario, schedule = printed(name, *[CHOSEN] * (name in SPACECRAFT[:2]))
     env, w_max = Environment.of(scenario), schedule.safety.problem.system.w_max
     flown = fly_true(schedule, env, 40, substeps=1)
     metrics = flown.runs.metrics()
@@ -211,12 +210,7 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
 
 
 ERRORS = (
-    *(
-        "feedback.kind=sampled",
-        "feedback.period_s=5.0",
-        "tracking.thrust_share=0.5",
-        "recoverable.recourse=none",
-    ),
+    *("feedback.period_s=5.0", "tracking.thrust_share=0.5", "recoverable.recourse=none"),
     *("navigation.position_error_m=0.05", "navigation.velocity_error_m_s=0.002"),
     *("thrusters.magnitude_error=0.02", "thrusters.misalignment_deg=1.0", "thrusters.mass_error=0.01"),
     "thrusters.impulse_bit_N_s=0.005",
@@ -249,7 +243,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
 
 
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
-    scenario, schedule = printed("static", CONTINUOUS)
+    scenario, schedule = printed("static", CHOSEN)
     region = visited(schedule)
     flown = fly_true(schedule, Environment.of(scenario), 20, tail=True, substeps=1)
     K, q = schedule.safety.problem.K, schedule.safety.clearance.q
@@ -261,7 +255,7 @@ def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
 
 
 def test_drifting_satellite_stays_in_its_timed_polytope_while_its_model_error_is_covered():
-    scenario, schedule = printed("dynamic", CONTINUOUS)
+    scenario, schedule = printed("dynamic", CHOSEN)
     safety, env = schedule.safety, Environment.of(scenario)
     satellite = next(o for o in safety.problem.unsafe if isinstance(o, SatelliteObstacle))
     rng = np.random.default_rng(2)
@@ -291,7 +285,7 @@ def test_a_target_outside_what_is_declared_is_noticed():
 
 
 def test_command_says_what_is_left_out_and_whether_it_is_covered(tmp_path):
-    scenario = load_scenario("static", ["recoverable.recourse=none", CONTINUOUS])  # the quicker synthesis
+    scenario = load_scenario("static", ["recoverable.recourse=none", CHOSEN])  # the quicker synthesis
     file = tmp_path / "static.toml"
     file.write_text(scenario.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["model-error", str(file), "--json"])

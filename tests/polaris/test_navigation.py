@@ -33,7 +33,7 @@ from .test_timing import fly_delayed
 from .test_transients import pulsing
 from .tiny import TINY
 
-SAMPLED = ("feedback.kind=sampled", "feedback.period_s=0.25", "tracking.R=[60,60]")
+SAMPLED = ("feedback.period_s=0.25", "tracking.R=[60,60]")
 MEASURED = (
     "navigation.measurement.matrix=[[1,0,0,0],[0,1,0,0]]",
     "navigation.measurement.error=[0.005, 0.005]",
@@ -66,7 +66,7 @@ def observed(name, *more):
 @pytest.mark.parametrize("name", ["tiny", "static"])
 def test_bounds_of_an_observer_are_what_its_worst_noise_and_pushes_reach(name):
     """Period by period, the worst of all that comes for one state: the bound is little above it."""
-    hill = ("feedback.kind=sampled", "feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1")
+    hill = ("feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1")
     scenario = scene(*MEASURED) if name == "tiny" else load_scenario("static").with_assignments(hill)
     system, h, parts = scenario.system(), scenario.problem().period, 10
     observer, n = system.observer, system.n
@@ -222,7 +222,6 @@ def test_without_phases_everything_is_as_it_was():
         ((*MEASURED, PHASED[0]), "navigation.measurement"),
         ((MEASURED[0],), "navigation.measurement.error"),
         ((MEASURED[0], "navigation.measurement.error=[0.1]"), "navigation.measurement.error"),
-        ((*MEASURED, "feedback={kind='continuous'}"), "navigation.measurement"),
         ((*MEASURED, "timing.missed_periods=21"), "timing.missed_periods"),
         ((*EXACT, "system.disturbance_max=0.0"), "navigation.measurement"),
         (("navigation.measurement.position_error_m=0.1",), "navigation.measurement.position_error_m"),
@@ -273,7 +272,7 @@ def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them(fir
 
 def test_missed_periods_cost_what_the_theory_says():
     measured = "navigation.measurement.position_error_m=0.1"
-    given = ["feedback.kind=sampled", "feedback.period_s=2.0", measured]
+    given = ["feedback.period_s=2.0", measured]
     static, found = load_scenario("static").with_assignments(given), []
     for missed in (1, 3):
         system = static.with_assignments([f"timing.missed_periods={missed}"]).system()

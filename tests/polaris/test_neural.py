@@ -54,11 +54,7 @@ from .forging import repeat
 from .tiny import TINY
 
 HASTY = scenario_folder() / "policies" / "hasty.onnx"
-SAMPLED = {
-    "feedback": {"kind": "sampled", "period_s": 0.25},
-    "tracking.R": [60.0, 60.0],
-    "simulation.runs": 3,
-}
+SAMPLED = {"feedback": {"period_s": 0.25}, "tracking.R": [60.0, 60.0], "simulation.runs": 3}
 KINDS = {
     "relu": Activation("relu", 0.1),
     "tanh": Activation("tanh"),
@@ -590,7 +586,6 @@ def test_simulation_flies_it_and_the_monitor_trusts_its_thrust_limits_only(made)
 # -- what is refused --------------------------------------------------------------------------------
 
 WRONG = {
-    "continuous feedback": ({"feedback": {"kind": "continuous"}}, "feedback.kind"),
     "too few inputs": ({"inputs": ["time"]}, "experimental[0].inputs"),
     "an input twice": ({"inputs": ["error", "error"]}, "experimental[0].inputs"),
     "an input that is none": ({"inputs": ["weather"]}, "experimental[0].inputs[0]"),
@@ -639,7 +634,7 @@ def test_the_slope_of_an_affine_network_is_the_network():
 @pytest.mark.parametrize("name", ["static", "dynamic"])
 def test_an_imitation_gets_nearly_the_share_of_the_law_that_it_imitates(name, tmp_path):
     pytest.importorskip("onnx")
-    sampled = {"feedback": {"kind": "sampled", "period_s": 2.0}, "recoverable.recourse": "none"}
+    sampled = {"feedback": {"period_s": 2.0}, "recoverable.recourse": "none"}
     law = load_scenario(name, sampled)
     found, file = law.to_dict(), scenario_folder() / "policies" / "fuel_saver.onnx"
     table = {"kind": "neural", "name": "net", "path": str(file), "output_scale_N": 0.2}

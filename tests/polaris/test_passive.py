@@ -50,16 +50,14 @@ def flown_drifts(schedule, runs, seed):
         node = k * q + int(rng.integers(0, q))
         law, share = schedule.controllers[schedule.modes[k]], rng.random()
         x = flights.states[:, node]
-        for i in range(20):  # on towards the instant at which thrust stops, the law renewed twenty times
-            t = (node - k * q) / q * delta + share * delta / q * i / 20
-            places = [
-                held(system.A, system.B, t)[0] @ ref.chi[k] + held(system.A, system.B, t)[1] @ ref.nu[k]
-                for ref in (safety.reference, getattr(law, "own", safety.reference))
-            ]
-            if i == 0 or not safety.tracking.feedback.sampled:
-                u = np.clip(law.command(k, *places, x), -system.u_max, system.u_max)
-            Ad, Bd = held(system.A, system.B, share * delta / q / 20)
-            x = x @ Ad.T + u @ Bd.T
+        Ad, Bd = held(system.A, system.B, (node - k * q) / q * delta)
+        places = [
+            Ad @ ref.chi[k] + Bd @ ref.nu[k]
+            for ref in (safety.reference, getattr(law, "own", safety.reference))
+        ]
+        u = np.clip(law.command(k, *places, x), -system.u_max, system.u_max)
+        Ad, Bd = held(system.A, system.B, share * delta / q)  # on to the instant at which thrust stops
+        x = x @ Ad.T + u @ Bd.T
         t = k * delta + (node - k * q + share) / q * delta
         for item in passive.flight.sets:
             row = -item.normals[rng.integers(0, len(item.normals))] @ system.position

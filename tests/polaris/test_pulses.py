@@ -32,9 +32,10 @@ from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
 from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis import controllers
+from polaris.synthesis.feedback import Feedback
 from polaris.synthesis.lqr import lqr_gain
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Feedback, Tracking
+from polaris.synthesis.tracking import Tracking
 from reach.numerics.linear import discretize
 
 from ..kept import kept
@@ -116,14 +117,14 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     """In however few steps: as with four hundred, in each of which the thrust is its mean."""
     env, flight, h = Environment(0.0012, j2=False), object.__new__(_TrueMotion), 20.0
     flight.system, flight.env, flight.ballistic = load_scenario("static").system(), env, np.zeros(3)
-    flight.fired, flight.sampled, flight.q, flight.substeps = flight.system.u_max, True, 1, substeps
+    flight.fired, flight.q, flight.substeps = flight.system.u_max, 1, substeps
     flight.dt, flight.residual = h / substeps, np.zeros((1, 3))
     flight.asked = np.array([[0.1, 0.02, 0.0], [-0.2, 0.19, -0.05], [1e-4, 0.0, 0.2]])
     start = np.random.default_rng(0).normal(size=(3, 6)) * ([100] * 3 + [0.1] * 3)
     x = y = np.concatenate([start, near_circular(env, np.arange(3.0), np.zeros(3))], axis=1)
     told, fine, push = 1.03 * flight.asked, 400, np.full((3, 3), 1e-6)  # errors stay as they are
     for step in range(substeps):
-        x = flight.move(0, 0, step, x, told, push)
+        x = flight.move(0, step, x, told, push)
     on = np.abs(flight.asked) / flight.fired
 
     def rate(u):
@@ -144,7 +145,6 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
 @pytest.mark.parametrize(
     ("assignments", "field"),
     [
-        (["thrusters.pulse=centred"], "thrusters.pulse"),
         ([*SAMPLED, "thrusters.pulse=first"], "thrusters.pulse"),
         ([*PULSED, "timing.jitter_s=0.01"], "timing.jitter_s"),
         (
@@ -330,7 +330,7 @@ def test_every_method_flies_the_same_pulses_and_carries():
 
 def test_pulses_are_followed_within_a_period():
     """Exactly to its end, and to a hundredth of what they displace in between."""
-    scenario = load_scenario("static", ["feedback.kind=sampled", "feedback.period_s=10"])
+    scenario = load_scenario("static", ["feedback.period_s=10"])
     system, h, steps = scenario.with_assignments(["thrusters.pulse=centred"]).system(), 10.0, 800
     firing, rng = Firing(), np.random.default_rng(3)
     firing.system, firing.dt, firing.substeps, firing.fired = system, h, 1, np.array(system.timing.fired)
@@ -358,7 +358,7 @@ def test_tubes_with_errors_are_hardly_wider_than_if_nothing_were_merged(monkeypa
     problem = load_scenario("hold_point", ["timing.delay_s=2", *given]).problem()
     system, K = problem.system, 40
     gain = lqr_gain(system, [1e-3] * 3 + [2.0] * 3, [4e3] * 3)
-    tracking = Tracking(system, gain, Feedback(15, sampled=True), problem.delta)
+    tracking = Tracking(system, gain, Feedback(15), problem.delta)
     still = Reference.propagate(system, problem.delta, np.zeros(6), np.zeros((K, 3)))
     widths = []
     for wide in (controllers.WIDE, 1000.0):

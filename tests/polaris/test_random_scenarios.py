@@ -77,7 +77,9 @@ def test_random_scenes_are_valid_files(tmp_path):
         seen.update(
             [f"system {model.system.kind}", f"start {model.initial_set.kind}", f"goal {model.goal.kind}"]
         )
-        seen.update([model.feedback.kind, model.recoverable.kind, model.schedule.strategy])
+        seen.update(
+            [f"period {model.feedback.period_s is not None}", model.recoverable.kind, model.schedule.strategy]
+        )
         seen.update(f"unsafe {part.kind}" for part in (*model.obstacles, *model.keep_in))
         seen.update(f"law {part.kind}" for part in model.experimental)
     assert len(seen) >= 22 and min(seen.values()) >= 1, seen

@@ -17,14 +17,14 @@ from polaris.certificate.recovery import Recovery
 from polaris.certificate.verdict import Rejected
 from polaris.certificate.zonotopes import Zonotope
 
-Q, CELLS = 2, 16
+Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
 
 
 def recovery(bad=None):
     """A loop that forgets quickly, wide limits at every node, and one that nothing meets."""
-    zero, one = matrix([[0.0]]), matrix([[1.0]])
-    plant = Plant(zero, one, one, one, [arb(10)], arb(0.01), arb(0.5), sampled=False)
-    loop = plant.loop(matrix([[2.0]]))
+    one = matrix([[1.0]])
+    plant = Plant(one, one, one, one, [arb(10)], arb(0.01), arb(H))
+    loop = plant.loop(matrix([[GAIN]]))
     memory = Memory.of(loop, column([arb(1)]), Q)
     wide, none = Target(0, arb(100), "wall", arb(100)), Target(0, arb(-1), "wall", arb(100))
     targets = [[[none if (cell, i) == bad else wide] for i in range(Q + 1)] for cell in range(CELLS)]
@@ -56,12 +56,14 @@ def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
 
 
 def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
-    """Between its nodes ``e^(-2 t)`` leaves its chord by so much, half way."""
-    needs, h = recovery().needs, 0.5
-    half_way = (1 + math.exp(-2 * h)) / 2 - math.exp(-h)
+    """Between its nodes ``e^t - GAIN (e^t - 1)`` leaves its chord by so much, half way."""
+    needs = recovery().needs
+    phi, middle = (math.exp(t) - GAIN * math.expm1(t) for t in (H, H / 2))
+    assert 0 < phi < 1 < phi + middle
+    half_way = abs((1 + phi) / 2 - middle)
     for lag in range(1, needs.memory.periods):
         for begun in (lag - 1, lag):
-            assert needs.bend[lag][0, 0] >= math.exp(-2 * h * begun) * half_way
+            assert needs.bend[lag][0, 0] >= phi**begun * half_way > 0
 
 
 def test_what_is_over_is_over():

@@ -193,7 +193,8 @@ def test_gains_hold_what_a_replay_needs(folder):
     data, schedule = load_strict(folder.path / "gains.json"), synthesised()[1]
     np.testing.assert_array_equal(data["controllers"][0]["gain"], schedule.safety.tracking.gain)
     assert np.shape(data["controllers"][1]["own_states"]) == (13, 4)
-    assert data["sampling"]["kind"] == "continuous"
+    feedback = schedule.safety.tracking.feedback
+    assert data["sampling"] == {"step": 1.0, "steps": 12, "nodes_per_step": feedback.nodes_per_cell}
 
 
 @pytest.mark.parametrize("name", ["sets.npz", "tubes.npz", "trajectories.npz"])

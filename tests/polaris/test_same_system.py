@@ -12,10 +12,11 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.ball_sets import BallSets
 from polaris.synthesis.clearance import best_facets
 from polaris.synthesis.controllers import AffineController, AnyThrust, TubeSegment, construct_s
+from polaris.synthesis.feedback import Feedback
 from polaris.synthesis.get_safety import get_recover, get_safety
 from polaris.synthesis.search import SwitchingRules
 from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Feedback, Tracking
+from polaris.synthesis.tracking import Tracking
 from reach.sets.zonotope import Zonotope
 
 from .conftest import small_controllers, small_problem, small_safety
@@ -91,7 +92,7 @@ def test_an_equal_system_is_as_good_as_the_same():
 def grids():
     law = small_controllers()["coasting"]
     own, tracking = law.own, law.tracking
-    yield "period", replace(law, tracking=Tracking(law.system, tracking.gain, Feedback(3, True), 30.0))
+    yield "period", replace(law, tracking=Tracking(law.system, tracking.gain, Feedback(3), 30.0))
     yield "tracking copied", replace(law, tracking=replace(tracking))
     yield "reference copied", replace(law, reference=replace(law.reference), own=law.reference)
     yield "too short", replace(law, own=Reference(own.system, 30.0, own.chi[:31], own.nu[:30]))

@@ -42,7 +42,6 @@ half_widths = [0.05, 0.05, 0.01, 0.01]
 duration_s = 15.0
 step_s = 0.5
 [feedback]
-kind = "sampled"
 period_s = 0.1
 [tracking]
 Q = [1.0, 1.0, 1.0, 1.0]

@@ -19,18 +19,10 @@ WIDER = 1.05
 """Most by which the width of a stored set along an axis may exceed what is attained there."""
 
 
-PARTS = 4
-"""Parts of a period at whose ends it is looked at what is reached between two nodes."""
-
-
 def reached(law, start, rows):
     """Supports attained about the law's reference, at the nodes (q+1, r) and within the periods (q, *, r)."""
     flow, q, system = law.flow, law.feedback.nodes_per_cell, law.system
     ball = Ellipsoid.ball(np.zeros(system.D.shape[1]), system.w_max)
-    if not law.feedback.sampled:
-        loop = LinearSystem(flow.A_c, system.D, ball)
-        attained = support_tube(loop, start, q * flow.h, rows, step=flow.h / PARTS).attained
-        return attained[::PARTS], np.stack([attained[i : i + PARTS] for i in range(0, q * PARTS, PARTS)])
     # From one renewal of the input to the next: each period's share along the row carried to its end.
     carried = rows @ powers(flow.phi, q)
     flat, rest = carried[:-1].reshape(-1, system.n), Zonotope.point(np.zeros(system.n))

@@ -436,7 +436,7 @@ def random_scene(seed, folder):
     from benchmarks.policies import write_onnx
 
     found, rng = tomllib.loads(random_scenario(seed)), np.random.default_rng(seed)
-    found["feedback"] = {"kind": "sampled", "period_s": found["horizon"]["step_s"] / 3}
+    found["feedback"] = {"period_s": found["horizon"]["step_s"] / 3}
     found["recoverable"] = {"kind": "polytope", "recourse": "none"}
     found.pop("timing", None)
     found.get("schedule", {}).pop("delta_v_max_m_s", None)

@@ -17,7 +17,7 @@ from polaris.synthesis.synthesize import synthesize
 from ..kept import kept
 from .tiny import TINY
 
-SAMPLED = ["feedback.kind=sampled", "feedback.period_s=0.25"]
+SAMPLED = ["feedback.period_s=0.25"]
 NOISY = [*SAMPLED, "navigation.state_error=[0.01, 0.01, 0.005, 0.005]"]
 WEAK = [*SAMPLED, "thrusters.magnitude_error=0.03", "thrusters.impulse_bit_N_s=0.002"]
 CARRIED = [*WEAK, "thrusters.remainder=carried"]

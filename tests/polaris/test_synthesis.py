@@ -241,7 +241,7 @@ def test_theta_outside_the_first_set_is_an_error_with_the_witness():
 def test_a_reference_past_an_obstacle_without_any_room_to_spare_is_found():
     """The planner's bounds on what lies between waypoints are tighter than those of the proof."""
     more = "planner.extra_margin_m=0", "tracking.R=[60,60]", "system.disturbance_max=0.004"
-    scenario = load_scenario(TINY).with_assignments([*more, "feedback={kind='sampled',period_s=1.0}"])
+    scenario = load_scenario(TINY).with_assignments([*more, "feedback={period_s=1.0}"])
     assert synthesize(scenario).guarantee == "proved"
 
 

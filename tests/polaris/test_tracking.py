@@ -1,11 +1,19 @@
-"""The tracking controller's gain: what has none is refused by name, and nothing else is hidden by that."""
+"""The tracking controller: gains, refused by name where there are none, and the control period."""
 
 import control
 import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
+from polaris.model.system import LinearSystem
+from polaris.runs.certificate import certificate
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.feedback import MOST_NODES, Feedback, choose_feedback
 from polaris.synthesis.lqr import solve_are
+from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.tracking import Tracking
+
+from .tiny import TINY
 
 SADDLE, BOTH = np.diag([1.0, -1.0]), np.ones((2, 1))
 CHAIN, PUSH = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
@@ -42,3 +50,73 @@ def test_a_fault_in_the_library_is_not_taken_for_bad_weights(monkeypatch):
     monkeypatch.setattr(control, "care", broken)
     with pytest.raises(RuntimeError, match="broken"):
         solve_are(CHAIN, PUSH, np.eye(2), np.eye(1))
+
+
+# -- the control period -----------------------------------------------------------------------------
+
+
+def spinning(rate):
+    """A plant that turns, a gain that cancels it, and the share of an error that a period of 1/q s leaves."""
+    turn = rate * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    system, gain = LinearSystem(turn, np.eye(2), np.eye(2), [1.0, 1.0], 0.0), turn + np.eye(2)
+
+    def left(q):
+        phi = Feedback(q).flow(system, gain, 1.0).phi
+        return np.abs(np.linalg.eigvals(phi)).max()
+
+    return system, gain, left
+
+
+def test_without_a_period_there_are_four_per_fastest_time_constant():
+    system = LinearSystem(-np.eye(1), np.eye(1), np.eye(1), [1.0], 0.0)
+    gains = [np.array([[2.0]]), np.array([[4.0]])]  # closed loops at 3/s and 5/s
+    assert choose_feedback(system, gains, 1.0, None) == Feedback(20)
+    assert choose_feedback(system, gains[:1], 1.0, None) == Feedback(12)
+    assert choose_feedback(system, gains, 1.0, 0.5) == Feedback(2)
+    assert choose_feedback(system, gains[:1], 1e-3, None) == Feedback(2)
+    assert choose_feedback(system, gains, 1e3, None) == Feedback(MOST_NODES)
+
+
+def test_periods_are_halved_until_the_loop_is_stable_at_its_nodes():
+    """The rule knows closed loops only: held for so long, a gain cannot cancel what turns fast."""
+    system, gain, left = spinning(100.0)
+    q = choose_feedback(system, [gain], 1.0, None).nodes_per_cell
+    assert left(4) > 1 and left(q // 2) >= 1 > left(q) and q in (8, 16, 32, 64, 128)
+    Tracking(system, gain, Feedback(q), 1.0).flow  # noqa: B018
+
+
+def test_what_no_period_makes_stable_is_refused():
+    system, gain, left = spinning(128 * (2 * np.pi - 0.05))  # at 4, 8, ... 200 nodes it pushes along
+    q = choose_feedback(system, [gain], 1.0, None)
+    assert q == Feedback(MOST_NODES) and left(MOST_NODES) > 1
+    with pytest.raises(ScenarioError, match="feedback.period_s.*must give a stable loop"):
+        Tracking(system, gain, q, 1.0).flow  # noqa: B018
+
+
+OBSERVED = (
+    "navigation.measurement.matrix=[[1,0,0,0],[0,1,0,0]]",
+    "navigation.measurement.error=[0.002,0.002]",
+)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        (),
+        (*OBSERVED, "thrusters.impulse_bit_N_s=0.0005", "thrusters.remainder=carried", "timing.delay_s=0.1"),
+        ("timing.jitter_s=0.005", "timing.missed_periods=1"),
+        ("thrusters.pulse=centred", 'faults=[{kind="loss",share=0.1,isolation_s=0.2}]'),
+    ],
+)
+def test_a_period_that_is_chosen_is_told_and_serves_whatever_needs_one(more):
+    pytest.importorskip("flint")
+    from polaris.certificate.checker import verify_document
+
+    scenario = load_scenario(TINY, ["tracking.R=[60,60]", *more])
+    schedule, h = synthesize(scenario), 1 / 9
+    assert scenario.period() == schedule.safety.tracking.flow.h == pytest.approx(h)
+    assert f"(commands each {h:g} s)" in scenario.outline()
+    told = f"sampling: commands are renewed every {h:g} s and held"
+    assert any(line.startswith(told) for line in schedule.assumptions)
+    assert schedule.guarantee == "proved" and schedule.share() > 0
+    assert verify_document(certificate(schedule, scenario.name)).outcome == "VERIFIED"

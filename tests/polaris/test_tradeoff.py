@@ -454,7 +454,7 @@ def test_every_error_source_can_be_swept():
         ],
     }
     for table, (kind, others) in tables.items():
-        sampled = ["feedback.kind=sampled", "feedback.period_s=2", *more.get(table, [])]
+        sampled = ["feedback.period_s=2", *more.get(table, [])]
         scenario = load_scenario("static", sampled)
         base = pickle.dumps(scenario.problem())
         for name in set(kind.model_fields) - set(others):

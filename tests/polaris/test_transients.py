@@ -32,7 +32,7 @@ from .forging import CERTIFICATE, Forger, make
 from .test_error_sources import exact, tables
 from .tiny import TINY
 
-SOFT = ["tracking.R=[60.0,60.0]", "feedback.kind=sampled", "feedback.period_s=0.25"]
+SOFT = ["tracking.R=[60.0,60.0]", "feedback.period_s=0.25"]
 LATE = 'faults=[{kind="loss",share=0.1,isolation_s=0.3}]'
 LOST = 'faults=[{kind="navigation_lost",lasts_s=1.0}]'
 KINDS = ("loss", "stuck_off", "stuck_on", "navigation_lost")
@@ -42,8 +42,8 @@ def failing(scenario, seed):
     """Assignments of a fault that is isolated late, of each kind in turn; thrusters come in twos."""
     rng, kind, u_max = np.random.default_rng(seed), KINDS[seed % 4], scenario.system().u_max
     step, m = scenario.step, len(u_max)
-    period = scenario.problem().period or step / 4
-    sampled = ["feedback.kind=sampled", f"feedback.period_s={period!r}"]
+    period = scenario.period()
+    sampled = [f"feedback.period_s={period!r}"]
     if kind == "navigation_lost":
         return [*sampled, f'faults=[{{kind="{kind}",lasts_s={max(rng.uniform(0.2, 2) * step, period)!r}}}]']
     share = f"share={rng.uniform(0.1, 0.4):.3g}," if kind == "loss" else ""
@@ -99,9 +99,9 @@ def test_many_proofs_hold_with_a_fault_in_every_flight():
 
 def pulsing(scenario, kind):
     """Assignments of pulses, of impulses whose rest is carried, and of a fault that is isolated late."""
-    period, least = scenario.problem().period or scenario.step / 4, scenario.system().u_max.min()
+    period, least = scenario.period(), scenario.system().u_max.min()
     given = ["thrusters.pulse=centred", "thrusters.remainder=carried"]
-    given += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}", "feedback.kind=sampled"]
+    given += [f"thrusters.impulse_bit_N_s={float(0.02 * period * least)!r}"]
     told = "share=0.1,isolation_s" if kind == "loss" else "lasts_s"
     return [*given, f"feedback.period_s={period!r}", f'faults=[{{kind="{kind}",{told}={1.3 * period!r}}}]']
 
@@ -237,7 +237,7 @@ def test_observers_go_with_late_faults_in_random_scenes():
         seen = [f"navigation.measurement.matrix={np.eye(n)[: n // 2].tolist()}"]
         seen.append(f"navigation.measurement.error={widths[: n // 2].tolist()}")
         seen += [f"navigation.measurement.initial.state_error={(3 * widths).tolist()}"] if seed % 3 else []
-        seen += [f"timing.delay_s={(problem.period or scenario.step / 4)!r}"] if seed % 5 == 0 else []
+        seen += [f"timing.delay_s={problem.period!r}"] if seed % 5 == 0 else []
         try:
             schedule = synthesize(scenario.with_assignments([*failing(scenario, seed), *seen]))
         except PolarisError:
@@ -265,12 +265,7 @@ def test_faults_left_out_of_the_proof_break_it(told, tmp_path):
 
 @pytest.mark.slow
 def test_in_the_nonlinear_motion_a_craft_without_measurements_flies_on_its_prediction():
-    given = [
-        "feedback.kind=sampled",
-        "feedback.period_s=2.0",
-        "timing.delay_s=2.0",
-        "recoverable.recourse=none",
-    ]
+    given = ["feedback.period_s=2.0", "timing.delay_s=2.0", "recoverable.recourse=none"]
     given += ["navigation.position_error_m=0.05", "navigation.velocity_error_m_s=0.002"]
     faults = '{kind="navigation_lost",lasts_s=60.0},{kind="loss",share=0.2,isolation_s=4.0}'
     schedule = synthesize(load_scenario("static").with_assignments([*given, f"faults=[{faults}]"]))
@@ -291,7 +286,7 @@ def test_known_at_once_is_as_before_and_other_numbers_are_not():
         'kind="stuck_on",isolation_s=0.0',
         'kind="navigation_lost"',
         'kind="loss",share=0.1,isolation_s=-1.0',
-        'kind="loss",share=0.1,isolation_s=1.0',  # with continuous feedback
+        'kind="loss",share=0.1,isolation_s=0.01',  # less than the control period
     ],
 )
 def test_bad_tables_are_refused_by_name(fault):

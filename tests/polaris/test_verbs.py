@@ -77,12 +77,7 @@ def test_an_override_reaches_the_scenario(verb, refuse):
 # -- errors before work -----------------------------------------------------------------------------
 
 
-BOX = (
-    "--set",
-    "experimental=[{kind='black_box', name='box'}]",
-    "--set",
-    "feedback={kind='sampled', period_s=1}",
-)
+BOX = ("--set", "experimental=[{kind='black_box', name='box'}]", "--set", "feedback={period_s=1}")
 FLYING = ("run", "model-error", "falsify", "campaign", "compare", "tradeoff")
 """Verbs that fly a scenario's controllers."""
 

@@ -96,7 +96,7 @@ def attack(scene, method, runs=24, seed=0):
             held = None
             for part in range(SUB):
                 at = place * SUB + part
-                if held is None or not scene.tracking.feedback.sampled:
+                if held is None:
                     held = scene.controllers[0].command(cell, safe[cell, at], safe[cell, at], x)
                     asked = (np.abs(held) / system.u_max).max(axis=1)[flying == 0]
                     demand = max(demand, float(asked.max(initial=0.0)))
@@ -168,7 +168,7 @@ def test_a_reference_of_u_that_jumps_is_predicted_and_its_clip_seen():
 
 
 def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
-    scene = DecisionGrid.of(line(order=1, weight=0.5), 0.25)
+    scene = DecisionGrid.of(line(order=1, weight=0.5, feedback=0.25), 0.25)
     recovery = Recovery(scene)
     o, beyond = len(recovery.bow), scene.tracking.memory
     assert 0 < beyond < scene.last
@@ -210,7 +210,7 @@ def test_an_estimate_that_is_no_number_is_flown_by_s(key, wrong):
 
 
 @pytest.mark.parametrize(
-    ("made", "jump"), [({"order": 1, "weight": 0.5}, [0.0]), ({"goal": 3.0}, [0.02, 0.0])]
+    ("made", "jump"), [({"order": 1, "weight": 0.5, "feedback": 0.25}, [0.0]), ({"goal": 3.0}, [0.02, 0.0])]
 )
 def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_left(made, jump):
     """A jump of the reference counts as a need of the whole room, and so does what lies beyond the memory."""
@@ -220,7 +220,7 @@ def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_le
     rng, tightest, behind = np.random.default_rng(0), np.inf, 0
     for cell in range(clearance.planned):
         node = cell * clearance.q
-        for _ in range(5):
+        for _ in range(20):
             start = Zonotope.box(rng.uniform(-0.1, 0.2, n) / 2 ** np.arange(n), rng.uniform(0.0, 0.01, n))
             size = np.linalg.norm(scene.tracking.W @ start.c) + recovery.size(start.G)
             share = float(recovery.share(node, start.c, size, recovery.demand(start.G)))

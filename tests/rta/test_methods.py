@@ -17,10 +17,10 @@ from tests.rta.scenes import scene
 BUFFERED = [key for key, one in METHODS.items() if any(option.name == "buffer" for option in one.options)]
 PROVED = ("safety", "schedule", "monitor", "monitor_declared", "simplex_explicit", "asif_implicit")
 SETTINGS = {
-    "continuous": {},
-    "sampled": {"feedback": 0.1, "period": 0.5},
-    "anything": {"unknown": True, "period": 0.1},
-    "late": {"period": 0.25, "latency": 0.125},
+    "chosen": {},
+    "given": {"feedback": 0.1, "period": 0.5},
+    "anything": {"unknown": True, "feedback": 0.1, "period": 0.1},
+    "late": {"feedback": 0.125, "period": 0.25, "latency": 0.125},
     "whole period late, estimated": {"period": 0.25, "latency": 0.25, "half": 0.01},
     "slow": {"period": 0.5, "half": (0.02, 0.02, 0.005, 0.005)},
     "robot": {"name": "robot"},
@@ -52,7 +52,7 @@ def test_what_is_proved_keeps_clear_and_within_the_thrust_limits(setting):
         assert np.nanmax(np.append(asked, 0.0)) <= 1 + 1e-9, key
 
 
-@pytest.mark.parametrize("setting", ["continuous", pytest.param("robot", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("setting", ["chosen", pytest.param("robot", marks=pytest.mark.slow)])
 def test_u_alone_does_collide(setting):
     (_, method, _, metrics), *_ = flights(setting, ["experimental"])
     assert method.claim.kind == "none"

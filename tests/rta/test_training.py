@@ -40,7 +40,7 @@ from ..polaris.tiny import TINY  # noqa: E402
 from ..polaris.tiny import synthesised as tiny  # noqa: E402
 from ..sizes import fewer  # noqa: E402
 
-SAMPLED = {"feedback": {"kind": "sampled", "period_s": 0.25}, "tracking.R": [60.0, 60.0]}
+SAMPLED = {"feedback": {"period_s": 0.25}, "tracking.R": [60.0, 60.0]}
 INSPECTED = {
     "initial": {"kind": "states", "states": [[0.0, -60.0, 0.0, 0.0, 0.0, 0.0]], "sun_angle_deg": 20.0},
     "flight.duration_s": 60.0,
@@ -71,7 +71,7 @@ MADE = {
     "sampled": lambda: SwitchingEnv(
         sampled(), half_widths=0.005, inputs=("state", "time", "reference_input")
     ),
-    "continuous": lambda: SwitchingEnv(tiny()[1], period_s=0.5),
+    "chosen": lambda: SwitchingEnv(tiny()[1], period_s=1 / 3),
     "inspection": lambda: InspectionEnv(inspected()),
 }
 
@@ -279,7 +279,7 @@ def colliding():
 SCENES = {
     "sampled": (sampled, {}),
     "estimated": (sampled, {"half_widths": 0.01}),
-    "continuous": (lambda: tiny()[1], {"period_s": 0.125}),
+    "chosen": (lambda: tiny()[1], {"period_s": 1 / 9}),
     "inexact": (inexact, {}),
 }
 

@@ -27,7 +27,7 @@ HORIZON = Option(
 
 
 class Simulation(Method):
-    """Undisturbed flight of U from measured states, on every `stride`-th node.
+    """Undisturbed flight of U from measured states, node by node.
 
     Parameters
     ----------
@@ -49,14 +49,7 @@ class Simulation(Method):
         usual = max(AHEAD * grid.last * grid.h, LEAST * grid.period)
         self.horizon = usual if horizon is None else HORIZON.check("horizon", horizon)
         self.settings["horizon"] = self.horizon
-        sampled, fastest = grid.tracking.feedback.sampled, grid.fastest
-        # A tenth of the fastest time constant, at least one node.
-        self.stride = 1 if sampled or fastest == 0 else max(int(0.1 / fastest / grid.h), 1)
-        self.count = max(int(np.ceil(self.horizon / (self.stride * grid.h))), 1)
-        Ad, Bd, _ = grid.held
-        self.phi, self.gamma = np.eye(len(Ad)), np.zeros_like(Bd)
-        for _ in range(self.stride):
-            self.phi, self.gamma = Ad @ self.phi, Ad @ self.gamma + Bd
+        self.count = max(int(np.ceil(self.horizon / grid.h)), 1)
         self.last = len(grid.own.get(1, grid.xi)) - 1
         self.spread: Array | None = None  # what sets about the prediction add, shape (count + 1, F)
 
@@ -73,20 +66,17 @@ class Simulation(Method):
         node, x = seen.k * self.grid.nodes, seen.estimate
         room = self._room(node, x, 0)
         for i in range(1, self.count + 1):
-            if node + self.stride > self.last:
+            if node == self.last:
                 break
             x = self._step(node, x)
-            node += self.stride
+            node += 1
             room = np.minimum(room, self._room(node, x, i))
         return Choice.between(room > 0, room)
 
     def _step(self, node: int, x: Array) -> Array:
-        """States a step later, the clipped command of the middle held: second order in the step."""
-        u = self.grid.clipped(1, node, x)
-        if not self.grid.tracking.feedback.sampled:
-            after = min(node + self.stride, self.last)
-            u = (u + self.grid.clipped(1, after, x @ self.phi.T + u @ self.gamma.T)) / 2
-        return np.asarray(x @ self.phi.T + u @ self.gamma.T)
+        """States a period later, the clipped command held."""
+        Ad, Bd, _ = self.grid.held
+        return np.asarray(x @ Ad.T + self.grid.clipped(1, node, x) @ Bd.T)
 
     def _room(self, node: int, x: Array, step: int) -> Array:
         """Distance to the nearest perceived unsafe set at a node, by its farthest facet, (R,)."""
@@ -122,9 +112,8 @@ class ForwardReachability(Simulation):
         added = np.zeros(len(rows))
         for _ in range(self.count + 1):
             out.append(np.abs(rows) @ grid.half_widths + added)
-            for _ in range(self.stride):
-                added = added + np.abs(rows @ flow.period_zonotope.G).sum(axis=1)
-                rows = rows @ flow.phi
+            added = added + np.abs(rows @ flow.period_zonotope.G).sum(axis=1)
+            rows = rows @ flow.phi
         return np.array(out)
 
     @property

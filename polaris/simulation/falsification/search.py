@@ -63,7 +63,7 @@ class Falsification:
     failure : Failure or None
         The worst violation.
     case : tuple or None
-        The attack behind it (one run), whether the tail was flown, and the integration steps per node.
+        The attack behind it (one run), and whether the tail was flown.
     abort : int or None
         The step at whose start that flight was aborted with thrust, if it was.
     """
@@ -76,7 +76,7 @@ class Falsification:
     runs: int
     seconds: float
     failure: Failure | None
-    case: tuple[Attack, bool, int] | None
+    case: tuple[Attack, bool] | None
     abort: int | None = None
     spent: float = 0.0
     """Largest velocity change until T [m/s]; what is proven of it is `Schedule.delta_v`."""
@@ -202,13 +202,12 @@ class _Search:
         return self._confirmed(claims, attack, measured)
 
     def _confirmed(self, claims: Claims, attack: Attack, measured: Attained) -> Found | None:
-        """The worst violation, flown again with finer steps to be sure of it."""
+        """The worst violation, flown again alone to be sure of it."""
         suspects = np.flatnonzero(np.any([mask.any(axis=1) for mask in broken(claims, measured)], axis=0))
         for run in suspects[np.argsort(measured.margin[suspects].min(axis=1))]:
-            confirmed = confirm(claims, attack.pick(np.array([run])))
-            if confirmed is not None:
-                failure, finer, substeps = confirmed
-                return failure, (finer, claims.tail, substeps)
+            alone = attack.pick(np.array([run]))
+            if (failure := confirm(claims, alone)) is not None:
+                return failure, (alone, claims.tail)
         return None
 
     def _aborted(self, count: int) -> Found | None:
@@ -218,7 +217,7 @@ class _Search:
         found = self._confirmed(attacker.claims, attack, attained(attacker.claims, runs, attack.failing))
         failure, run = exceeded(self.schedule, step, runs)
         if found is None and failure.broken:
-            found = failure, (attack.pick(np.array([run])), True, 1)
+            found = failure, (attack.pick(np.array([run])), True)
         self.abort = step if found else None
         return found
 
@@ -230,7 +229,7 @@ class _Search:
         if len(flown.modes) == self.main.claims.cells:
             self.spent = max(self.spent, float(flown.delta_v.max()))
             found.append(overspent(flown))
-        broken = ((each, (attack.pick(np.array([run])), False, 1)) for each, run in found if each.broken)
+        broken = ((each, (attack.pick(np.array([run])), False)) for each, run in found if each.broken)
         return next(broken, None)
 
     def _keep(self, attack: Attack, measured: Attained) -> None:

@@ -1,4 +1,4 @@
-"""Violations of what a schedule claims: which, when, by how much, and whether finer steps confirm them."""
+"""Violations of what a schedule claims: which, when, by how much, and confirmation by another flight."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -63,7 +63,7 @@ class Failure:
         return f"{what} at t = {self.time_s:.6g} s (margin {self.margin:.4g}, {claimed})"
 
 
-Found = tuple[Failure, tuple[Attack, bool, int]]
+Found = tuple[Failure, tuple[Attack, bool]]
 """A violation and its case."""
 
 
@@ -93,20 +93,12 @@ def violation(claims: Claims, measured: Attained, run: int = 0) -> Failure | Non
 def overspent(runs: Runs) -> tuple[Failure, int]:
     """The run that spends most until T, against what is claimed, if anything is; and which run that is."""
     schedule, run = runs.schedule, int(np.argmax(runs.delta_v))
-    sampled = schedule.safety.tracking.feedback.sampled  # else it is summed up by steps
-    most = schedule.delta_v[1] if sampled and schedule.guarantee == "proved" else np.inf
+    most = schedule.delta_v[1] if schedule.guarantee == "proved" else np.inf
     left = most - float(runs.delta_v[run])
     return Failure("velocity change", "the bound until T", float(schedule.times[-1]), left, most), run
 
 
-def confirm(claims: Claims, attack: Attack) -> tuple[Failure, Attack, int] | None:
-    """Fly one attack again with four times as many integration steps, its disturbance the same.
-
-    Returned are the violation, the attack on the finer steps, and their number per node; None if it was none.
-    """
-    substeps = 1 if claims.schedule.safety.tracking.feedback.sampled else 4
-    free = None if attack.free is None else np.repeat(attack.free, substeps, axis=0)
-    finer = Attack(attack.x0, np.repeat(attack.w, substeps, axis=0), free, attack.failing)
-    flight = flight_of(claims.schedule, claims.modes, substeps)
-    failure = violation(claims, attained(claims, finer.fly(flight), attack.failing))
-    return None if failure is None else (failure, finer, substeps)
+def confirm(claims: Claims, attack: Attack) -> Failure | None:
+    """Fly one attack again, alone; return its violation, or None if there is none."""
+    flight = flight_of(claims.schedule, claims.modes, 1)
+    return violation(claims, attained(claims, attack.fly(flight), attack.failing))

@@ -1,7 +1,7 @@
 """A schedule flown in the nonlinear motion: two bodies, J2, drag, and a target that feels them too."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +16,7 @@ from ...synthesis.schedule import Schedule
 from ..delayed import Predicting
 from ..disturbances import disturbances, limit_rows
 from ..failing import drawn
-from ..integration import Integrator, runge_kutta
+from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
 from .environment import Environment
@@ -66,9 +66,8 @@ def fly_true(
     of the size declared for everything else. With errors of navigation or thrusters, half of the runs have
     them, that acceleration and the start at the worst for a limit and an instant, by the adjoint of the
     linear loop. In the others estimates err at random, and thrusters are as built: each has its own strength,
-    all are turned about an axis, and impulses are rounded to the bit. Under sampled feedback, delays and
-    missed periods are flown as they are, with predictions on board; else as errors within the bounds of
-    predictions. Where faults are isolated late every run has one of them.
+    all are turned about an axis, and impulses are rounded to the bit. Delays and missed periods are flown as
+    they are, with predictions on board. Where faults are isolated late every run has one of them.
 
     Parameters
     ----------
@@ -92,8 +91,7 @@ def fly_true(
     system = schedule.safety.problem.system
     prompt = system.timing.instant and system.observer is None
     lost = any(not len(fault.thrust) for fault in system.transients)
-    at_once = prompt and not lost or not schedule.safety.tracking.feedback.sampled
-    flight = (_TrueMotion if at_once else _Predicting)(schedule, modes, substeps)
+    flight = (_TrueMotion if prompt and not lost else _Predicting)(schedule, modes, substeps)
     if isinstance(flight, _Predicting):
         flight.prepare(n, rng)
     if system.transients:
@@ -118,6 +116,14 @@ def _targets(env: Environment, n: int, rng: np.random.Generator) -> Array:
     return near_circular(env, rng.uniform(0, 2 * np.pi, n), inclination)
 
 
+def runge_kutta(rate: Callable[[Array], Array], x: Array, dt: float | Array, first: Array) -> Array:
+    """State a step of dt [s] later by the classical scheme of fourth order; `first` is the rate at x."""
+    second = rate(x + dt / 2 * first)
+    third = rate(x + dt / 2 * second)
+    fourth = rate(x + dt * third)
+    return np.asarray(x + dt / 6 * (first + 2 * second + 2 * third + fourth))
+
+
 class _TrueMotion(Integrator):
     """Its states are those of craft and target, (R, 12); what disturbs is an acceleration (R, 3)."""
 
@@ -128,8 +134,8 @@ class _TrueMotion(Integrator):
     strength: Array  # of each of them, as a share of the error, (r, 3)
     errors = Thrusters()  # of thrusters alone, jitter left out
 
-    def command(self, number: int, k: int, half: int, x: Array, later: int = 0) -> Array:
-        return super().command(number, k, half, x[:, :6], later)
+    def command(self, number: int, k: int, at: int, x: Array) -> Array:
+        return super().command(number, k, at, x[:, :6])
 
     def at_their_worst(self, push: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """All that disturbs, (steps, R, 3 and columns of errors), and which way the first runs start."""
@@ -163,28 +169,25 @@ class _TrueMotion(Integrator):
     def _unclipped(self, *cell: Any) -> None:
         """Nothing is linear here."""
 
-    def move(self, number: int, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
+    def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         def rates(u: Array, state: Array) -> tuple[Array, Array]:
             own, target, left_out = relative_rate(self.env, state[:, 6:], state[:, :6], self.ballistic)
             own = own + u @ self.system.B.T
             own[:, 3:] += w
             return np.concatenate([own, target], axis=1), left_out + w
 
-        def rate(later: int, state: Array, u: Array = u) -> Array:
-            if self.sampled:
-                return rates(u, state)[0]
-            asked = self.command(number, k, 2 * step, state, later)
-            return rates(self.applied(asked, k * self.steps_per_cell + step), state)[0]
+        def under(u: Array) -> Callable[[Array], Array]:
+            return lambda state: rates(u, state)[0]
 
         first, left_out = rates(u, x)
         node = k * self.q + step // self.substeps
         self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
         if not len(self.fired):
-            return runge_kutta(rate, x, self.dt, first)
+            return runge_kutta(under(u), x, self.dt, first)
         for one, other in pairwise(self._switches(step % self.substeps)):
             if np.any(one < other):
                 flown, dt = u + self.pulsed(one, other), (other - one) * self.dt * self.substeps
-                x = runge_kutta(partial(rate, u=flown), x, dt, rate(0, x, flown))
+                x = runge_kutta(under(flown), x, dt, rates(flown, x)[0])
         return x
 
     def _switches(self, sub: int) -> Array:
