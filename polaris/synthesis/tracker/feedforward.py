@@ -37,7 +37,9 @@ class Feedforward:
         """Bound on the scheduled part of the commands, (periods, m), and for ever after, (m,)."""
         responses, bound = self._responses(self.tightening.closed.K), np.abs(self.inputs)
         N, caused = self.tightening.horizon, [np.zeros((len(bound), g.shape[-1])) for _, g, _ in responses]
-        oldest = np.zeros(bound.shape[1])
+        oldest, ever = np.zeros((2, bound.shape[1]))
+        if not responses:
+            return bound, ever
         for k in range(len(bound)):
             if k > N:
                 oldest = np.maximum(oldest, bound[k - N - 1])
@@ -48,7 +50,7 @@ class Feedforward:
             bound[k] += more * (1 + ROUNDING)
             for (channel, _, _), sizes in zip(responses, caused, strict=True):
                 sizes[k] = _share(channel, bound[k])
-        ever, largest = np.zeros(bound.shape[1]), bound.max(axis=0, initial=0.0)
+        largest = bound.max(axis=0, initial=0.0)
         for _ in range(ROUNDS):
             last = np.maximum(ever, bound[-N:].max(axis=0, initial=0.0))
             more = self._for_ever(responses, last, np.maximum(largest, ever))
@@ -74,7 +76,7 @@ class Feedforward:
             gains.sum(axis=0) @ _share(channel, last) + older @ _share(channel, largest)
             for channel, gains, older in responses
         )
-        return np.asarray(sum(total, np.zeros(len(responses[0][1][0]) if responses else 0)) * (1 + ROUNDING))
+        return np.asarray(np.sum(list(total), axis=0) * (1 + ROUNDING))
 
     def along(self, rows: Array) -> Array:
         """Return what scheduled commands add along rows at every node, and ever after, (periods + 2, r)."""
