@@ -1,0 +1,74 @@
+"""Delay between a measurement and the command that rests on it."""
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..tracker.loop import Array, Loop
+
+WHOLE = 1e-9  # share of a period by which a delay may differ from a whole number of periods and count as one
+
+
+@dataclass(frozen=True)
+class Delay:
+    """Commands rest on the state of `seconds` before, predicted under the commands in force since.
+
+    The prediction does not know what was added to the plant meanwhile. The loop remembers these additions:
+    one state vector per period under way, and one more per period where the delay is no whole number of
+    periods, because a measurement within a period shows what was added before it.
+    """
+
+    seconds: float
+
+    def extend(self, loop: Loop) -> Loop:
+        """Add the delay line."""
+        n, h, A = loop.n, loop.h, loop.A
+        if self.seconds <= 0:
+            return loop
+        periods = max(ceil(self.seconds / h - WHOLE), 1)
+        late = self.seconds - (periods - 1) * h  # the last part of a period, which its measurement misses
+        whole = late >= h * (1 - WHOLE)
+        late = h if whole else late
+        over = expm(A * h)
+        lines = []  # first state of each line, and the part of a period it remembers
+        if not whole:
+            loop = loop.split(h - late)
+        for early in [False] if whole else [False, True]:
+            ages, first = periods - early, loop.N
+            for age in range(ages):
+                own = np.zeros((n, loop.N + n))
+                if age:
+                    own[:, loop.N - n : loop.N] = over
+                loop = loop.with_states(own, known=-np.eye(n))
+                if age == 0:
+                    loop = loop.entering(
+                        slice(first, first + n), lambda a, b, early=early: _part(a, b, h - late, early, n)
+                    )
+            lines.append((first, ages))
+        shown = np.zeros((n, loop.N))
+        first, ages = lines[0]
+        last = first + (ages - 1) * n
+        shown[:, last : last + n] = expm(A * (h - late)) @ np.linalg.matrix_power(expm(-A * h), ages - 1)
+        now = [np.zeros((n, n)) for _ in loop.enter]
+        if not whole:
+            first, ages = lines[1]
+            back = expm(-A * late)
+            if ages:
+                last = first + (ages - 1) * n
+                shown[:, last : last + n] = back @ np.linalg.matrix_power(expm(-A * h), ages - 1)
+            else:
+                now = [back if b <= h - late * (1 - WHOLE) else 0 * back for _, b, _ in loop.enter]
+        return replace(loop, carry=expm(A * self.seconds) @ loop.carry, shown=shown, shown_now=tuple(now))
+
+    @property
+    def assumption(self) -> str:
+        """Sentence that is printed with the guarantee."""
+        return f"delay: a command rests on the state of {self.seconds:g} s before, predicted since"
+
+
+def _part(start: float, end: float, instant: float, early: bool, n: int) -> Array:
+    """Map of additions in a part of the period into a line that remembers one side of an instant."""
+    before = (start + end) / 2 < instant
+    return np.eye(n) if before == early else np.zeros((n, n))

@@ -1,0 +1,291 @@
+"""State of a sampled tracking loop and the channels through which uncertainty enters it.
+
+The loop state ``z`` holds the tracking error ``e = x - xi`` in its first n entries, then whatever else the
+flight computer remembers: additions that no measurement has shown yet, the observer's error, carried
+impulses.
+From node to node, under a command ``u`` that is held for a period h,
+
+    z+ = free z + held u + sum over channels of what they add in the period.
+
+A law with gain Lambda commands ``u = -Lambda (known z + noise)`` beside the input of its reference.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.numerics.linear import discretize, growth
+
+Array = NDArray[np.float64]
+Share = Callable[[Array], Array]
+"""Half-widths of a box (..., k) under bounds on the size of what is commanded (..., m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Uncertain input of a loop, within a set V in every period.
+
+    Attributes
+    ----------
+    name : str
+        Source, as reports name it.
+    size : ndarray, shape (k,), or (1,) for a ball
+        Half-widths of the box V, or the radius of the ball V. Where `share` is given it is added to that.
+    rate : ndarray, shape (n, k), optional
+        Enters the rate of the plant's states, measurable within the period.
+    sample : ndarray, shape (N, k), optional
+        One value per period, added to the next loop state.
+    noise : ndarray, shape (n, k), optional
+        The same value, as it is added to the error that the law sees.
+    push : ndarray, shape (m, k), optional
+        The same value, as it is added to the input that is held over the period.
+    ball : bool
+        V is a ball in the 2-norm instead of a box.
+    share : callable, optional
+        Part of the half-widths that grows with the size of the commands.
+    """
+
+    name: str
+    size: Array
+    rate: Array | None = None
+    sample: Array | None = None
+    noise: Array | None = None
+    push: Array | None = None
+    ball: bool = False
+    share: Share | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Loop of a plant ``x' = A x + B u + ...`` under a law that is renewed every h.
+
+    Attributes
+    ----------
+    A, B : ndarray, shapes (n, n), (n, m)
+    h : float
+        Control period [s].
+    free : ndarray, shape (N, N)
+        Transition without commands.
+    held : ndarray, shape (N, m)
+        What a unit of command, held for a period, adds.
+    applied : ndarray, shape (m, N)
+        What the loop state adds to what is applied, beside the command.
+    known : ndarray, shape (n, N)
+        The error that the law sees.
+    enter : tuple of (float, float, ndarray)
+        Parts of a period (start and end [s]) and how what is added to the plant in them, carried to the end
+        of the period, enters the loop state, shape (N, n). The parts cover the period.
+    carry : ndarray, shape (n, n)
+        Carries an error of the last measurement to the instant at which the command takes effect.
+    shown : ndarray, shape (n, N)
+        Additions to the plant, out of the loop state, that the next measurement shows for the first time,
+        carried to the instant of that measurement.
+    shown_now : tuple of ndarray, shape (n, n) each
+        The same of what is added in the parts of the period itself.
+    channels : tuple of Channel
+    offset, offset_at_nodes : ndarray, shape (n,)
+        Distance of the plant's true state from the modelled one, at most: at any time, and at nodes.
+    """
+
+    A: Array
+    B: Array
+    h: float
+    free: Array
+    held: Array
+    applied: Array
+    known: Array
+    enter: tuple[tuple[float, float, Array], ...]
+    carry: Array
+    shown: Array
+    shown_now: tuple[Array, ...]
+    channels: tuple[Channel, ...]
+    offset: Array
+    offset_at_nodes: Array
+
+    @classmethod
+    def of(cls, A: Array, B: Array, h: float) -> "Loop":
+        """Build the loop of a law that sees the exact state at once, without any channel."""
+        (n, m), unit = B.shape, np.eye(len(A))
+        free, held = discretize(A, B, h)
+        return cls(
+            A=A,
+            B=B,
+            h=h,
+            free=free,
+            held=held,
+            applied=np.zeros((m, n)),
+            known=unit,
+            enter=((0.0, h, unit),),
+            carry=unit,
+            shown=0 * unit,
+            shown_now=(unit,),
+            channels=(),
+            offset=np.zeros(n),
+            offset_at_nodes=np.zeros(n),
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of states of the plant."""
+        return len(self.A)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @property
+    def N(self) -> int:
+        """Number of states of the loop."""
+        return len(self.free)
+
+    def with_channels(self, *channels: Channel) -> "Loop":
+        """Return the loop with further channels."""
+        return replace(self, channels=(*self.channels, *channels))
+
+    def with_states(self, own: Array, *, known: Array | None = None, applied: Array | None = None) -> "Loop":
+        """Return the loop with further states q.
+
+        Parameters
+        ----------
+        own : ndarray, shape (s, N + s)
+            Transition of q from the loop state and q.
+        known : ndarray, shape (n, s), optional
+            What q adds to the error that the law sees.
+        applied : ndarray, shape (m, s), optional
+            What q adds to what is applied; it moves the plant as a command does.
+        """
+        s, old = len(own), self.N
+        free = np.zeros((old + s, old + s))
+        free[:old, :old], free[old:] = self.free, own
+        extra = np.zeros((self.m, s)) if applied is None else applied
+        free[:old, old:] = self.held @ extra
+        seen = np.zeros((self.n, s)) if known is None else known
+
+        def padded(rows: Array) -> Array:
+            return np.vstack([rows, np.zeros((s, rows.shape[1]))])
+
+        channels = tuple(
+            c if c.sample is None else replace(c, sample=padded(c.sample)) for c in self.channels
+        )
+        return replace(
+            self,
+            free=free,
+            held=padded(self.held),
+            applied=np.hstack([self.applied, extra]),
+            known=np.hstack([self.known, seen]),
+            shown=np.hstack([self.shown, 0 * seen]),
+            enter=tuple((a, b, padded(E)) for a, b, E in self.enter),
+            channels=channels,
+        )
+
+    def entering(self, rows: slice, change: Callable[[float, float], Array]) -> "Loop":
+        """Return the loop with other rows of the maps of additions, by start and end of a part."""
+        enter = []
+        for a, b, E in self.enter:
+            E = E.copy()
+            E[rows] = change(a, b)
+            enter.append((a, b, E))
+        return replace(self, enter=tuple(enter))
+
+    def split(self, instant: float) -> "Loop":
+        """Return the loop with a part of the period ending at an instant [s], within the period."""
+        enter: list[tuple[float, float, Array]] = []
+        shown_now: list[Array] = []
+        for (a, b, E), shown in zip(self.enter, self.shown_now, strict=True):
+            cuts = [a, instant, b] if a < instant < b else [a, b]
+            enter += [(p, q, E) for p, q in pairwise(cuts)]
+            shown_now += [shown] * (len(cuts) - 1)
+        return replace(self, enter=tuple(enter), shown_now=tuple(shown_now))
+
+    def under(self, gain: Array) -> "ClosedLoop":
+        """Close the loop by a law with a gain, shape (m, n)."""
+        return ClosedLoop(self, gain)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """Loop under ``u = -gain (known z + noise)``: ``z+ = F z + ...``, command rows K, ``u = -K z - ...``."""
+
+    loop: Loop
+    gain: Array
+
+    @property
+    def K(self) -> Array:
+        """Rows of the commands, shape (m, N); a command is ``-K z`` less what noise adds."""
+        return np.asarray(self.gain @ self.loop.known)
+
+    @property
+    def F(self) -> Array:
+        """Transition from node to node, shape (N, N)."""
+        return np.asarray(self.loop.free - self.loop.held @ self.K)
+
+    @property
+    def rates(self) -> Array:
+        """Rows of the plant's rate at a node, ``A e + B (what is applied)``, shape (n, N)."""
+        plant = np.zeros((self.loop.n, self.loop.N))
+        plant[:, : self.loop.n] = self.loop.A
+        return np.asarray(plant + self.loop.B @ (self.loop.applied - self.K))
+
+    def pushed(self, channel: Channel) -> Array | None:
+        """Return what a unit of a channel's value adds to the input of its period, shape (m, k)."""
+        if channel.noise is None:
+            return channel.push
+        answer = -self.gain @ channel.noise
+        return np.asarray(answer if channel.push is None else answer + channel.push)
+
+    def sampled(self, channel: Channel) -> Array | None:
+        """Return what a unit of a channel's value adds to the next loop state, rates apart, shape (N, k)."""
+        push = self.pushed(channel)
+        if push is None:
+            return channel.sample
+        moved = self.loop.held @ push
+        return np.asarray(moved if channel.sample is None else moved + channel.sample)
+
+    def gains(self, channel: Channel, rows: Array) -> Array:
+        """Return the largest growth of rows in a period per unit of a channel's sizes.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (..., N)
+
+        Returns
+        -------
+        ndarray, shape (..., k), or (..., 1) for a ball
+            ``gains @ sizes`` is the support of what the channel adds along each row.
+        """
+        total: Array | float = 0.0
+        held = self.sampled(channel)
+        if held is not None:
+            total = _norms(rows @ held, channel.ball)
+        if channel.rate is not None:
+            for a, b, E in self.loop.enter:
+                total = total + along(rows @ E, self.loop.A, channel.rate, self.loop.h, (a, b), channel.ball)
+        return np.asarray(total)
+
+    def noise(self, channel: Channel) -> Array:
+        """Size of what a unit of a channel's value adds to a command of its period, shape (m, k)."""
+        if channel.noise is None:
+            return np.zeros((self.loop.m, len(channel.size)))
+        return _norms(self.gain @ channel.noise, channel.ball)
+
+
+def along(rows: Array, A: Array, M: Array, h: float, part: tuple[float, float], ball: bool) -> Array:
+    """Bound ``int norm(row e^{A (h - s)} M) ds`` over a part of a period: (..., k), or (..., 1) for a ball.
+
+    Column by column, or of all columns together for a ball. The trapezoid rule, and ``d^3/12`` times a bound
+    on the second derivative: the norm of a smooth function is at most that of its chord plus the remainder.
+    """
+    a, b = part
+    last, length = discretize(A, M, h - b)[0], b - a
+    first = discretize(A, M, length)[0] @ last  # from the start of the part to the end of the period
+    bent = np.abs(rows @ last @ A @ A) @ growth(A, length) @ np.abs(M)
+    ends = _norms(rows @ first @ M, ball) + _norms(rows @ last @ M, ball)
+    return np.asarray(length / 2 * ends + length**3 / 12 * _norms(bent, ball))
+
+
+def _norms(gains: Array, ball: bool) -> Array:
+    return np.linalg.norm(gains, axis=-1, keepdims=True) if ball else np.abs(gains)

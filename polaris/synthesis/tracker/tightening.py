@@ -1,0 +1,212 @@
+"""Tightening of limits: what a loop's channels add along rows, from rest and for ever.
+
+For every row r and node i + L after a hand-over at node i (docs/theory.md, Theorem 3):
+
+    r z_{i+L} <= max_Z r F^L z + sum_c sum_{j<L} s_c(r F^{L-1-j}) sigma_c(i+j).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import oaconvolve
+
+from reach.numerics.linear import growth, powers
+
+from ...model.errors import ScenarioError
+from ...model.tolerances import ROUNDING
+from .loop import Array, Channel, ClosedLoop
+
+LEFT_OVER = 1e-3
+"""Share of a loop state that is left after the settling horizon; smaller: more rows, smaller tails."""
+LONGEST = 6000  # periods of a settling horizon, at most
+FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
+
+
+@dataclass(frozen=True, eq=False)
+class Tightening:
+    """Bounds on rows of a closed loop under its channels.
+
+    Parameters
+    ----------
+    closed : ClosedLoop
+    u_max : ndarray, shape (m,)
+        No command is larger.
+    scale : ndarray, shape (N,)
+        Typical sizes of the loop states, positive; units cancel in it. Any scale is sound.
+    """
+
+    closed: ClosedLoop
+    u_max: Array
+    scale: Array
+
+    @cached_property
+    def _settling(self) -> tuple[Array, Array, float]:
+        """Powers of F up to one period beyond the settling horizon, the vector v, and the factor."""
+        F, count = self.closed.F, 64
+        if not np.max(np.abs(np.linalg.eigvals(F))) < 1:
+            raise ScenarioError("feedback.period_s", self.closed.loop.h, "must give a stable loop")
+        while True:
+            stack = powers(F, count + 1)
+            reached = np.abs(stack) @ self.scale
+            v = reached.max(axis=0)
+            left = (np.abs(stack) @ v / v).max(axis=1)
+            below = np.flatnonzero(left[:-1] <= LEFT_OVER)
+            if len(below):
+                N = int(below[0])
+                return stack[: N + 2], v, float(left[N]) * (1 + ROUNDING)
+            if count > LONGEST:
+                rule = f"must let errors fade within {LONGEST} periods"
+                raise ScenarioError("feedback.period_s", self.closed.loop.h, rule)
+            count *= 2
+
+    @property
+    def horizon(self) -> int:
+        """Settling horizon N in periods: ``|F^N| v <= factor v``, factor at most `LEFT_OVER`."""
+        return len(self.transitions) - 2
+
+    @property
+    def transitions(self) -> Array:
+        """``F^l`` for l = 0 ... N + 1."""
+        return self._settling[0]
+
+    @property
+    def v(self) -> Array:
+        """Positive sizes of the loop states in which ``max |z_i| / v_i`` fades, shape (N,)."""
+        return self._settling[1]
+
+    @property
+    def factor(self) -> float:
+        """Share of that norm that is left after the settling horizon."""
+        return self._settling[2]
+
+    def carried(self, rows: Array) -> Array:
+        """Return ``rows F^l`` for l = 0 ... N + 1, shape (N + 2, r, states)."""
+        return np.asarray(rows @ self.transitions)
+
+    def remainder(self, rows: Array) -> Array:
+        """Return what rows need, per unit of the norm at a hand-over, at any lag from N on, shape (r,)."""
+        sizes = np.abs(self.carried(rows)) @ self.v
+        return np.asarray(
+            np.minimum(self.factor * sizes.max(axis=0), self._growth * sizes[-2]) * (1 + ROUNDING)
+        )
+
+    @cached_property
+    def _growth(self) -> float:
+        """Largest growth of the norm within the settling horizon."""
+        return float((np.abs(self.transitions) @ self.v / self.v).max() * (1 + ROUNDING))
+
+    def sizes(self, channel: Channel, bound: Array | None) -> Array:
+        """Return the sizes of a channel under bounds on commands (..., m), shape (..., k)."""
+        if channel.share is None or bound is None:
+            return channel.size
+        return np.asarray(channel.size + channel.share(np.minimum(bound, self.u_max)))
+
+    def from_rest(self, rows: Array, bound: Array | None = None) -> Array:
+        """Return what the channels add along rows by node L = 0 ... N + 1, and at any later one, (N + 3, r).
+
+        Parameters
+        ----------
+        rows : ndarray, shape (r, states)
+        bound : ndarray, shape (m,) or (N + 2, m), optional
+            Bound on the commands: of all periods, or period by period since the hand-over, not growing, the
+            last for ever. Without it nothing that grows with commands counts.
+        """
+        return self._from_rest(self.carried(rows), bound)
+
+    def _from_rest(self, carried: Array, bound: Array | None) -> Array:
+        count, first = len(carried) - 1, None if bound is None else np.atleast_2d(bound)[0]
+        sums = np.zeros((count + 1, carried.shape[1]))
+        for channel in self.closed.loop.channels:
+            gains = self.closed.gains(channel, carried[:-1])
+            if channel.share is None or bound is None or np.ndim(bound) == 1:
+                sums[1:] += np.cumsum(gains @ self.sizes(channel, first), axis=0)
+            else:
+                sums += summed(gains, self.sizes(channel, bound[:count]))
+        ever = sums[-1] + np.abs(carried[-2]) @ self._reach(first)
+        return np.vstack([sums, ever]) * (1 + ROUNDING)
+
+    def _reach(self, bound: Array | None) -> Array:
+        """Bound on every loop state for ever, from rest, under commands within a bound, shape (states,)."""
+        each = zip(self.closed.loop.channels, self.reach, strict=True)
+        return np.asarray(
+            sum((gains @ self.sizes(channel, bound) for channel, gains in each), np.zeros(self.closed.loop.N))
+        )
+
+    @cached_property
+    def reach(self) -> tuple[Array, ...]:
+        """Bounds on the loop states for ever, from rest, per unit of every channel's sizes, (states, k)."""
+        N, rest = self.horizon, np.eye(self.closed.loop.N) - np.abs(self.transitions[self.horizon])
+        sums = (
+            self.closed.gains(channel, self.transitions[:N]).sum(axis=0)
+            for channel in self.closed.loop.channels
+        )
+        return tuple(np.linalg.solve(rest, each) * (1 + ROUNDING) for each in sums)
+
+    def noise(self, bound: Array | None = None) -> Array:
+        """Return what noise adds to a command of its own period, shape (m,)."""
+        each = (
+            self.closed.noise(channel) @ self.sizes(channel, bound) for channel in self.closed.loop.channels
+        )
+        return np.asarray(sum(each, np.zeros(self.closed.loop.m)))
+
+    def settled(self, rounds: int = 500) -> Array:
+        """Bound on the commands long after a hand-over, shape (m,): ``P >= tightening of K under P + noise``.
+
+        Raises
+        ------
+        ScenarioError
+            If errors that grow with commands feed on themselves.
+        """
+        K, P = self.carried(self.closed.K), np.zeros(self.closed.loop.m)
+        for _ in range(rounds):
+            more = self._from_rest(K, P)[-1] + self.noise(P)
+            if np.all(more <= P):
+                return P
+            if np.any(more > 1e6 * self.u_max):
+                break
+            P = more * (1 + 1e-6)
+        raise ScenarioError("thrusters", P.tolist(), "errors that grow with the commands feed on themselves")
+
+    def between(self, rows: Array, bound: Array | None = None) -> tuple[Array, Array]:
+        """Return intersample bounds of rows of the plant's error.
+
+        Over the period between two nodes a row is at most the chord of its bounds there, and besides this.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (r, n)
+        bound : ndarray, shape (m,), optional
+            Bound on all commands.
+
+        Returns
+        -------
+        fixed : ndarray, shape (r,)
+            Whatever the errors at the hand-over.
+        per_size : ndarray, shape (N + 2, r)
+            Per unit of the norm at the hand-over, by lag.
+        """
+        loop, rates = self.closed.loop, self.closed.rates
+        bend = loop.h**2 / 8 * np.abs(rows @ loop.A) @ growth(loop.A, loop.h)
+        moved, fixed = self.carried(rates), np.zeros(len(rows))
+        rate = self._from_rest(moved, bound)[-1]
+        for channel in loop.channels:
+            sizes, push = self.sizes(channel, bound), self.closed.pushed(channel)
+            if push is not None:
+                size = np.linalg.norm(push, axis=1) * sizes[0] if channel.ball else np.abs(push) @ sizes
+                rate = rate + np.abs(loop.B) @ size
+            if channel.rate is not None:  # what is added within the period leaves its own chord
+                gains = bend @ np.abs(channel.rate)
+                fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
+        per_size = np.abs(moved) @ self.v @ bend.T
+        return (fixed + bend @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
+
+
+def summed(gains: Array, sizes: Array) -> Array:
+    """Return ``sum_{i<L} gains[L-1-i] sizes[i]`` for L = 0 ... count, shape (count + 1, r).
+
+    `gains` (count, r, k) belong to periods by their age, `sizes` (count, k) to periods in their order.
+    """
+    sums = oaconvolve(gains, sizes[:, None, :], axes=0)[: len(sizes)].sum(axis=-1)
+    sums = np.maximum(sums, 0.0) + FFT * np.max(sums, axis=0, initial=0.0)
+    return np.vstack([np.zeros((1, gains.shape[1])), sums])
