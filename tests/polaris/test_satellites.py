@@ -233,7 +233,7 @@ def checked(system, sat, delta, cells, thrust):
         **{name: getattr(system, name).tolist() for name in "ABCD"},
         **{"u_max": system.u_max.tolist(), "w_max": system.w_max, "delta": delta, "q": 1, "cells": cells},
         **{"estimate": [], "thrusters": [], "prompt_thrusters": [], "timing": {}, "carried": 0.0},
-        **{"sampled": False, "mass": system.mass, "mean_motion": system.mean_motion},
+        **{"transients": [], "mass": system.mass, "mean_motion": system.mean_motion},
         system_kind="linear" if system.mean_motion is None else "clohessy_wiltshire",
     )
     offsets = found.offsets.swapaxes(0, 1).tolist()

@@ -344,8 +344,8 @@ def test_command(copied, computed):
     done = invoke(*given)
     assert done.exit_code == 0, done.output
     lines = [line.split()[:3] for line in done.stdout.splitlines()]
-    assert ["*", "price-0", "58.3%"] in lines and ["*", "price-3", "33.3%"] in lines
-    assert ["printed", "33.3%", "2"] in lines and (copied / "figures" / "tradeoff.pdf").is_file()
+    assert ["*", "price-0", "83.3%"] in lines and ["*", "price-3", "41.7%"] in lines
+    assert ["printed", "41.7%", "2"] in lines and (copied / "figures" / "tradeoff.pdf").is_file()
     told = invoke(*given, "--json", "--no-figures")
     assert json.loads(told.stdout) == json.loads((copied / "tradeoff.json").read_text(encoding="utf-8"))
     assert not (copied / "figures").exists()
