@@ -27,6 +27,8 @@ class Delay:
         n, h, A = loop.n, loop.h, loop.A
         if self.seconds <= 0:
             return loop
+        if loop.navigated is not None:
+            raise ValueError("a delay must be added before navigation, whose errors it carries")
         periods = max(ceil(self.seconds / h - WHOLE), 1)
         late = self.seconds - (periods - 1) * h  # the last part of a period, which its measurement misses
         whole = late >= h * (1 - WHOLE)

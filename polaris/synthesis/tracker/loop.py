@@ -87,6 +87,8 @@ class Loop:
     channels : tuple of Channel
     offset, offset_at_nodes : ndarray, shape (n,)
         Distance of the plant's true state from the modelled one, at most: at any time, and at nodes.
+    navigated : ndarray, shape (n,), optional
+        Offset that navigation has counted among its errors. None before navigation is added.
     """
 
     A: Array
@@ -103,6 +105,7 @@ class Loop:
     channels: tuple[Channel, ...]
     offset: Array
     offset_at_nodes: Array
+    navigated: Array | None = None
 
     @classmethod
     def of(cls, A: Array, B: Array, h: float) -> "Loop":
@@ -140,6 +143,11 @@ class Loop:
     def N(self) -> int:
         """Number of states of the loop."""
         return len(self.free)
+
+    @property
+    def offset_measured(self) -> Array:
+        """Offset at the instants of measurements, shape (n,)."""
+        return self.offset_at_nodes if len(self.enter) == 1 else self.offset
 
     def with_channels(self, *channels: Channel) -> "Loop":
         """Return the loop with further channels."""
@@ -201,8 +209,13 @@ class Loop:
         return replace(self, enter=tuple(enter), shown_now=tuple(shown_now))
 
     def under(self, gain: Array) -> "ClosedLoop":
-        """Close the loop by a law with a gain, shape (m, n)."""
-        return ClosedLoop(self, gain)
+        """Close the loop by a law with a gain, shape (m, n); without navigation it sees the true state."""
+        offset, loop = self.offset_measured, self
+        if self.navigated is None and np.any(offset):
+            loop = self.with_channels(Channel("state offset", offset, noise=self.carry))
+        elif self.navigated is not None and np.any(offset > self.navigated):
+            raise ValueError("navigation must be added after the sources that displace the state")
+        return ClosedLoop(loop, gain)
 
 
 @dataclass(frozen=True, eq=False)

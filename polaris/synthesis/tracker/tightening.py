@@ -120,19 +120,17 @@ class Tightening:
 
     def _reach(self, bound: Array | None) -> Array:
         """Bound on every loop state for ever, from rest, under commands within a bound, shape (states,)."""
-        N, key = self.horizon, None if bound is None else bound.tobytes()
-        if key not in self._known:
-            sums = np.zeros(self.closed.loop.N)
-            for channel in self.closed.loop.channels:
-                gains = self.closed.gains(channel, self.transitions[:N])
-                sums += gains.sum(axis=0) @ self.sizes(channel, bound)
-            last = np.abs(self.transitions[N])
-            self._known[key] = np.linalg.solve(np.eye(len(last)) - last, sums) * (1 + ROUNDING)
-        return self._known[key]
+        sums = np.zeros(self.closed.loop.N)
+        for channel, gains in zip(self.closed.loop.channels, self._gains_of_states, strict=True):
+            sums += gains @ self.sizes(channel, bound)
+        last = np.abs(self.transitions[self.horizon])
+        return np.asarray(np.linalg.solve(np.eye(len(last)) - last, sums) * (1 + ROUNDING))
 
     @cached_property
-    def _known(self) -> dict[bytes | None, Array]:
-        return {}
+    def _gains_of_states(self) -> list[Array]:
+        """Growth of every loop state over the settling horizon per unit of a channel's sizes, by channel."""
+        periods = self.transitions[: self.horizon]
+        return [self.closed.gains(channel, periods).sum(axis=0) for channel in self.closed.loop.channels]
 
     def noise(self, bound: Array | None = None) -> Array:
         """Return what noise adds to a command of its own period, shape (m,)."""
