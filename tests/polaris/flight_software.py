@@ -88,10 +88,10 @@ class Software:
     ) -> Record:
         """Fly from rest.
 
-        w(k) (CELLS, runs, .) and errors(k, v) (CELLS, runs, m) are constant in cells, noise(k) (runs, .) belongs
-        to the measurement used at node k, reference(k, ...) is the reference's input, kicks (CELLS, runs, n) move
-        the state in the middle of the cells of period 0. remainder(k, s) returns the impulse that period k leaves
-        to the next; the default is the rule of the bit.
+        w(k) (CELLS, runs, .) and errors(k, v) (CELLS, runs, m) are constant in cells. noise(k) (runs, .)
+        belongs to the measurement used at node k. reference(k, ...) is the reference's input. kicks (CELLS,
+        runs, n) move the state in the middle of the cells of period 0. remainder(k, s) returns the impulse
+        that period k leaves to the next; the default is the rule of the bit.
         """
         (n, m), h, (age, late) = self.B.shape, self.h, self.periods
         phase = round((h - late) / h * CELLS) if age else 0
@@ -156,7 +156,7 @@ class Software:
         return out
 
     def state(self, flight: Record, k: int, observer: bool) -> np.ndarray:
-        """Return the loop state at node k, (runs, N): error, additions under way, remainder, estimate's error."""
+        """Return the loop state at node k: error, additions under way, remainder, error of the estimate."""
         age, late = self.periods
         parts, whole = [flight.x[k * CELLS]], expm(self.A * self.h)
         lines = [(flight.late, age)] + ([(flight.early, age - 1)] if late < self.h * (1 - 1e-9) else [])

@@ -1,7 +1,7 @@
 """State of a sampled tracking loop and the channels through which uncertainty enters it.
 
 The loop state ``z`` holds the tracking error ``e = x - xi`` in its first n entries, then whatever else the
-flight computer remembers: additions that no measurement has shown yet, the observer's error, carried impulses.
+flight computer remembers: additions that no measurement has shown yet, observer error, carried impulses.
 From node to node, under a command ``u`` that is held for a period h,
 
     z+ = free z + held u + sum over channels of what they add in the period.
@@ -75,13 +75,13 @@ class Loop:
     known : ndarray, shape (n, N)
         The error that the law sees.
     enter : tuple of (float, float, ndarray)
-        Parts of a period (start and end [s]) and how what is added to the plant in them, carried to the end of
-        the period, enters the loop state, shape (N, n). The parts cover the period.
+        Parts of a period (start and end [s]) and how what is added to the plant in them, carried to the end
+        of the period, enters the loop state, shape (N, n). The parts cover the period.
     carry : ndarray, shape (n, n)
         Carries an error of the last measurement to the instant at which the command takes effect.
     shown : ndarray, shape (n, N)
-        Additions to the plant, out of the loop state, that the next measurement shows for the first time, carried
-        to the instant of that measurement.
+        Additions to the plant, out of the loop state, that the next measurement shows for the first time,
+        carried to the instant of that measurement.
     shown_now : tuple of ndarray, shape (n, n) each
         The same of what is added in the parts of the period itself.
     channels : tuple of Channel
@@ -190,7 +190,7 @@ class Loop:
         )
 
     def entering(self, rows: slice, change: Callable[[float, float], Array]) -> "Loop":
-        """Return the loop with other rows of the maps by which additions enter, by start and end of a part."""
+        """Return the loop with other rows of the maps by which additions enter, by ends of a part."""
         enter = []
         for a, b, E in self.enter:
             E = E.copy()
@@ -286,10 +286,10 @@ class ClosedLoop:
 
 
 def along(rows: Array, A: Array, M: Array, h: float, part: tuple[float, float], ball: bool) -> Array:
-    """Bound ``int norm(row e^{A (h - s)} M) ds`` over a part of a period, shape (..., k), or (..., 1) for a ball.
+    """Bound ``int norm(row e^{A (h - s)} M) ds`` over a part of a period, shape (..., k) or (..., 1).
 
-    Column by column, or of all columns together for a ball. The trapezoid rule and ``d^3/12`` times a bound on
-    the second derivative: the norm of a smooth function is at most that of its chord plus the remainder.
+    Column by column, or of all columns together for a ball. The trapezoid rule and ``d^3/12`` times a bound
+    on the second derivative: the norm of a smooth function is at most that of its chord plus the remainder.
     """
     a, b = part
     last, length = discretize(A, M, h - b)[0], b - a
@@ -301,4 +301,3 @@ def along(rows: Array, A: Array, M: Array, h: float, part: tuple[float, float], 
 
 def _norms(gains: Array, ball: bool) -> Array:
     return np.linalg.norm(gains, axis=-1, keepdims=True) if ball else np.abs(gains)
-

@@ -186,9 +186,7 @@ class Tightening:
                 rate = rate + np.abs(loop.B) @ size
             if channel.rate is not None:  # what is added within the period leaves its own chord
                 gains = bend @ np.abs(channel.rate)
-                fixed = fixed + (
-                    np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes
-                )
+                fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
         per_size = np.abs(moved) @ self.v @ bend.T
         return (fixed + bend @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
 
