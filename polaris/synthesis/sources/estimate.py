@@ -7,7 +7,7 @@ from ..tracker.loop import Array, Channel, Loop
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Estimates within `error` (n,) of the measured instant's state, however the difference changes."""
+    """Every estimate is within `error` (n,) of the state measured, however the difference changes."""
 
     error: Array
 

@@ -9,15 +9,15 @@ from ..tracker.loop import Channel, Loop
 
 @dataclass(frozen=True)
 class CarriedImpulse:
-    """Impulses in multiples of a bit; what is left of a command, at most `bit`, is added to the next one.
+    """Impulses are multiples of a bit; what is left of a command, at most `bit` [N s], adds to the next one.
 
     Attributes
     ----------
     bit : float
         Impulse bit [N s].
     along, across : float
-        Errors of magnitude and direction (`polaris.model.thrusters.Thrusters`). They act on what is made,
-        not on what is commanded: the difference moves the plant as a carried impulse times `share` does
+        Errors of magnitude and direction (`polaris.model.thrusters.Thrusters`). They act on what is made, not
+        on what is commanded: the difference moves the plant as a carried impulse times `share` does
         (docs/theory.md, Lemma 37).
     """
 

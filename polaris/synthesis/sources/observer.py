@@ -10,7 +10,7 @@ from ..tracker.loop import Array, Channel, Loop
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """Observer ``x+ = x- + gain (y - measures x-)``; ``x-`` is predicted under the commands in force.
+    """``x+ = x- + gain (y - measures x-)`` at every measurement, ``x-`` predicted under known commands.
 
     Attributes
     ----------
@@ -28,8 +28,9 @@ class Filter:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""
         n, first = loop.n, loop.N
         rest = np.eye(n) - self.gain @ self.measures
-        own = np.hstack([-rest @ loop.shown, rest @ expm(loop.A * loop.h)])
-        loop = loop.with_states(own, known=loop.carry)
+        loop = loop.with_states(
+            np.hstack([-rest @ loop.shown, rest @ expm(loop.A * loop.h)]), known=loop.carry
+        )
         now = dict(zip([(a, b) for a, b, _ in loop.enter], loop.shown_now, strict=True))
         loop = loop.entering(slice(first, first + n), lambda a, b: -rest @ now[a, b])
         sample = np.zeros((loop.N, len(self.noise)))

@@ -1,7 +1,8 @@
 """State of a sampled tracking loop and the channels through which uncertainty enters it.
 
 The loop state ``z`` holds the tracking error ``e = x - xi`` in its first n entries, then whatever else the
-flight computer remembers: additions that no measurement has shown yet, observer error, carried impulses.
+flight computer remembers: additions that no measurement has shown yet, the observer's error, carried
+impulses.
 From node to node, under a command ``u`` that is held for a period h,
 
     z+ = free z + held u + sum over channels of what they add in the period.
@@ -137,7 +138,7 @@ class Loop:
     @property
     def m(self) -> int:
         """Number of inputs."""
-        return self.B.shape[1]
+        return int(self.B.shape[1])
 
     @property
     def N(self) -> int:
@@ -190,7 +191,7 @@ class Loop:
         )
 
     def entering(self, rows: slice, change: Callable[[float, float], Array]) -> "Loop":
-        """Return the loop with other rows of the maps by which additions enter, by ends of a part."""
+        """Return the loop with other rows of the maps of additions, by start and end of a part."""
         enter = []
         for a, b, E in self.enter:
             E = E.copy()
@@ -286,9 +287,9 @@ class ClosedLoop:
 
 
 def along(rows: Array, A: Array, M: Array, h: float, part: tuple[float, float], ball: bool) -> Array:
-    """Bound ``int norm(row e^{A (h - s)} M) ds`` over a part of a period, shape (..., k) or (..., 1).
+    """Bound ``int norm(row e^{A (h - s)} M) ds`` over a part of a period: (..., k), or (..., 1) for a ball.
 
-    Column by column, or of all columns together for a ball. The trapezoid rule and ``d^3/12`` times a bound
+    Column by column, or of all columns together for a ball. The trapezoid rule, and ``d^3/12`` times a bound
     on the second derivative: the norm of a smooth function is at most that of its chord plus the remainder.
     """
     a, b = part

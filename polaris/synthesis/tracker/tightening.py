@@ -85,8 +85,16 @@ class Tightening:
         return np.asarray(rows @ self.transitions)
 
     def remainder(self, rows: Array) -> Array:
-        """Return what rows need, per unit of the norm at a hand-over, at any later lag than N, shape (r,)."""
-        return np.asarray(self.factor * (np.abs(self.carried(rows)) @ self.v).max(axis=0) * (1 + ROUNDING))
+        """Return what rows need, per unit of the norm at a hand-over, at any lag from N on, shape (r,)."""
+        sizes = np.abs(self.carried(rows)) @ self.v
+        return np.asarray(
+            np.minimum(self.factor * sizes.max(axis=0), self._growth * sizes[-2]) * (1 + ROUNDING)
+        )
+
+    @cached_property
+    def _growth(self) -> float:
+        """Largest growth of the norm within the settling horizon."""
+        return float((np.abs(self.transitions) @ self.v / self.v).max() * (1 + ROUNDING))
 
     def sizes(self, channel: Channel, bound: Array | None) -> Array:
         """Return the sizes of a channel under bounds on commands (..., m), shape (..., k)."""
@@ -95,7 +103,7 @@ class Tightening:
         return np.asarray(channel.size + channel.share(np.minimum(bound, self.u_max)))
 
     def from_rest(self, rows: Array, bound: Array | None = None) -> Array:
-        """Return what the channels add along rows by node L = 0 ... N + 1, and ever, shape (N + 3, r).
+        """Return what the channels add along rows by node L = 0 ... N + 1, and at any later one, (N + 3, r).
 
         Parameters
         ----------
@@ -108,7 +116,7 @@ class Tightening:
 
     def _from_rest(self, carried: Array, bound: Array | None) -> Array:
         count, first = len(carried) - 1, None if bound is None else np.atleast_2d(bound)[0]
-        sums, ever = np.zeros((count + 1, carried.shape[1])), np.zeros(carried.shape[1])
+        sums = np.zeros((count + 1, carried.shape[1]))
         for channel in self.closed.loop.channels:
             gains = self.closed.gains(channel, carried[:-1])
             if channel.share is None or bound is None or np.ndim(bound) == 1:
@@ -116,21 +124,24 @@ class Tightening:
             else:
                 sums += summed(gains, self.sizes(channel, bound[:count]))
         ever = sums[-1] + np.abs(carried[-2]) @ self._reach(first)
-        return np.vstack([sums, np.maximum(ever, sums.max(axis=0))]) * (1 + ROUNDING)
+        return np.vstack([sums, ever]) * (1 + ROUNDING)
 
     def _reach(self, bound: Array | None) -> Array:
         """Bound on every loop state for ever, from rest, under commands within a bound, shape (states,)."""
-        sums = np.zeros(self.closed.loop.N)
-        for channel, gains in zip(self.closed.loop.channels, self._gains_of_states, strict=True):
-            sums += gains @ self.sizes(channel, bound)
-        last = np.abs(self.transitions[self.horizon])
-        return np.asarray(np.linalg.solve(np.eye(len(last)) - last, sums) * (1 + ROUNDING))
+        each = zip(self.closed.loop.channels, self.reach, strict=True)
+        return np.asarray(
+            sum((gains @ self.sizes(channel, bound) for channel, gains in each), np.zeros(self.closed.loop.N))
+        )
 
     @cached_property
-    def _gains_of_states(self) -> list[Array]:
-        """Growth of every loop state over the settling horizon per unit of a channel's sizes, by channel."""
-        periods = self.transitions[: self.horizon]
-        return [self.closed.gains(channel, periods).sum(axis=0) for channel in self.closed.loop.channels]
+    def reach(self) -> tuple[Array, ...]:
+        """Bounds on the loop states for ever, from rest, per unit of every channel's sizes, (states, k)."""
+        N, rest = self.horizon, np.eye(self.closed.loop.N) - np.abs(self.transitions[self.horizon])
+        sums = (
+            self.closed.gains(channel, self.transitions[:N]).sum(axis=0)
+            for channel in self.closed.loop.channels
+        )
+        return tuple(np.linalg.solve(rest, each) * (1 + ROUNDING) for each in sums)
 
     def noise(self, bound: Array | None = None) -> Array:
         """Return what noise adds to a command of its own period, shape (m,)."""

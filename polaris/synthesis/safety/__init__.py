@@ -1,0 +1,1 @@
+"""Safety controller: limits along its reference, continuations that keep them, and Algorithm 1."""
