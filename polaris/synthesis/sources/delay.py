@@ -1,6 +1,7 @@
 """Delay between a measurement and the command that rests on it."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -45,9 +46,8 @@ class Delay:
                     own[:, loop.N - n : loop.N] = over
                 loop = loop.with_states(own, known=-np.eye(n))
                 if age == 0:
-                    loop = loop.entering(
-                        slice(first, first + n), lambda a, b, early=early: _part(a, b, h - late, early, n)
-                    )
+                    kept = partial(_part, instant=h - late, early=early, n=n)
+                    loop = loop.entering(slice(first, first + n), kept)
             lines.append((first, ages))
         shown = np.zeros((n, loop.N))
         first, ages = lines[0]

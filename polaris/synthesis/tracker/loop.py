@@ -86,10 +86,9 @@ class Loop:
     shown_now : tuple of ndarray, shape (n, n) each
         The same of what is added in the parts of the period itself.
     channels : tuple of Channel
-    offset, offset_at_nodes : ndarray, shape (n,)
-        Distance of the plant's true state from the modelled one, at most: at any time, and at nodes.
-    navigated : ndarray, shape (n,), optional
-        Offset that navigation has counted among its errors. None before navigation is added.
+    offset, offset_at_nodes, navigated : ndarray, shape (n,)
+        Distance of the plant's true state from the modelled one, at most: at any time, at nodes, and as
+        navigation counts it (None before navigation is added).
     """
 
     A: Array
@@ -176,9 +175,6 @@ class Loop:
         def padded(rows: Array) -> Array:
             return np.vstack([rows, np.zeros((s, rows.shape[1]))])
 
-        channels = tuple(
-            c if c.sample is None else replace(c, sample=padded(c.sample)) for c in self.channels
-        )
         return replace(
             self,
             free=free,
@@ -187,7 +183,9 @@ class Loop:
             known=np.hstack([self.known, seen]),
             shown=np.hstack([self.shown, 0 * seen]),
             enter=tuple((a, b, padded(E)) for a, b, E in self.enter),
-            channels=channels,
+            channels=tuple(
+                c if c.sample is None else replace(c, sample=padded(c.sample)) for c in self.channels
+            ),
         )
 
     def entering(self, rows: slice, change: Callable[[float, float], Array]) -> "Loop":
@@ -211,12 +209,12 @@ class Loop:
 
     def under(self, gain: Array) -> "ClosedLoop":
         """Close the loop by a law with a gain, shape (m, n); without navigation it sees the true state."""
-        offset, loop = self.offset_measured, self
+        offset = self.offset_measured
         if self.navigated is None and np.any(offset):
-            loop = self.with_channels(Channel("state offset", offset, noise=self.carry))
-        elif self.navigated is not None and np.any(offset > self.navigated):
+            return ClosedLoop(self.with_channels(Channel("state offset", offset, noise=self.carry)), gain)
+        if self.navigated is not None and np.any(offset > self.navigated):
             raise ValueError("navigation must be added after the sources that displace the state")
-        return ClosedLoop(loop, gain)
+        return ClosedLoop(self, gain)
 
 
 @dataclass(frozen=True, eq=False)
