@@ -87,8 +87,7 @@ class Loop:
         The same of what is added in the parts of the period itself.
     channels : tuple of Channel
     offset, offset_at_nodes, navigated : ndarray, shape (n,)
-        Distance of the plant's true state from the modelled one, at most: at any time, at nodes, and as
-        navigation counts it (None before navigation is added).
+        Largest distance of the true state from the modelled one: ever, at nodes, counted by navigation.
     """
 
     A: Array
@@ -166,8 +165,7 @@ class Loop:
             What q adds to what is applied; it moves the plant as a command does.
         """
         s, old = len(own), self.N
-        free = np.zeros((old + s, old + s))
-        free[:old, :old], free[old:] = self.free, own
+        free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), own])
         extra = np.zeros((self.m, s)) if applied is None else applied
         free[:old, old:] = self.held @ extra
         seen = np.zeros((self.n, s)) if known is None else known
