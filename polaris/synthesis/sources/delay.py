@@ -1,6 +1,7 @@
 """Delay between a measurement and the command that rests on it."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -27,6 +28,8 @@ class Delay:
         n, h, A = loop.n, loop.h, loop.A
         if self.seconds <= 0:
             return loop
+        if loop.navigated is not None:
+            raise ValueError("a delay must be added before navigation, whose errors it carries")
         periods = max(ceil(self.seconds / h - WHOLE), 1)
         late = self.seconds - (periods - 1) * h  # the last part of a period, which its measurement misses
         whole = late >= h * (1 - WHOLE)
@@ -43,9 +46,8 @@ class Delay:
                     own[:, loop.N - n : loop.N] = over
                 loop = loop.with_states(own, known=-np.eye(n))
                 if age == 0:
-                    loop = loop.entering(
-                        slice(first, first + n), lambda a, b, early=early: _part(a, b, h - late, early, n)
-                    )
+                    kept = partial(_part, instant=h - late, early=early, n=n)
+                    loop = loop.entering(slice(first, first + n), kept)
             lines.append((first, ages))
         shown = np.zeros((n, loop.N))
         first, ages = lines[0]

@@ -1,6 +1,6 @@
 """Estimates of a navigation filter of which only the bounds on its errors are known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..tracker.loop import Array, Channel, Loop
 
@@ -13,7 +13,9 @@ class Estimate:
 
     def extend(self, loop: Loop) -> Loop:
         """Add one channel of noise, carried over the delay."""
-        return loop.with_channels(Channel("estimate", self.error + loop.offset_at_nodes, noise=loop.carry))
+        offset = loop.offset_measured
+        loop = loop.with_channels(Channel("estimate", self.error + offset, noise=loop.carry))
+        return replace(loop, navigated=offset)
 
     @property
     def assumption(self) -> str:

@@ -1,6 +1,6 @@
 """Observer on board: estimates are made from measurements of some outputs, with a fixed gain."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -35,8 +35,10 @@ class Filter:
         loop = loop.entering(slice(first, first + n), lambda a, b: -rest @ now[a, b])
         sample = np.zeros((loop.N, len(self.noise)))
         sample[first : first + n] = self.gain
-        size = self.noise + np.abs(self.measures) @ loop.offset_at_nodes
-        return loop.with_channels(Channel("measurement", size, sample=sample))
+        offset = loop.offset_measured
+        size = self.noise + np.abs(self.measures) @ offset
+        loop = loop.with_channels(Channel("measurement", size, sample=sample))
+        return replace(loop, navigated=offset)
 
     @property
     def assumption(self) -> str:

@@ -86,8 +86,8 @@ class Loop:
     shown_now : tuple of ndarray, shape (n, n) each
         The same of what is added in the parts of the period itself.
     channels : tuple of Channel
-    offset, offset_at_nodes : ndarray, shape (n,)
-        Distance of the plant's true state from the modelled one, at most: at any time, and at nodes.
+    offset, offset_at_nodes, navigated : ndarray, shape (n,)
+        Largest distance of the true state from the modelled one: ever, at nodes, counted by navigation.
     """
 
     A: Array
@@ -104,6 +104,7 @@ class Loop:
     channels: tuple[Channel, ...]
     offset: Array
     offset_at_nodes: Array
+    navigated: Array | None = None
 
     @classmethod
     def of(cls, A: Array, B: Array, h: float) -> "Loop":
@@ -142,6 +143,11 @@ class Loop:
         """Number of states of the loop."""
         return len(self.free)
 
+    @property
+    def offset_measured(self) -> Array:
+        """Offset at the instants of measurements, shape (n,)."""
+        return self.offset_at_nodes if len(self.enter) == 1 else self.offset
+
     def with_channels(self, *channels: Channel) -> "Loop":
         """Return the loop with further channels."""
         return replace(self, channels=(*self.channels, *channels))
@@ -159,8 +165,7 @@ class Loop:
             What q adds to what is applied; it moves the plant as a command does.
         """
         s, old = len(own), self.N
-        free = np.zeros((old + s, old + s))
-        free[:old, :old], free[old:] = self.free, own
+        free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), own])
         extra = np.zeros((self.m, s)) if applied is None else applied
         free[:old, old:] = self.held @ extra
         seen = np.zeros((self.n, s)) if known is None else known
@@ -168,9 +173,6 @@ class Loop:
         def padded(rows: Array) -> Array:
             return np.vstack([rows, np.zeros((s, rows.shape[1]))])
 
-        channels = tuple(
-            c if c.sample is None else replace(c, sample=padded(c.sample)) for c in self.channels
-        )
         return replace(
             self,
             free=free,
@@ -179,7 +181,9 @@ class Loop:
             known=np.hstack([self.known, seen]),
             shown=np.hstack([self.shown, 0 * seen]),
             enter=tuple((a, b, padded(E)) for a, b, E in self.enter),
-            channels=channels,
+            channels=tuple(
+                c if c.sample is None else replace(c, sample=padded(c.sample)) for c in self.channels
+            ),
         )
 
     def entering(self, rows: slice, change: Callable[[float, float], Array]) -> "Loop":
@@ -202,7 +206,12 @@ class Loop:
         return replace(self, enter=tuple(enter), shown_now=tuple(shown_now))
 
     def under(self, gain: Array) -> "ClosedLoop":
-        """Close the loop by a law with a gain, shape (m, n)."""
+        """Close the loop by a law with a gain, shape (m, n); without navigation it sees the true state."""
+        offset = self.offset_measured
+        if self.navigated is None and np.any(offset):
+            return ClosedLoop(self.with_channels(Channel("state offset", offset, noise=self.carry)), gain)
+        if self.navigated is not None and np.any(offset > self.navigated):
+            raise ValueError("navigation must be added after the sources that displace the state")
         return ClosedLoop(self, gain)
 
 
