@@ -256,7 +256,7 @@ class Argument:
         recovery = Recovery.of(doc, path, limits, needs, self.noise, scheduled)
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
-            for at in (k, k + 1) if mode > 0 else ():
+            for at in (k, k + 1) if mode > 0 or doc.margins[k] > 0 else ():
                 claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), doc.margins[k])
         reached = {node: sets[node // doc.q] for node in claimed if node < recovery.nodes}
         for k, mode in enumerate(doc.modes):  # a fault is isolated at any node

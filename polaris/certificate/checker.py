@@ -82,6 +82,8 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         stated = check_artefacts(document, folder, scenario, record)
         trusted += unchecked(scenario, folder)
         record.unchecked += unchecked_demands(scenario)
+        if stated.tank is not None and stated.upkeep is None:
+            record.unchecked.append("that the tank lasts, of which the run says nothing: tank.delta_v_m_s")
     confirmed = len(record.checked)
     while True:
         try:

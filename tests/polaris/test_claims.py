@@ -23,7 +23,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.synthesize import synthesize
 
-from .forging import QUARTER, Forger, Lie, make, places, replaced
+from .forging import QUARTER, Forger, Lie, make, pattern, places, replaced
 from .test_forged_runs import NO_CLAIM
 from .tiny import TINY
 
@@ -370,6 +370,17 @@ def test_limits_of_an_abort_without_an_orbit_are_refused(asked, plain):
     lie.judge({"powered_abort"})
 
 
+def test_a_tank_of_which_a_run_says_nothing_is_printed_as_not_checked(plain):
+    """A run need not say what S spends for ever; then nothing compares it with the tank."""
+    lie = Lie(plain)
+    lie.scenario["tank"] = {"delta_v_m_s": 1e-3}
+    for name in ("schedule", "summary"):
+        getattr(lie, name)["guarantee"]["upkeep"] = None
+    verdict = lie.verdict()
+    assert verdict.outcome == "VERIFIED", verdict.text()
+    assert any(line.endswith(": tank.delta_v_m_s") for line in verdict.unchecked)
+
+
 # -- numbers of one folder --------------------------------------------------------------------------
 
 CONTRARY = {
@@ -426,6 +437,52 @@ def test_every_number_of_a_summary_that_contradicts_another_is_refused(demanding
                 other,
             )
     assert seen == set(CONTRARY)
+
+
+BETTER = {
+    "guarantee.goal.by_s": [1.0, None],
+    "guarantee.goal.distance_m": [0.0],
+    "guarantee.goal.delta_v_max_m_s": [0.0],
+    "guarantee.upkeep.settled_s": [0.0],
+    "guarantee.upkeep.until_settled_m_s": [0.0],
+    "guarantee.upkeep.rate_m_s2": [0.0],
+    "guarantee.upkeep.lasts_s": [1e9, None],
+    "guarantee.abort.witness.after_s": [1e9],
+    "guarantee.abort.witness.distance_m": [1.0],
+    "steps.*.limit_time_s": [None, 0.0, 1e9],
+    "steps.*.need": [None, 0.0],
+    "steps.*.room": [None, 0.0, -1.0, 1e9],
+}
+"""Values for the last number of its kind in a schedule, where one more is worse or as good."""
+REASON = {"guarantee.abort.witness.middle_m", "rules.beam"}
+"""What nothing follows from; `polaris verify` prints reasons as trusted."""
+
+
+def test_every_number_of_a_schedule_that_looks_better_is_refused(demanding):
+    """The summary repeats the guarantee. A new number? It is compared, derived, or printed as trusted."""
+    last = {pattern(at): (at, x) for at, x in places(demanding.tree("schedule.json"))}
+    assert set(last) >= {*BETTER, *REASON}
+    passed = []
+    for path, (at, value) in last.items():
+        if isinstance(value, (str, dict, list)) or path in REASON:
+            continue
+        more = not value if isinstance(value, bool) else 1.0 if value is None else value + 1
+        for other in BETTER.get(path, [more]):
+            lie = Lie(demanding)
+            lie.schedule = replaced(lie.schedule, at, other)
+            lie.summary["guarantee"] = lie.schedule["guarantee"]
+            passed += [(path, other)] if lie.verdict().outcome == "VERIFIED" else []
+    assert not passed
+
+
+def test_a_margin_of_a_step_under_s_is_no_more_than_derived(demanding):
+    """The certificate says so, too, and the need fits."""
+    lie = Lie(demanding)
+    k = max(k for k, step in enumerate(lie.schedule["steps"]) if step["mode"] == 0)
+    step, margins = lie.schedule["steps"][k], lie.certificate["schedule"]["margins"]
+    step |= {"margin": 0.99, "need": (1 - 0.99) * step["room"]}
+    margins[k] = (0.99).hex()
+    lie.judge({"margins", "recoverable"})
 
 
 def test_runs_that_spend_more_than_is_claimed_are_refused(demanding):
