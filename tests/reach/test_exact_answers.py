@@ -137,7 +137,7 @@ def sweep_apart(seed, count):
 
 @pytest.mark.parametrize("seed", [1])
 def test_no_answer_is_refuted(seed):
-    said = sweep(seed, 6)
+    said = sweep(seed, 10)
     assert said.count(True) > 3 and said.count(False) > 3
     said = sweep_apart(seed, 10)
     assert said.count(True) > 2 and said.count(False) > 2 and said.count(None) < 4

@@ -83,7 +83,7 @@ def test_u_takes_over_from_s_with_room_to_spare_alone(runs):
 
 
 def test_hand_over_at_any_decision_is_covered():
-    for made in (scene("robot"), scene(period=0.25, latency=0.125)):
+    for made in (scene("robot"), scene(period=0.25, latency=0.25)):
         assert kept(Whimsical(made, reentry=0.0)) > kept(Monitor(made, reentry=0.0))
 
 
@@ -100,13 +100,21 @@ def test_every_reference_of_the_library_keeps_the_promise():
 def test_the_reference_that_is_worth_most_is_flown():
     schedule = choice()
     made = list(members(schedule))
+    choices = [[one.modes, *((mode,) for mode in one.modes)] for one in made]
+
+    def worths_of(priced):
+        """Of every reference, with all controllers or with one alone, whatever is worth more."""
+        return [
+            max(one.worth(priced, modes) for modes in each) for one, each in zip(made, choices, strict=True)
+        ]
+
     usual = Monitor.on(DecisionGrid.of(schedule))
-    worths = [one.worth(schedule.worth) for one in made]
+    worths = worths_of(schedule.worth)
     assert usual.worth(schedule.worth) == max(worths) and len(set(np.round(worths, 6))) > 1
     for sign in (1.0, -1.0):  # whatever it is that counts
         priced = replace(schedule, worth=lambda shares, delta_v, switches, sign=sign: sign * delta_v)
         best = Monitor.on(DecisionGrid.of(priced))
-        spent = [one.worth(priced.worth) for one in made]
+        spent = worths_of(priced.worth)
         assert best.worth(priced.worth) == max(spent)
         own = best.grid.schedule is not priced
         assert own == any(best.grid.schedule is one for one in schedule.library)
