@@ -22,7 +22,7 @@ from .zonotopes import Merging, Zonotope
 
 SHARE, SOON = 0.05, 0.25
 """Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
-HOLDING = 0.21
+HOLDING = 0.3
 """By how much more what counts as reached may be than what S needs for ever: it is claimed with less,
 but of a number that others derive a little differently."""
 SLACK = 1e-6  # by how much a claim may fall short of what is derived, relative to it
