@@ -18,7 +18,7 @@ from polaris.rta.method import Seen
 from polaris.rta.methods import METHODS
 from polaris.rta.methods.fixed import Precomputed
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 TIMED = ("monitor", "monitor_declared", "simplex_explicit", "asif_explicit", "asif_implicit")
 WARM = 20

@@ -35,7 +35,7 @@ from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.flights.simulation import Flights, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.runs.campaign import local
-from polaris.runs.monte_carlo import run_monte_carlo
+from polaris.runs.inspections.monte_carlo import run_monte_carlo
 from polaris.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).parents[1]

@@ -33,8 +33,8 @@ from polaris.rta.method_result import MethodResult
 from polaris.rta.methods import METHODS
 from polaris.runs.comparison import write_comparison
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.schedule import Schedule
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.schedule import Schedule
+from polaris.synthesis.schedule.synthesize import synthesize
 
 SCENES = ("static", "dynamic", "robot")
 RUNS, SWEPT_RUNS = 30, 30

@@ -26,7 +26,7 @@ from polaris.rta.online.decision_log import DecisionLog
 from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.runtime import OnlineMonitor
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 BLOCK = 300
 """Decisions per block."""

@@ -15,8 +15,8 @@ import time
 from pathlib import Path
 
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 
 
 def timed(code: list[str]) -> float:

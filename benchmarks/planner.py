@@ -11,7 +11,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.timed_polytope import TimedPolytope
+from polaris.model.scene.timed_polytope import TimedPolytope
 from polaris.planning.goals import EllipticalNMT, StationaryPoint
 from polaris.planning.problem import PlannerOptions, PlanProblem
 from polaris.planning.solve import plan

@@ -18,7 +18,7 @@ import numpy as np
 
 import polaris
 from polaris.model.system import Array, LinearSystem
-from polaris.synthesis.lqr import lqr_gain
+from polaris.synthesis.tracker.lqr import lqr_gain
 
 FOLDER = Path(__file__).resolve().parents[1] / "scenarios" / "policies"
 TINY = Path(__file__).resolve().parents[1] / "tests" / "polaris" / "data" / "tiny.toml"

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.get_safety import get_recover, get_safety
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.get_safety import get_recover, get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 
 KINDS = ("ball", "time_varying_ball", "polytope")
 SCENARIOS = ("static", "dynamic", "keep_out", "hold_point", "robot")

@@ -25,9 +25,9 @@ import numpy as np
 from polaris.model.errors import PolarisError
 from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.schedule import Schedule
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.schedule import Schedule
+from polaris.synthesis.schedule.synthesize import synthesize
 
 BUNDLED = ("static", "dynamic", "keep_out", "hold_point", "robot")
 PRINTED = "recoverable.recourse=none"

@@ -31,10 +31,10 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attack, Attacker
 from polaris.simulation.falsification.claims import Claims
 from polaris.simulation.integration import Integrator
-from polaris.synthesis import controllers
-from polaris.synthesis.schedule import Schedule
-from polaris.synthesis.spending import Spell
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers import controllers
+from polaris.synthesis.schedule.schedule import Schedule
+from polaris.synthesis.schedule.spending import Spell
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.tubes.flow import LinearFlow
 from tests.polaris.random_scenarios import random_scenario
 

@@ -29,7 +29,6 @@ from .numerics.relaxation import clip_relaxation as clip_relaxation
 from .sets.clipping import enclosing_hull as enclosing_hull
 from .sets.clipping import meet_halfspace as meet_halfspace
 from .sets.convex import ConvexSet as ConvexSet
-from .sets.distance import Answer as Answer
 from .sets.ellipsoid import Ellipsoid as Ellipsoid
 from .sets.ellipsoid import ball_generators as ball_generators
 from .sets.intersection import Intersection as Intersection
@@ -39,11 +38,12 @@ from .sets.lazy import MinkowskiSum as MinkowskiSum
 from .sets.norms import NormBracket as NormBracket
 from .sets.norms import largest_norm as largest_norm
 from .sets.outlines import outline as outline
-from .sets.pairs import contains as contains
-from .sets.pairs import disjoint as disjoint
 from .sets.polytope import HPolytope as HPolytope
 from .sets.reduction import reduce as reduce
 from .sets.reduction import reduction_loss as reduction_loss
+from .sets.relations.distance import Answer as Answer
+from .sets.relations.pairs import contains as contains
+from .sets.relations.pairs import disjoint as disjoint
 from .sets.zonotope import Zonotope as Zonotope
 from .tubes.flow import LinearFlow as LinearFlow
 from .tubes.flow import state_scale as state_scale

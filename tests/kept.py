@@ -18,7 +18,7 @@ from pathlib import Path
 import polaris
 import reach
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 try:
     import fcntl

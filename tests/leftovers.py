@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from polaris.runs import ownership
+from polaris.runs.files import ownership
 
 
 def left_by_a_dead_process(target: Path, word: str = "new") -> Path:

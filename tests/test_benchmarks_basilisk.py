@@ -8,7 +8,7 @@ import pytest
 from benchmarks.basilisk.onboard import FlightSoftware, held
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 SAMPLED = ["feedback.period_s=10", "recoverable.recourse=none"]
 

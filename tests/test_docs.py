@@ -35,7 +35,7 @@ from typer.testing import CliRunner
 import polaris
 import reach
 from polaris.cli.app import app
-from polaris.synthesis import synthesize
+from polaris.synthesis.schedule import synthesize
 
 from .kept import printed, scheduled
 

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from polaris.model.distances import signed_distances
-from polaris.model.satellite import true_states
+from polaris.model.scene.distances import signed_distances
+from polaris.model.scene.satellite import true_states
 from polaris.runs.schedule import fly_schedule, write_run
 from polaris.runs.stages import Stages
 from polaris.scenario.scenario import load_scenario

@@ -6,14 +6,21 @@ from pathlib import Path
 
 import flint
 
-from .argument import Argument
-from .artefacts import check_artefacts, check_hashes, check_networks, has_artefacts, read_scenario, unchecked
-from .balls import PRECISION
-from .demands import unchecked_demands
-from .document import Document, read
-from .inputs import check_inputs
-from .plants import MOST_BITS, precision_for
-from .verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
+from .claims.argument import Argument
+from .files.artefacts import (
+    check_artefacts,
+    check_hashes,
+    check_networks,
+    has_artefacts,
+    read_scenario,
+    unchecked,
+)
+from .files.demands import unchecked_demands
+from .files.document import Document, read
+from .files.inputs import check_inputs
+from .kernel.balls import PRECISION
+from .kernel.verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
+from .model.plants import MOST_BITS, precision_for
 
 NAME = "certificate.json"  # the certificate's name in a run folder
 

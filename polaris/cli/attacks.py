@@ -49,8 +49,8 @@ def falsify_command(
     as_json: Json = False,
 ) -> int | None:
     """Search for a run that breaks what a schedule claims; save it as a case."""
-    from ..runs.atomic import check_file
     from ..runs.case import load_target, write_case
+    from ..runs.files.atomic import check_file
     from ..simulation.falsification.search import falsify
 
     if out is not None:
@@ -98,7 +98,7 @@ def verify(run: str = Argument(..., metavar="RUN", help="A run folder, or a cert
 
 def _show_falsification(name: str, found: Falsification) -> None:
     """Print the least margin of every limit against what is proven, and a violation."""
-    from ..synthesis.recoverable import directed
+    from ..synthesis.safety.recoverable import directed
 
     told = found.summary()
     echo(f"{name}: {told['runs']} trajectories, {told['runs_per_s']:.0f} per second")

@@ -64,11 +64,11 @@ def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None
 
         from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid, check_decisions
-        from ..runs.atomic import check_target
         from ..runs.comparison import COMPARISON, write_comparison
+        from ..runs.files.atomic import check_target
         from ..scenario.scenario import ScheduleScenario, load_scenario
         from ..simulation.sampled import with_boxes
-        from ..synthesis.synthesize import synthesize
+        from ..synthesis.schedule.synthesize import synthesize
 
         selected(named, tuning)  # here and below: what is wrong is refused before the synthesis
         loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)

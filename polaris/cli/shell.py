@@ -24,8 +24,8 @@ from reach.numerics.errors import ReachError
 from ..model.errors import ClockWarning, PolarisError, ScenarioError, escape_controls, failed
 
 if TYPE_CHECKING:
-    from ..runs.folder import RunFolder
-    from ..synthesis.black_box import Ask
+    from ..runs.files.folder import RunFolder
+    from ..synthesis.controllers.black_box import Ask
 
 app = typer.Typer(
     name="polaris",
@@ -195,7 +195,7 @@ def echo(text: str, err: bool = False) -> None:
 
 def print_json(data: object) -> None:
     """Print a result as JSON."""
-    from ..runs.tables import json_text
+    from ..runs.files.tables import json_text
 
     sys.stdout.write(json_text(data))
 

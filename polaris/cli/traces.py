@@ -95,7 +95,7 @@ def export_command(
 ) -> None:
     """Write one flight of a folder, with its unsafe sets, as a trace that RTAEval can read."""
     from ..model.checks import counted
-    from ..runs.atomic import check_file
+    from ..runs.files.atomic import check_file
     from ..runs.run import read_run
     from ..traces.export import export_run
     from ..traces.reading import write_trace

@@ -11,8 +11,8 @@ from reach.brief import brief
 
 from ..model.checks import non_negative, number, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
+from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array, LinearSystem
-from ..model.timed_polytope import TimedPolytope
 from .goals import Goal
 
 Objective = Literal["margin_then_fuel", "distance", "fuel"]

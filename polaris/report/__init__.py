@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from ..model.errors import ScenarioError
-from ..runs.atomic import adding, check_file, write_whole
-from ..runs.folder import RunFolder, readable
+from ..runs.files.atomic import adding, check_file, write_whole
+from ..runs.files.folder import RunFolder, readable
+from ..runs.files.tables import write_text
 from ..runs.points import TRADEOFF
 from ..runs.run import read_run
-from ..runs.tables import write_text
 from .html.page import Page, page_html
 
 __all__ = ["report_page", "write_report"]

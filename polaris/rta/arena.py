@@ -15,7 +15,7 @@ from ..model.errors import PolarisError, ScenarioError
 from ..model.system import Array
 from ..simulation.baselines import Flights
 from ..simulation.metrics import Metrics, finite
-from ..synthesis.schedule import Schedule
+from ..synthesis.schedule.schedule import Schedule
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Flight, fly
 from .method import Method

@@ -12,17 +12,17 @@ from reach.numerics.linear import discretize
 
 from ..model.checks import non_negative, of_kind, positive
 from ..model.errors import ScenarioError
+from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array, LinearSystem
-from ..model.timed_polytope import TimedPolytope
-from ..synthesis.black_box import BlackBox
-from ..synthesis.clearance import Clearance
-from ..synthesis.controllers import Controller
-from ..synthesis.neural import NeuralController
-from ..synthesis.polytope_sets import PolytopeSets
-from ..synthesis.problem import Problem
-from ..synthesis.schedule import Schedule
-from ..synthesis.tracking import Tracking
-from ..synthesis.transients import hidden
+from ..synthesis.controllers.black_box import BlackBox
+from ..synthesis.controllers.controllers import Controller
+from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.safety.clearance import Clearance
+from ..synthesis.safety.polytope_sets import PolytopeSets
+from ..synthesis.safety.problem import Problem
+from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.tracker.tracking import Tracking
+from ..synthesis.tracker.transients import hidden
 
 WHOLE = 1e-9  # relative tolerance on "divides"
 

@@ -13,7 +13,7 @@ from ..simulation.disturbances import disturbances
 from ..simulation.failing import Failing, in_every_second
 from ..simulation.integration import Integrator
 from ..simulation.simulate import initial_states
-from ..synthesis.black_box import BlackBox
+from ..synthesis.controllers.black_box import BlackBox
 from .decision_grid import DecisionGrid
 from .method import FILTERED, Method, Seen
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..model.checks import non_negative, number
 from ..model.errors import NotCertified
 from ..model.system import Array
-from ..synthesis.black_box import BlackBox
+from ..synthesis.controllers.black_box import BlackBox
 from .decision_grid import DecisionGrid
 
 FILTERED = -1  # mode of a period in which neither S nor U flies but an input that a filter has chosen

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from reach.brief import brief
 
-from ..model.distances import count_switches
+from ..model.scene.distances import count_switches
 from ..model.system import Array
 from ..simulation.metrics import Metrics, finite, mean_interval, possible, violation_interval
 from ..simulation.run_metrics import Runs, evaluate, experimental_share, peak

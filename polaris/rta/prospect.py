@@ -15,8 +15,8 @@ from reach.tubes.flow import LinearFlow
 
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from ..synthesis.controllers import AffineController
-from ..synthesis.demand import taken_over
+from ..synthesis.controllers.controllers import AffineController
+from ..synthesis.safety.demand import taken_over
 from .decision_grid import DecisionGrid
 from .recovery import Recovery
 

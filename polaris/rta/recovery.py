@@ -22,8 +22,8 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from ..synthesis.demand import taken_over
-from ..synthesis.polytope_sets import PolytopeSets
+from ..synthesis.safety.demand import taken_over
+from ..synthesis.safety.polytope_sets import PolytopeSets
 from .decision_grid import DecisionGrid
 
 NEVER = 1e200  # reciprocal of a limit that leaves no room; times any error it is still a number
@@ -70,7 +70,7 @@ class Recovery:
 
     @cached_property
     def sets(self) -> PolytopeSets:
-        """The recoverable sets of `polaris.synthesis.polytope_sets`, on the fine grid."""
+        """The recoverable sets of `polaris.synthesis.safety.polytope_sets`, on the fine grid."""
         return PolytopeSets(self.grid.clearance)
 
     @cached_property

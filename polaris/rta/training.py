@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..synthesis.policy import Senses, stacked
+from ..synthesis.controllers.policy import Senses, stacked
 from .decision_grid import DecisionGrid
 from .flight import Conditions, Engine
 from .method import FILTERED
@@ -24,8 +24,8 @@ TOLD = (*FLAGS, "reward", "distance_m", "delta_v_m_s")
 class TrainingFlights:
     """R flights of one scene. A policy commands an input, held for a decision period.
 
-    It reads the numbers that a `polaris.synthesis.policy.Policy` reads, in the same order: what was trained
-    can be flown as a controller of ``kind = "neural"``. It is paid, per period,
+    It reads the numbers that a `polaris.synthesis.controllers.policy.Policy` reads, in the same order:
+    what was trained can be flown as a controller of ``kind = "neural"``. It is paid, per period,
     ``period / T * (1 / (1 + d / length) - effort * mean(|u| / u_max))`` for a distance d [m] at the period's
     end to the reference of the first experimental controller (the safe one if that has none), and one less
     where it collides: at most 1 per flight.

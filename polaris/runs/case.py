@@ -20,13 +20,13 @@ from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
-from ..synthesis.schedule import Schedule
-from ..synthesis.synthesize import synthesize
-from .atomic import write_whole
-from .folder import readable
+from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.schedule.synthesize import synthesize
+from .files.atomic import write_whole
+from .files.folder import readable
+from .files.tables import json_text, read_reference
 from .run import read_run
 from .schedule import SCHEDULE, digest
-from .tables import json_text, read_reference
 
 FORMAT = "polaris case"
 VERSION = 3

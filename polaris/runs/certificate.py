@@ -14,27 +14,27 @@ import numpy as np
 from reach.networks.layers import Activation, Affine, Diagonal
 from reach.numerics.linear import growth
 
-from ..certificate.bodies import MOVES
-from ..certificate.document import FORMAT, VERSION, canonical, digest
-from ..certificate.repeated import LAW
+from ..certificate.files.document import FORMAT, VERSION, canonical, digest
+from ..certificate.files.repeated import LAW
+from ..certificate.model.bodies import MOVES
 from ..model.allocation import Allocation
-from ..model.obstacle import chaser_radius
+from ..model.scene.obstacle import chaser_radius
+from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array
-from ..model.timed_polytope import TimedPolytope
 from ..model.timing import Transient
 from ..model.tolerances import ROUNDING
 from ..scenario.fields import python_name
 from ..simulation.metrics import finite
-from ..synthesis.black_box import BlackBox
-from ..synthesis.clearance import error_tube
-from ..synthesis.controllers import AffineController, Controller, TubeSegment
-from ..synthesis.demand import command_errors
-from ..synthesis.get_safety import Safety
-from ..synthesis.neural import NeuralController
-from ..synthesis.passive import Drift, clear
-from ..synthesis.schedule import Schedule
-from .ownership import sha256
-from .tables import errors_of, json_text, strict, write_text
+from ..synthesis.controllers.black_box import BlackBox
+from ..synthesis.controllers.controllers import AffineController, Controller, TubeSegment
+from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.safety.clearance import error_tube
+from ..synthesis.safety.demand import command_errors
+from ..synthesis.safety.get_safety import Safety
+from ..synthesis.safety.passive import Drift, clear
+from ..synthesis.schedule.schedule import Schedule
+from .files.ownership import sha256
+from .files.tables import errors_of, json_text, strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:

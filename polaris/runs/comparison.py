@@ -22,12 +22,12 @@ from ..rta.method_result import DEFINITIONS
 from ..rta.methods import METHODS
 from ..scenario.scenario import ScheduleScenario
 from ..simulation.baselines import Flights
-from .arrays import flight_arrays, read_flights
-from .atomic import check_target
-from .folder import Draw, RunFolder, RunKind, read_json, write_folder
+from .files.arrays import flight_arrays, read_flights
+from .files.atomic import check_target
+from .files.folder import Draw, RunFolder, RunKind, read_json, write_folder
+from .files.tables import strict, write_text
 from .schedule import SCHEDULE, write_run
 from .stages import Stages
-from .tables import strict, write_text
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Any
 
 from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
 from ..scenario.scenario import ScheduleScenario
-from ..synthesis.get_safety import find_safety
+from ..synthesis.safety.get_safety import find_safety
 
 TABLES = ("navigation", "thrusters", "timing", "chaser")
 OTHERS = ("from_s", "within_m", "directions", "thrust_max_N", "matrix")

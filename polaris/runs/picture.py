@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ..model.obstacle import Obstacle
+from ..model.scene.obstacle import Obstacle
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
 
@@ -59,7 +59,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class TubePicture:
-    """Reachable set of the position [m], absolute: see `polaris.synthesis.controllers.TubeSegment`."""
+    """Reachable set of the position [m], absolute: positions of a `TubeSegment`."""
 
     centre: Array  # (K, q+1, d)
     generators: Array  # (K, q+1, d, g)

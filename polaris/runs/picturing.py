@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ..model.system import Array
 from ..simulation.baselines import Flights, fly_nominal
-from ..synthesis.get_safety import Safety
-from ..synthesis.schedule import Schedule
-from .arrays import position_tube, tube_arrays
+from ..synthesis.safety.get_safety import Safety
+from ..synthesis.schedule.schedule import Schedule
+from .files.arrays import position_tube, tube_arrays
 from .picture import Picture, SlicePicture, TubePicture, directions
 
 SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from ..scenario.scenario import ScheduleScenario
-from .arrays import read_flights
-from .folder import SCENARIO, RunFolder, RunKind, read_json, readable
-from .tables import write_csv
+from .files.arrays import read_flights
+from .files.folder import SCENARIO, RunFolder, RunKind, read_json, readable
+from .files.tables import write_csv
 
 Row = dict[str, Any]  # what one point says, by column
 

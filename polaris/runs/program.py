@@ -19,7 +19,7 @@ from typing import Any
 from ..model.checks import positive
 from ..model.errors import NoAnswer, ScenarioError
 from ..model.system import Array
-from ..synthesis.black_box import Ask
+from ..synthesis.controllers.black_box import Ask
 
 LONGEST = 10_000_000  # most bytes of an answer
 HEARD = 4096  # bytes of complaints that are kept

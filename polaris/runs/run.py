@@ -8,15 +8,15 @@ from typing import Any
 from ..model.errors import ScenarioError
 from ..model.files import parse_toml, read_text
 from ..scenario.scenario import MonteCarloScenario, Scenario, ScheduleScenario, load_scenario, loaded
-from ..synthesis.black_box import Ask
-from .atomic import check_target
+from ..synthesis.controllers.black_box import Ask
 from .campaign.workers import Workers
 from .comparison import COMPARISON
-from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
-from .fuel_limit import FUEL_LIMIT
-from .inspection import FLIGHT
-from .monte_carlo import MONTE_CARLO, run_monte_carlo
-from .ownership import sha256
+from .files.atomic import check_target
+from .files.folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
+from .files.ownership import sha256
+from .inspections.fuel_limit import FUEL_LIMIT
+from .inspections.inspection import FLIGHT
+from .inspections.monte_carlo import MONTE_CARLO, run_monte_carlo
 from .points import TRADEOFF
 from .schedule import SCHEDULE
 from .stages import Stages

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..certificate.document import canonical
+from ..certificate.files.document import canonical
 from ..model.checks import of_kind
 from ..model.errors import SynthesisInfeasible
 from ..planning.problem import SOLVERS
@@ -30,20 +30,21 @@ from ..scenario.scenario import ScheduleScenario
 from ..simulation import baselines
 from ..simulation.metrics import DEFINITIONS, finite
 from ..simulation.sampled import Sampled, with_boxes
-from ..synthesis import get_safety, synthesize
-from ..synthesis.black_box import Ask
-from ..synthesis.controllers import AffineController
-from ..synthesis.neural import NeuralController
-from ..synthesis.same_system import check_safety
-from ..synthesis.schedule import Schedule
-from ..synthesis.share_bound import ShareBound, share_bound
-from ..synthesis.withheld import withheld
-from . import arrays
-from . import tables as files
-from .atomic import check_target
+from ..synthesis.controllers.black_box import Ask
+from ..synthesis.controllers.controllers import AffineController
+from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.safety import get_safety
+from ..synthesis.schedule import synthesize
+from ..synthesis.schedule.same_system import check_safety
+from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.schedule.share_bound import ShareBound, share_bound
+from ..synthesis.schedule.withheld import withheld
 from .certificate import described, hexadecimal, write_certificate, write_gains
 from .declared import naming_errors
-from .folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
+from .files import arrays
+from .files import tables as files
+from .files.atomic import check_target
+from .files.folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .picture import Picture, SlicePicture
 from .picturing import picture_of
 from .stages import Stages

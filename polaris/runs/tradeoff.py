@@ -19,11 +19,11 @@ from ..model.errors import (
 from ..model.version import versions
 from ..scenario.base import parse_assignment
 from ..scenario.scenario import ScheduleScenario, loaded
-from ..synthesis.black_box import Ask
-from .atomic import check_target
+from ..synthesis.controllers.black_box import Ask
 from .campaign.workers import AHEAD, Workers, going_on, work_through, workers_of
-from .folder import SCENARIO, Draw, RunFolder, read_json, write_folder
-from .ownership import MANIFEST, read_list, start_list, tidy
+from .files.atomic import check_target
+from .files.folder import SCENARIO, Draw, RunFolder, read_json, write_folder
+from .files.ownership import MANIFEST, read_list, start_list, tidy
 from .points import INFEASIBLE, TRADEOFF, Row, infeasible_row, non_dominated, row_of
 from .run import read_run, run
 from .schedule import SCHEDULE

@@ -29,8 +29,8 @@ from ..rta.decision_grid import DecisionGrid
 from ..rta.training import TrainingFlights
 from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.schedule import ScheduleScenario
-from ..synthesis.synthesize import synthesize
-from .inspection_training import InspectionFlights
+from ..synthesis.schedule.synthesize import synthesize
+from .inspections.inspection_training import InspectionFlights
 
 Numbers = NDArray[np.float32]
 Info = dict[str, Any]
@@ -126,7 +126,7 @@ class InspectionVectorEnv(FlightsVectorEnv):
     """The inspection problem of a scenario of one flight: one policy for the thrust of all deputies.
 
     Observations, rewards, the shields there are (`proven`) and what `info` holds are those of
-    `polaris.runs.inspection_training.InspectionFlights`.
+    `polaris.runs.inspections.inspection_training.InspectionFlights`.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
         Taken off the reward of a period, times the share of intervention.
     **options
         ``reentry`` of `polaris.rta.methods.monitor.Monitor` for switching scenes, ``proven`` of
-        `polaris.runs.inspection_training.InspectionFlights` for inspection.
+        `polaris.runs.inspections.inspection_training.InspectionFlights` for inspection.
 
     Raises
     ------

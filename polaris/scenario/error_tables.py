@@ -14,8 +14,8 @@ from ..model.system import Array, LinearSystem
 from ..model.thrusters import Thrusters as Errors
 from ..model.timing import Timing as Delays
 from ..model.timing import Transient
-from ..synthesis.passive import Abort as AbortOptions
-from ..synthesis.problem import PoweredAbort
+from ..synthesis.safety.passive import Abort as AbortOptions
+from ..synthesis.safety.problem import PoweredAbort
 from . import fields as f
 from .fault_tables import Fault
 from .fields import ScenarioPart, unit

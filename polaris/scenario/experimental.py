@@ -11,19 +11,19 @@ from reach.numerics.errors import ReachError
 
 from ..model.errors import OutOfTime, ScenarioError
 from ..model.hill import elliptical_nmt
-from ..model.obstacle import Obstacle
+from ..model.scene.obstacle import Obstacle
 from ..model.system import Array, LinearSystem, as_finite
 from ..model.tolerances import SOLVER_BOOK_INPUT
 from ..planning.problem import PlanProblem
 from ..planning.reference import Reference
 from ..planning.solve import plan
-from ..synthesis.black_box import Ask, BlackBox
-from ..synthesis.controllers import AffineController, AnyThrust, Controller
-from ..synthesis.get_safety import Safety
-from ..synthesis.lqr import lqr_gain
-from ..synthesis.neural import NeuralController
-from ..synthesis.policy import Policy, Senses
-from ..synthesis.problem import Problem
+from ..synthesis.controllers.black_box import Ask, BlackBox
+from ..synthesis.controllers.controllers import AffineController, AnyThrust, Controller
+from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.controllers.policy import Policy, Senses
+from ..synthesis.safety.get_safety import Safety
+from ..synthesis.safety.problem import Problem
+from ..synthesis.tracker.lqr import lqr_gain
 from .goal_tables import hill_rate
 from .scene_tables import Affine, Experimental, Neural
 from .scene_tables import AnyThrust as AnyThrustTable

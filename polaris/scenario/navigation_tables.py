@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.keep_in import INSTANT, KeepInPolytope, during
 from ..model.prediction import design, fading, observing
+from ..model.scene.keep_in import INSTANT, KeepInPolytope, during
 from ..model.system import Array, LinearSystem
 from . import fields as f
 from .error_tables import Timing

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from reach.sets.zonotope import Zonotope
 
 from ..model.errors import ScenarioError
-from ..model.keep_in import KeepIn
-from ..model.obstacle import Obstacle, directions
-from ..model.satellite import SatelliteObstacle
+from ..model.scene.keep_in import KeepIn
+from ..model.scene.obstacle import Obstacle, directions
+from ..model.scene.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
 from . import scene_tables as scene
 from . import tables as models

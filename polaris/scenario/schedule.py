@@ -27,14 +27,14 @@ from .tables import ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.allocation import Allocation
-    from ..model.obstacle import Obstacle
+    from ..model.scene.obstacle import Obstacle
     from ..planning.goals import Goal
-    from ..synthesis.black_box import Ask
-    from ..synthesis.controllers import Controller
-    from ..synthesis.get_safety import Safety
-    from ..synthesis.policy import Policy
-    from ..synthesis.problem import Problem
-    from ..synthesis.search import SwitchingRules
+    from ..synthesis.controllers.black_box import Ask
+    from ..synthesis.controllers.controllers import Controller
+    from ..synthesis.controllers.policy import Policy
+    from ..synthesis.safety.get_safety import Safety
+    from ..synthesis.safety.problem import Problem
+    from ..synthesis.schedule.search import SwitchingRules
 
 
 class ScheduleScenario(Scenario):
@@ -126,8 +126,8 @@ class ScheduleScenario(Scenario):
         """Control period [s]: the file's, or the one that is chosen without it."""
         if (given := self.model.feedback.period_s) is not None:
             return given
-        from ..synthesis.feedback import choose_feedback
-        from ..synthesis.lqr import lqr_gain
+        from ..synthesis.tracker.feedback import choose_feedback
+        from ..synthesis.tracker.lqr import lqr_gain
         from .experimental import gains_of
 
         system, tracking = self.model.system.build(), self.model.tracking
@@ -239,7 +239,7 @@ class ScheduleScenario(Scenario):
     def problem(self) -> Problem:
         """The problem that Algorithm 1 is asked."""
         from ..planning.problem import PlannerOptions
-        from ..synthesis.problem import Problem
+        from ..synthesis.safety.problem import Problem
         from .experimental import gains_of
 
         system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
@@ -280,7 +280,7 @@ class ScheduleScenario(Scenario):
 
     def switching_rules(self) -> SwitchingRules:
         """Options of Algorithm 2."""
-        from ..synthesis.search import SwitchingRules
+        from ..synthesis.schedule.search import SwitchingRules
 
         given = self.model.schedule.arguments()
         given.pop("bound_programs")

@@ -10,7 +10,7 @@ from reach.brief import brief
 
 from ..model.checks import of_kind
 from ..model.system import Array
-from ..synthesis.schedule import Schedule
+from ..synthesis.schedule.schedule import Schedule
 from .metrics import Metrics
 from .run_metrics import evaluate
 from .simulate import simulate

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array, LinearSystem
-from ..synthesis.schedule import Schedule
+from ..synthesis.schedule.schedule import Schedule
 from .integration import Integrator
 
 PAST = 100

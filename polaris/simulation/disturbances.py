@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array
-from ..synthesis.black_box import BlackBox
-from ..synthesis.controllers import AffineController
-from ..synthesis.neural import NeuralController
-from ..synthesis.schedule import Schedule
+from ..synthesis.controllers.black_box import BlackBox
+from ..synthesis.controllers.controllers import AffineController
+from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.schedule.schedule import Schedule
 from .integration import Integrator
 from .run_metrics import Runs
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.system import Array
-from ..synthesis.schedule import Schedule
+from ..synthesis.schedule.schedule import Schedule
 
 TOLD = "begins", "ends", "thrust", "share", "lost"
 """What a saved case says of a fault."""

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from reach.numerics.linear import discretize
 
 from ..model.system import Array, LinearSystem
-from ..synthesis.black_box import BlackBox
-from ..synthesis.controllers import AffineController, AnyThrust
-from ..synthesis.neural import NeuralController
-from ..synthesis.schedule import Schedule
+from ..synthesis.controllers.black_box import BlackBox
+from ..synthesis.controllers.controllers import AffineController, AnyThrust
+from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.schedule.schedule import Schedule
 from .firing import Firing
 from .run_metrics import Runs
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from reach.brief import brief
 
 from ..model.checks import of_kind
-from ..model.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
-from ..model.free_drift import drift_ttc
-from ..model.satellite import true_states
+from ..model.scene.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
+from ..model.scene.free_drift import drift_ttc
+from ..model.scene.satellite import true_states
 from ..model.system import Array, LinearSystem
-from ..synthesis.schedule import Schedule
+from ..synthesis.schedule.schedule import Schedule
 from .failing import Failing
 from .metrics import Metrics
 

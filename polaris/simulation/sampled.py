@@ -18,11 +18,11 @@ from reach.brief import brief
 from ..model.checks import number
 from ..model.errors import ScenarioError
 from ..model.system import Array
-from ..synthesis.black_box import Ask, BlackBox, FittedSegment, Statement
-from ..synthesis.controllers import Controller
-from ..synthesis.get_safety import Safety, get_safety
-from ..synthesis.schedule import Schedule
-from ..synthesis.synthesize import synthesize
+from ..synthesis.controllers.black_box import Ask, BlackBox, FittedSegment, Statement
+from ..synthesis.controllers.controllers import Controller
+from ..synthesis.safety.get_safety import Safety, get_safety
+from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.schedule.synthesize import synthesize
 from .falsification.search import Falsification, falsify
 from .run_metrics import Runs
 from .simulate import simulate

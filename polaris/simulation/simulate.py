@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ..model.checks import of_kind, one_of, whole
 from ..model.errors import ScenarioError
-from ..model.satellite import true_states
+from ..model.scene.satellite import true_states
 from ..model.system import Array
-from ..synthesis.schedule import Schedule
+from ..synthesis.schedule.schedule import Schedule
 from .delayed import Predicting, flight_of
 from .disturbances import Disturbance, disturbances, limit_rows
 from .failing import in_every_second

@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 from reach.brief import brief
 
 from ..model.checks import non_negative
-from ..model.distances import UNKNOWN, count_switches, mode_shares
 from ..model.errors import ScenarioError
-from ..model.free_drift import drift_ttc
-from ..model.shapes import Ball, Shape
+from ..model.scene.distances import UNKNOWN, count_switches, mode_shares
+from ..model.scene.free_drift import drift_ttc
+from ..model.scene.shapes import Ball, Shape
 from ..model.system import Array, LinearSystem
-from ..runs.tables import strict
+from ..runs.files.tables import strict
 from ..simulation.run_metrics import drift_horizon
 from .model import MODE_NAMES, AgentTrace, Trace
 from .placing import Part, Placed, place
@@ -239,7 +239,7 @@ TOLERANCE = 0.05  # passes less deep [m] than this may be missed
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A part of a set at some times, as `polaris.model.free_drift.drift_ttc` asks for it."""
+    """A part of a set at some times, as `polaris.model.scene.free_drift.drift_ttc` asks for it."""
 
     name: str
     shape: Shape
@@ -249,7 +249,7 @@ class Moving:
     def relative_drift(
         self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
-        """See `polaris.model.obstacle.Obstacle.relative_drift`."""
+        """See `polaris.model.scene.obstacle.Obstacle.relative_drift`."""
         return x, self.centre, self.velocity
 
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from reach.brief import brief
 
 from ..model.errors import ScenarioError
-from ..model.obstacle import Obstacle, RigidObstacle
-from ..model.obstacles import BallObstacle, BoxObstacle
-from ..model.satellite import SatelliteObstacle
+from ..model.scene.obstacle import Obstacle, RigidObstacle
+from ..model.scene.obstacles import BallObstacle, BoxObstacle
+from ..model.scene.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import TIME
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTrace, RectangleTrace, Trace
@@ -170,8 +170,8 @@ def export_run(
     ScenarioError
         If the folder is none, is damaged, or has no such flight.
     """
-    from ..runs.arrays import read_flights
-    from ..runs.folder import readable
+    from ..runs.files.arrays import read_flights
+    from ..runs.files.folder import readable
     from ..runs.run import read_run
 
     run = read_run(folder)

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from reach.brief import brief
 
 from ..model.checks import MOST_ROWS
-from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
+from ..model.scene.distances import UNKNOWN
 from ..model.system import Array, as_finite
 
 NORMAL, UNTRUSTED, SAFETY = 1, 2, 3  # mode numbers of a trace; all others are unknown
@@ -85,7 +85,7 @@ class AgentTrace:
 
     @property
     def known_modes(self) -> Modes:
-        """Modes with `polaris.model.distances.UNKNOWN` for all that are not 1, 2 or 3."""
+        """Modes with `polaris.model.scene.distances.UNKNOWN` for all that are not 1, 2 or 3."""
         return np.where(np.isin(self.modes, list(MODE_NAMES)), self.modes, UNKNOWN)
 
 

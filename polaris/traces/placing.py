@@ -6,7 +6,7 @@ import daqp
 import numpy as np
 
 from ..model.errors import ScenarioError
-from ..model.shapes import Ball, Box, Polytope, Shape
+from ..model.scene.shapes import Ball, Box, Polytope, Shape
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from .model import AnySet, BallTrace, PointTrace, PolytopeTrace

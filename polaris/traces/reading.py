@@ -13,11 +13,11 @@ import numpy as np
 from reach.numerics.files import read_regular
 
 from ..model.checks import of_kind
-from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError, quoted
 from ..model.files import parse_json
-from ..runs.atomic import check_file, replacing_file
-from ..runs.tables import strict
+from ..model.scene.distances import UNKNOWN
+from ..runs.files.atomic import check_file, replacing_file
+from ..runs.files.tables import strict
 from .model import MODE_NAMES, AgentTrace, AnySet, BallTrace, Modes, PointTrace, RectangleTrace, Trace
 from .rows import Odd, numbers, rows_of, set_trace, table
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.distances import UNKNOWN
 from ..model.errors import ScenarioError
+from ..model.scene.distances import UNKNOWN
 from ..model.system import Array
 from .model import AgentTrace, Trace
 

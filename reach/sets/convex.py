@@ -57,7 +57,7 @@ class SetOperators(ConvexSet, ABC):
 
     All are exact; what a class cannot represent comes back as a lazily evaluated
     `reach.MinkowskiSum` or `reach.AffineImage`. Enclosures have names, never operators. What depends on
-    the classes of both sets is in `reach.sets.pairs`.
+    the classes of both sets is in `reach.sets.relations.pairs`.
     """
 
     # Let ``M @ X`` and ``v + X`` reach this class instead of numpy's broadcasting.
@@ -93,7 +93,7 @@ class SetOperators(ConvexSet, ABC):
     def __add__(self, other: Any) -> Any:
         """Minkowski sum with another set, or translation by a vector."""
         if isinstance(other, SetOperators):
-            from .pairs import minkowski_sum
+            from .relations.pairs import minkowski_sum
 
             return minkowski_sum(self, other)
         return self._translated(as_vector(other, self.dim, single=True))
@@ -149,7 +149,7 @@ class SetOperators(ConvexSet, ABC):
         return np.asarray(self._holds(as_vector(points, self.dim), slack))
 
     def _holds(self, x: Array, slack: float) -> NDArray[np.bool_]:
-        from .distance import contains_by_distance
+        from .relations.distance import contains_by_distance
 
         return contains_by_distance(self, x, slack)
 
@@ -181,13 +181,13 @@ class SetOperators(ConvexSet, ABC):
         ReachError
             If two boxes have no point in common.
         """
-        from .pairs import intersect
+        from .relations.pairs import intersect
 
         return intersect(self, other)
 
     def __le__(self, other: Any) -> bool:
         """Whether this set is proved to lie in the other one; see `reach.contains`."""
-        from .pairs import contains
+        from .relations.pairs import contains
 
         return bool(contains(other, self))
 

@@ -14,10 +14,10 @@ from ..numerics.errors import ReachError
 from ..numerics.programs import maximise
 from ..numerics.rounding import gamma
 from .convex import weighed
-from .distance import nearest, unit_sizes
 from .interval import Interval
 from .lazy import OfParts
 from .polytope import HPolytope
+from .relations.distance import nearest, unit_sizes
 from .zonotope import Zonotope
 
 CUTS = 30
@@ -54,7 +54,7 @@ class Intersection(OfParts):
     @cached_property
     def proved_empty(self) -> bool:
         """Whether it is proved that there is no point in all parts."""
-        from .pairs import disjoint, intersect
+        from .relations.pairs import disjoint, intersect
 
         if any(getattr(part, "is_empty", False) and part.proved_empty for part in self.parts):
             return True
@@ -138,7 +138,7 @@ class Search:
         smallest = np.min([unit_sizes(hull.half_widths) for hull in hulls], axis=0)
         self.middle, half = (lo + hi) / 2, (hi - lo) / 2
         self.size = np.where(half > 1e-9 * smallest, half, smallest)
-        from .separation import lifted
+        from .relations.separation import lifted
 
         self.flat = [lifted(part, self.middle, self.size) for part in parts]
         axes = np.vstack([np.eye(self.n), -np.eye(self.n)]) / self.size

@@ -16,8 +16,8 @@ from ..numerics.programs import maximise
 from ..numerics.rounding import gamma, is_product
 from .bases import EXACT_MOST, Bases, mixed_level
 from .convex import SetOperators, weighed
-from .distance import unit_sizes
 from .interval import Interval
+from .relations.distance import unit_sizes
 
 FLATNESS = 1e-9  # an inscribed radius above minus this, relative to the offsets, counts as 'not empty'
 

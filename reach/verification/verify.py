@@ -18,9 +18,9 @@ from ..numerics.checks import Array, checked, require_single
 from ..numerics.errors import ReachError, Unresolved
 from ..numerics.rounding import gamma
 from ..sets.convex import ConvexSet
-from ..sets.distance import nearest, unit_sizes
 from ..sets.interval import Interval
 from ..sets.polytope import HPolytope
+from ..sets.relations.distance import nearest, unit_sizes
 from ..tubes.bounds import Effort
 from ..tubes.systems import LinearSystem
 from ..tubes.trajectory import STEPS, Trajectory, simulate, worst_case

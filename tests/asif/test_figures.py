@@ -10,9 +10,9 @@ from polaris.report.figures import flight as figures
 from polaris.report.figures.flight import free_flights, nearest_deputy
 from polaris.report.figures.inspection import failures, initial_conditions
 from polaris.report.figures.style import style
-from polaris.runs.fuel_limit import fly_fuel
-from polaris.runs.inspection import fly_flight
-from polaris.runs.monte_carlo import CampaignPicture
+from polaris.runs.inspections.fuel_limit import fly_fuel
+from polaris.runs.inspections.inspection import fly_flight
+from polaris.runs.inspections.monte_carlo import CampaignPicture
 from polaris.scenario.scenario import load_scenario
 
 

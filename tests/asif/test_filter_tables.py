@@ -21,7 +21,7 @@ from polaris.inspection.flights.simulation import BACKUP, UNPROVEN
 from polaris.model.errors import ScenarioError
 from polaris.report.figures import flight
 from polaris.rta.projection import FILTERED
-from polaris.runs.inspection import assumptions
+from polaris.runs.inspections.inspection import assumptions
 from polaris.runs.run import read_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario, scenario_folder

@@ -19,10 +19,10 @@ from polaris.inspection.flights.sampling import InitialConditions
 from polaris.inspection.flights.simulation import Flights, Kept, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
-from polaris.runs.arrays import held_by
 from polaris.runs.campaign import local
-from polaris.runs.inspection import ARRAYS
-from polaris.runs.monte_carlo import run_monte_carlo
+from polaris.runs.files.arrays import held_by
+from polaris.runs.inspections.inspection import ARRAYS
+from polaris.runs.inspections.monte_carlo import run_monte_carlo
 from polaris.scenario.scenario import load_scenario
 
 from ..sizes import fewer

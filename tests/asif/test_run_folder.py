@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import polaris
 from polaris.cli import app as cli
 from polaris.model.errors import ScenarioError
-from polaris.runs.inspection import covered_periods
-from polaris.runs.ownership import MANIFEST
+from polaris.runs.files.ownership import MANIFEST
+from polaris.runs.inspections.inspection import covered_periods
 from polaris.runs.run import read_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.metrics import lower_bound

@@ -17,7 +17,7 @@ from polaris.inspection.flights.judge import judge
 from polaris.inspection.flights.simulation import Flights, fly_one
 from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
-from polaris.runs.inspection import fly_flight
+from polaris.runs.inspections.inspection import fly_flight
 from polaris.scenario.base import put
 from polaris.scenario.filter_tables import FAMILY_NAMES
 from polaris.scenario.scenario import (

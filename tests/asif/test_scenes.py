@@ -11,7 +11,7 @@ import pytest
 from polaris.inspection.constraints.constraint import CONSTRAINTS
 from polaris.inspection.flights.simulation import BACKUP, smoothness
 from polaris.rta.projection import SHORT
-from polaris.runs.inspection import JudgedRun, fly_flight
+from polaris.runs.inspections.inspection import JudgedRun, fly_flight
 from polaris.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.slow

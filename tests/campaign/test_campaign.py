@@ -14,14 +14,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.runs.atomic import replacing
 from polaris.runs.campaign import Interrupted, Workers, batch, local, make_cases, read_campaign, schedules
-from polaris.runs.ownership import MANIFEST
+from polaris.runs.files.atomic import replacing
+from polaris.runs.files.ownership import MANIFEST
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.metrics import violation_interval
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 from tests.campaign import scene
 from tests.campaign.scene import GRID, MODES, RUNS, TINY, cases, fly, rows, run, table
 from tests.leftovers import left_by_a_dead_process

@@ -12,7 +12,7 @@ from polaris.cli import app as cli
 from polaris.inspection.flights.sampling import InitialConditions
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.campaign import batch, find_worst, inspections, local, read_campaign, replay_run
-from polaris.runs.monte_carlo import run_monte_carlo
+from polaris.runs.inspections.monte_carlo import run_monte_carlo
 from polaris.runs.run import read_run, run
 from polaris.scenario.scenario import load_scenario
 from tests.campaign.scene import TINY, table
@@ -28,13 +28,13 @@ def scenario(*changed):
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
-    monkeypatch.setattr("polaris.runs.monte_carlo.BLOCK", 2)
+    monkeypatch.setattr("polaris.runs.inspections.monte_carlo.BLOCK", 2)
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("polaris.runs.monte_carlo.BLOCK", 2)
+        patched.setattr("polaris.runs.inspections.monte_carlo.BLOCK", 2)
         return run_monte_carlo(tmp_path_factory.mktemp("campaign") / "here", scenario())
 
 

@@ -9,11 +9,11 @@ from scipy.linalg import expm
 
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.system import LinearSystem
-from polaris.synthesis.error_bounds import get_err_bounds
-from polaris.synthesis.feedback import Feedback, choose_feedback
-from polaris.synthesis.get_safety import get_recover
-from polaris.synthesis.lqr import lqr_gain
-from polaris.synthesis.tracking import Tracking
+from polaris.synthesis.safety.get_safety import get_recover
+from polaris.synthesis.tracker.error_bounds import get_err_bounds
+from polaris.synthesis.tracker.feedback import Feedback, choose_feedback
+from polaris.synthesis.tracker.lqr import lqr_gain
+from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import discretize, powers
 
 from ..polaris.conftest import small_safety
@@ -132,7 +132,7 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
         mass=10.0,
     )
     plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
-    from polaris.synthesis.clearance import error_tube
+    from polaris.synthesis.safety.clearance import error_tube
     from reach.sets.zonotope import Zonotope
 
     theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
@@ -176,9 +176,9 @@ def test_item_12_a_reference_safe_until_T_may_be_unsafe_right_after_it():
     """As printed the plan ends at T, and nothing keeps what follows clear; ours reports or avoids it."""
     from dataclasses import replace
 
-    from polaris.model.obstacles import BoxObstacle
+    from polaris.model.scene.obstacles import BoxObstacle
     from polaris.planning.reference import Reference
-    from polaris.synthesis.get_safety import get_safety
+    from polaris.synthesis.safety.get_safety import get_safety
 
     base = small_safety()
     after = base.reference.chi[base.problem.K + 20, :3]  # where the first plan coasts 600 s after T

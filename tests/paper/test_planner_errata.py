@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.timed_polytope import TimedPolytope
+from polaris.model.scene.timed_polytope import TimedPolytope
 from polaris.planning.goals import EllipticalNMT, ellipse_polygon
 from polaris.planning.problem import PlanProblem
 from polaris.planning.recheck import recheck

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from polaris.synthesis.controllers import AnyThrust
-from polaris.synthesis.schedule import Schedule
+from polaris.synthesis.controllers.controllers import AnyThrust
+from polaris.synthesis.schedule.schedule import Schedule
 
 Array = NDArray[np.float64]
 

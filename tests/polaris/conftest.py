@@ -5,15 +5,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.certificate.argument import ORDERS
+from polaris.certificate.claims.argument import ORDERS
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.obstacles import BoxObstacle
+from polaris.model.scene.obstacles import BoxObstacle
 from polaris.planning.goals import EllipticalNMT
 from polaris.planning.reference import Reference
-from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.lqr import lqr_gain
-from polaris.synthesis.problem import Problem
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.safety.problem import Problem
+from polaris.synthesis.tracker.lqr import lqr_gain
 from reach.sets.zonotope import Zonotope
 
 from ..kept import kept, scheduled
@@ -82,7 +82,7 @@ def small_controllers(period=None, w_max=1e-5):
 @pytest.fixture
 def few(monkeypatch):
     """With few generators alone: the checker tries again with many what fails, in several times the time."""
-    monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
+    monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
 
 
 @pytest.fixture(params=[None, 2.0], ids=["chosen", "given"])

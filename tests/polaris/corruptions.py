@@ -5,7 +5,7 @@ import math
 from contextlib import suppress
 
 from polaris.certificate.assumptions import Premises
-from polaris.certificate.document import digest
+from polaris.certificate.files.document import digest
 
 
 def plain(value):

@@ -19,8 +19,8 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from polaris.certificate.checker import verify
-from polaris.certificate.document import canonical, digest
-from polaris.certificate.file_keys import REPEATED
+from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.files.file_keys import REPEATED
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 

@@ -189,7 +189,7 @@ def _controllers(rng: Random, plant: Plant, document: Table, aim: np.ndarray) ->
             entry["R"] = np.full(m, rng.uniform(1, 8))
         else:
             from polaris.model.system import LinearSystem
-            from polaris.synthesis.lqr import lqr_gain
+            from polaris.synthesis.tracker.lqr import lqr_gain
 
             system = LinearSystem(plant.A, plant.B, plant.D, plant.limit, C=np.eye(n)[:1])
             entry["gain"] = lqr_gain(system, plant.weights, np.full(m, 5.0)) * rng.uniform(0.9, 1.1)
@@ -520,7 +520,7 @@ def synthesised(seed: int, folder: Path, *assignments: str) -> tuple[Any, Any]:
         If the scene is refused, which it may be.
     """
     from polaris.scenario.scenario import load_scenario
-    from polaris.synthesis.synthesize import synthesize
+    from polaris.synthesis.schedule.synthesize import synthesize
 
     from ..kept import kept
 

@@ -5,14 +5,14 @@ import pytest
 
 import polaris
 from polaris.model.errors import NotCertified, ScenarioError, SynthesisInfeasible
-from polaris.model.obstacles import BallObstacle, BoxObstacle
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, StationaryPoint
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.search import SwitchingRules
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.sets.zonotope import Zonotope
 
 from .tiny import synthesised

@@ -12,25 +12,25 @@ pytest.importorskip("flint")
 import flint
 from flint import arb
 
-from polaris.certificate import arrival as checked
-from polaris.certificate import goal_rows
-from polaris.certificate.argument import Argument
-from polaris.certificate.balls import matrix
 from polaris.certificate.checker import verify
-from polaris.certificate.document import read
-from polaris.certificate.spending import spent
-from polaris.certificate.verdict import Failed, Record, Rejected
-from polaris.certificate.zonotopes import Merging, widest
+from polaris.certificate.claims import arrival as checked
+from polaris.certificate.claims import goal_rows
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.spending import spent
+from polaris.certificate.files.document import read
+from polaris.certificate.kernel.balls import matrix
+from polaris.certificate.kernel.verdict import Failed, Record, Rejected
+from polaris.certificate.kernel.zonotopes import Merging, widest
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.hill import cw_matrix
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.arrival import _correcting, _needs, _settled, arrival
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.goal_rows import SOON, _weights, distance, velocity_times
-from polaris.synthesis.problem import require_velocities
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
+from polaris.synthesis.safety.problem import require_velocities
+from polaris.synthesis.schedule.arrival import _correcting, _needs, _settled, arrival
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make

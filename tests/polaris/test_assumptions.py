@@ -7,14 +7,14 @@ from functools import cache
 import pytest
 
 from polaris.certificate.assumptions import Premises
-from polaris.certificate.document import Document, digest
-from polaris.certificate.verdict import Rejected
+from polaris.certificate.files.document import Document, digest
+from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.show.schedule import show_summary
 from polaris.report.html.run_report import guarantee as told_in_report
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import SCHEDULE, FlownSchedule
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .conftest import synthesised
 from .tiny import TINY, flown
@@ -117,7 +117,7 @@ def test_satellites_that_are_none_need_no_assumption():
 def rejected_beside(scenario, data):
     """Only the scenario tells whether there are satellites: the certificate alone may say either."""
     pytest.importorskip("flint")
-    from polaris.certificate.perception import check_unsafe
+    from polaris.certificate.model.perception import check_unsafe
 
     with pytest.raises(Rejected, match="assumptions: the scenario has"):
         check_unsafe(Document(data), tomllib.loads(scenario.to_toml()))

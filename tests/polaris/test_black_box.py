@@ -17,11 +17,11 @@ from numpy.testing import assert_allclose
 from scipy.stats import binom
 
 import polaris
-from polaris.certificate.argument import check_statement
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import digest
-from polaris.certificate.inputs import _check_asked
-from polaris.certificate.verdict import Rejected
+from polaris.certificate.claims.argument import check_statement
+from polaris.certificate.files.document import digest
+from polaris.certificate.files.inputs import _check_asked
+from polaris.certificate.kernel.verdict import Rejected
 from polaris.model.errors import NoAnswer, PolarisError, ScenarioError
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
@@ -36,8 +36,8 @@ from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.integration import Integrator
 from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
 from polaris.simulation.simulate import initial_states, simulate
-from polaris.synthesis.black_box import BlackBox
-from polaris.synthesis.transients import moved
+from polaris.synthesis.controllers.black_box import BlackBox
+from polaris.synthesis.tracker.transients import moved
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from polaris.model.errors import NotCertified
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
 from .random_scenarios import synthesised as random_scene

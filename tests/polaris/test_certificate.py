@@ -15,15 +15,15 @@ from typer.testing import CliRunner
 
 from polaris.certificate import checker
 from polaris.certificate.__main__ import main
-from polaris.certificate.argument import ORDERS
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import digest
+from polaris.certificate.claims.argument import ORDERS
+from polaris.certificate.files.document import digest
 from polaris.cli.app import app
 from polaris.runs.certificate import certificate, write_certificate
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .conftest import small_controllers, small_safety
 from .conftest import synthesised as bundled
@@ -120,7 +120,7 @@ def test_an_unclipped_controller_between_balls_verifies(kind):
 @pytest.mark.parametrize("change", [relabelled, pytest.param(dict, marks=pytest.mark.slow)])
 def test_the_printed_ball_is_rejected_because_the_thrusters_saturate(change, monkeypatch):
     if change is relabelled:  # it need not be tried again with more generators, as in the slow one
-        monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
+        monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
     data = variant("recoverable.kind=paper_ball", "tracking.R=[1.5,1.5]")
     assert data["guarantee"] == "none" and 1 in data["schedule"]["modes"]
     verdict = verify_document(change(data))

@@ -13,8 +13,12 @@ pytest.importorskip("flint")
 import flint
 from flint import arb, arb_mat
 
-from polaris.certificate.argument import Argument
-from polaris.certificate.balls import (
+from polaris.certificate.checker import verify_document
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.coasting import prolonged
+from polaris.certificate.claims.recovery import Recovery
+from polaris.certificate.files.document import Document, digest
+from polaris.certificate.kernel.balls import (
     PRECISION,
     beside,
     column,
@@ -28,19 +32,15 @@ from polaris.certificate.balls import (
     spans,
     widths,
 )
-from polaris.certificate.checker import verify_document
-from polaris.certificate.coasting import prolonged
-from polaris.certificate.document import Document, digest
-from polaris.certificate.limits import Limits, Target
-from polaris.certificate.loop import Memory, Needs
-from polaris.certificate.motion import Plant, Push
-from polaris.certificate.recovery import Recovery
-from polaris.certificate.verdict import Imprecise, Record, Rejected, Undecided
-from polaris.certificate.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
+from polaris.certificate.kernel.motion import Plant, Push
+from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
+from polaris.certificate.kernel.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
+from polaris.certificate.model.limits import Limits, Target
+from polaris.certificate.model.loop import Memory, Needs
 from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.linear import discretize
 
 from .tiny import TINY
@@ -279,7 +279,7 @@ def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
             raise Imprecise("recoverable", "too few bits")
         return Memory.of(motion, extent, multiple, *more)
 
-    monkeypatch.setattr("polaris.certificate.argument.Memory", SimpleNamespace(of=of))
+    monkeypatch.setattr("polaris.certificate.claims.argument.Memory", SimpleNamespace(of=of))
     verdict = verify_document(certificate(scene("clipped")[0], "tiny"))
     assert verdict.outcome == "VERIFIED" and bits(verdict) > 2 * PRECISION, verdict.text()
     assert len({claim for claim, _ in verdict.checked}) == len(verdict.checked), "nothing is told twice"

@@ -9,19 +9,19 @@ import pytest
 pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify
-from polaris.certificate.demands import CHECKED, NO_DEMAND, UNCHECKED, listed
-from polaris.certificate.scenario_keys import SCENARIO
-from polaris.certificate.structure import Kinds, Rows
+from polaris.certificate.files.demands import CHECKED, NO_DEMAND, UNCHECKED, listed
+from polaris.certificate.files.scenario_keys import SCENARIO
+from polaris.certificate.files.structure import Kinds, Rows
 from polaris.cli.show.schedule import _goal
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.figures import draw_run
-from polaris.runs.arrays import read_arrays, tube_arrays
+from polaris.runs.files.arrays import read_arrays, tube_arrays
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .forging import QUARTER, Forger, Lie, make, pattern, places, replaced
 from .test_forged_runs import NO_CLAIM

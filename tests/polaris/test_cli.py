@@ -37,9 +37,9 @@ def invoke(tmp_path, monkeypatch):
     """Run a command in an empty folder, with the synthesis taken from memory."""
     monkeypatch.chdir(tmp_path)
     schedule = synthesised()[1]
-    monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", lambda problem: schedule.safety)
+    monkeypatch.setattr("polaris.synthesis.safety.get_safety.get_safety", lambda problem: schedule.safety)
     monkeypatch.setattr("polaris.scenario.experimental.build_controllers", lambda *args: ())
-    monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **options: schedule)
+    monkeypatch.setattr("polaris.synthesis.schedule.synthesize.synthesize", lambda *args, **options: schedule)
     monkeypatch.setattr("polaris.simulation.baselines.compare", lambda *args: flown())
     monkeypatch.setattr(
         "polaris.report.figures.draw_figures",
@@ -124,7 +124,7 @@ def test_a_run_that_proves_nothing_says_so_on_standard_error(invoke, monkeypatch
     schedule = synthesised()[1]
     sets = replace(schedule.safety.recoverable, guarantee="none")
     unsound = replace(schedule, safety=replace(schedule.safety, recoverable=sets))
-    monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", lambda *args, **given: unsound)
+    monkeypatch.setattr("polaris.synthesis.schedule.synthesize.synthesize", lambda *args, **given: unsound)
     done = invoke("run", TINY, *options)
     assert done.exit_code == 0
     warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
@@ -411,7 +411,7 @@ def test_errors_end_with_their_exit_code_and_no_folder(invoke, tmp_path, monkeyp
     def fail(problem):
         raise error
 
-    monkeypatch.setattr("polaris.synthesis.get_safety.get_safety", fail)
+    monkeypatch.setattr("polaris.synthesis.safety.get_safety.get_safety", fail)
     is_one_message(invoke("run", TINY), code)
     assert list(tmp_path.iterdir()) == []
 
@@ -429,7 +429,7 @@ def test_a_clock_that_struck_is_told_whatever_is_asked(tmp_path, monkeypatch):
     """On standard error, quiet or not, in summary.json, and in what Python returns."""
     from polaris.model.errors import ClockWarning
     from polaris.planning.effort import Effort
-    from polaris.synthesis.synthesize import synthesize
+    from polaris.synthesis.schedule.synthesize import synthesize
 
     options = ["--no-figures", "--set", "simulation.runs=2", "--set", QUARTER]
     CliRunner().invoke(cli.app, ["run", str(TINY), "--out", str(tmp_path / "in time"), "-q", *options])
@@ -459,7 +459,7 @@ def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
     """The unaware reference is the cheapest plan; half-way to it is something else each time."""
     from polaris.model.errors import ClockWarning, OutOfTime
     from polaris.planning.effort import Effort
-    from polaris.synthesis.get_safety import get_safety
+    from polaris.synthesis.safety.get_safety import get_safety
 
     scenario = load_scenario("static")
     safety = get_safety(scenario)

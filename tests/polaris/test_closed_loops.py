@@ -14,10 +14,10 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.schedule import Step
-from polaris.synthesis.search import Search, SwitchingRules
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.schedule.schedule import Step
+from polaris.synthesis.schedule.search import Search, SwitchingRules
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
 from .closed_loops import Attack, Loop, arrivals, attack, attack_monitor

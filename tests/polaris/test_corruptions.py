@@ -6,12 +6,12 @@ import pytest
 
 pytest.importorskip("flint")
 
-from polaris.certificate.argument import ORDERS
 from polaris.certificate.checker import verify_document
+from polaris.certificate.claims.argument import ORDERS
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import CAMPAIGN
 from .corruptions import Corruptor, against_files, inner, malformed
@@ -69,7 +69,7 @@ def part_of_inner(part):
 
 def test_the_argument_notices(monkeypatch):
     # With few generators: the long part tries again with many, as the checker does, in four times the time.
-    monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
+    monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
     count, wrong = judge(part_of_inner(0))
     assert not wrong
     assert count >= 19
@@ -80,7 +80,7 @@ def test_the_argument_notices(monkeypatch):
 def test_the_argument_notices_the_rest(part, monkeypatch):
     """One part in three with as many generators as the checker tries, all parts in a campaign."""
     if part % 3 and not CAMPAIGN:
-        monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])
+        monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
     count, wrong = judge(part_of_inner(part))
     assert not wrong
     assert count >= 19

@@ -12,15 +12,15 @@ import flint
 import numpy as np
 import pytest
 
-from polaris.certificate.argument import Argument
-from polaris.certificate.balls import PRECISION
 from polaris.certificate.checker import verify_document
-from polaris.certificate.document import Document
-from polaris.certificate.lemma import Stated
-from polaris.certificate.verdict import Record
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.lemma import Stated
+from polaris.certificate.files.document import Document
+from polaris.certificate.kernel.balls import PRECISION
+from polaris.certificate.kernel.verdict import Record
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
-from polaris.model.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.thrusters import Thrusters
 from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
@@ -33,10 +33,10 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.scenario.tables import ScenarioModel
 from polaris.simulation.falsification.search import falsify
-from polaris.synthesis.clearance import error_tube
-from polaris.synthesis.demand import Scheduled
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.demand import Scheduled
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 

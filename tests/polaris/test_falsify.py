@@ -18,12 +18,12 @@ from polaris.simulation.falsification.attacks import Attack, Attacker
 from polaris.simulation.falsification.claims import EXACT_M, Claims, attained
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator, columns
-from polaris.synthesis.clearance import error_tube
-from polaris.synthesis.controllers import AnyThrust
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.neural import NeuralController
-from polaris.synthesis.policy import Policy
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.controllers import AnyThrust
+from polaris.synthesis.controllers.neural import NeuralController
+from polaris.synthesis.controllers.policy import Policy
+from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.networks.layers import Activation, Affine
 from reach.networks.network import Network
 

@@ -11,7 +11,7 @@ from polaris.model.allocation import Allocation, Fault, axis_pairs, cases
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.runs.certificate import certificate
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .forging import CERTIFICATE, Forger, make
 from .tiny import TINY

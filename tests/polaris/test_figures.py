@@ -10,12 +10,12 @@ import pytest
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
-from polaris.model.distances import stretches
 from polaris.model.errors import PolarisError
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
-from polaris.model.satellite import SatelliteObstacle
+from polaris.model.scene.distances import stretches
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference

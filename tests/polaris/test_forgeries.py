@@ -12,9 +12,9 @@ pytest.importorskip("flint")
 
 import polaris
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import canonical, digest
-from polaris.certificate.perception import _check_cone, _check_keep_in
-from polaris.certificate.verdict import Rejected, Undecided
+from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.kernel.verdict import Rejected, Undecided
+from polaris.certificate.model.perception import _check_cone, _check_keep_in
 from polaris.runs.certificate import certificate
 
 from .conftest import synthesised as bundled

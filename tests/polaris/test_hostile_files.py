@@ -16,19 +16,19 @@ from typer.testing import CliRunner
 pytest.importorskip("onnx")
 
 from polaris.certificate.__main__ import main as check
-from polaris.certificate.artefacts import read_scenario
-from polaris.certificate.verdict import Rejected
+from polaris.certificate.files.artefacts import read_scenario
+from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError, escape_controls
 from polaris.model.files import MOST_DOTS, parse_json, parse_toml
-from polaris.model.obstacles import BallObstacle
+from polaris.model.scene.obstacles import BallObstacle
 from polaris.report import write_report
 from polaris.rta.online.decision_log import read_log
-from polaris.runs import arrays
 from polaris.runs.campaign import formats as campaign_formats
 from polaris.runs.campaign import make_cases
-from polaris.runs.folder import read_json
-from polaris.runs.tables import json_text
+from polaris.runs.files import arrays
+from polaris.runs.files.folder import read_json
+from polaris.runs.files.tables import json_text
 from polaris.scenario.reading import printable
 from polaris.scenario.scenario import load_scenario
 from polaris.traces import read_trace

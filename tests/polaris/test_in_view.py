@@ -9,17 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from polaris.model.distances import stretches
 from polaris.model.errors import PolarisError, ScenarioError
+from polaris.model.scene.distances import stretches
 from polaris.planning.following import Followed, FollowingSearch
 from polaris.planning.rows import Rows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.goal_rows import _weights, distance
-from polaris.synthesis.in_view import Windows, followable, in_windows, neighbours
-from polaris.synthesis.search import Search, SwitchingRules
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.worth import Worth
+from polaris.synthesis.safety.goal_rows import _weights, distance
+from polaris.synthesis.schedule.in_view import Windows, followable, in_windows, neighbours
+from polaris.synthesis.schedule.search import Search, SwitchingRules
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.schedule.worth import Worth
 
 from ..sizes import fewer
 from .random_scenarios import synthesised as random_schedule
@@ -165,7 +165,7 @@ def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
 
     search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v
     for share, best in ((0.93, 0.9), (0.97, 0.97)):  # for as much more as S spends alone: 6 % of the time
-        module = import_module("polaris.synthesis.synthesize")
+        module = import_module("polaris.synthesis.schedule.synthesize")
         monkeypatch.setattr(module, "find_safety", lambda problem: safety)
         monkeypatch.setattr(module, "most_worthy", lambda *_, share=share: found(share, 4 * unit))
         assert module.best_share(search, found(0.9, 3 * unit), True).share() == best

@@ -10,16 +10,16 @@ import pytest
 
 pytest.importorskip("flint")
 
-from polaris.certificate.artefacts import SUMMARY
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import canonical, digest
-from polaris.certificate.inputs import _check_initial_set
-from polaris.certificate.own import check_goal
-from polaris.certificate.parts import UnsafeSet
-from polaris.certificate.perception import _check_obstacle, _row_support
-from polaris.certificate.repeated import _check_reason
-from polaris.certificate.structure import number, strict_json
-from polaris.certificate.verdict import EXIT_CODES, Rejected
+from polaris.certificate.files.artefacts import SUMMARY
+from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.files.inputs import _check_initial_set
+from polaris.certificate.files.parts import UnsafeSet
+from polaris.certificate.files.repeated import _check_reason
+from polaris.certificate.files.structure import number, strict_json
+from polaris.certificate.kernel.verdict import EXIT_CODES, Rejected
+from polaris.certificate.model.own import check_goal
+from polaris.certificate.model.perception import _check_obstacle, _row_support
 
 from .forging import CERTIFICATE, Forger, Lie, make
 

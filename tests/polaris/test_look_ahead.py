@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.synthesis.look_ahead import APART, EACH, LookAhead, rungs
-from polaris.synthesis.search import SwitchingRules
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.look_ahead import APART, EACH, LookAhead, rungs
+from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .conftest import small_controllers, small_safety
 from .conftest import synthesised as bundled

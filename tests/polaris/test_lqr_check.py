@@ -11,12 +11,12 @@ pytest.importorskip("flint")
 import flint
 from scipy.linalg import solve_continuous_are
 
-from polaris.certificate.balls import PRECISION, matrix
-from polaris.certificate.lqr import check_gain, check_hurwitz, positive_definite
-from polaris.certificate.verdict import Rejected, Undecided
+from polaris.certificate.kernel.balls import PRECISION, matrix
+from polaris.certificate.kernel.verdict import Rejected, Undecided
+from polaris.certificate.model.lqr import check_gain, check_hurwitz, positive_definite
 from polaris.model.hill import cw_matrix
 from polaris.model.system import LinearSystem
-from polaris.synthesis.lqr import lqr_gain
+from polaris.synthesis.tracker.lqr import lqr_gain
 
 
 @pytest.fixture(autouse=True)

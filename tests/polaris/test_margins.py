@@ -9,9 +9,9 @@ import pytest
 from polaris.model.errors import PolarisError
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
-from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.get_safety import get_recover
-from polaris.synthesis.recoverable import directed, left
+from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.safety.get_safety import get_recover
+from polaris.synthesis.safety.recoverable import directed, left
 
 from ..sizes import fewer
 from .conftest import small_safety

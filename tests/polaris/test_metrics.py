@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polaris.model.distances import (
+from polaris.model.errors import ScenarioError
+from polaris.model.hill import clohessy_wiltshire, free_flight
+from polaris.model.scene.distances import (
     UNKNOWN,
     closest,
     count_switches,
@@ -16,12 +18,10 @@ from polaris.model.distances import (
     ray_ttc,
     signed_distances,
 )
-from polaris.model.errors import ScenarioError
-from polaris.model.free_drift import drift_ttc
-from polaris.model.hill import clohessy_wiltshire, free_flight
-from polaris.model.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
-from polaris.model.satellite import SatelliteObstacle
+from polaris.model.scene.free_drift import drift_ttc
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.system import LinearSystem
 
 ETA = 0.0012

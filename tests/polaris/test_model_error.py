@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from polaris.cli.app import app
 from polaris.model.errors import ScenarioError
-from polaris.model.satellite import SatelliteObstacle
+from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.orbit.environment import MU, Environment
 from polaris.simulation.orbit.frame import frame_rates, near_circular, relative_rate
@@ -19,7 +19,7 @@ from polaris.simulation.orbit.region import Region, visited
 from polaris.simulation.orbit.residual import residual_bound
 from polaris.simulation.orbit.truth import declared, fly_true, runge_kutta
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import CHOSEN, printed
 

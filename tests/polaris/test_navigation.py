@@ -8,11 +8,11 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import Document
-from polaris.certificate.navigation import measured_errors
-from polaris.certificate.verdict import Rejected
+from polaris.certificate.files.document import Document
+from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.model.navigation import measured_errors
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
-from polaris.model.keep_in import KeepInPolytope
+from polaris.model.scene.keep_in import KeepInPolytope
 from polaris.runs.certificate import certificate
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
@@ -21,7 +21,7 @@ from polaris.simulation.delayed import Predicting
 from polaris.simulation.disturbances import adjoint_worst_case, limit_rows
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import flown_modes, simulate
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import kept
 from ..sizes import fewer

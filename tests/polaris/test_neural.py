@@ -17,16 +17,16 @@ pytest.importorskip("flint")
 from flint import arb, arb_mat
 
 from polaris.certificate.assumptions import ARITHMETIC
-from polaris.certificate.balls import matrix
-from polaris.certificate.bodies import Whereabouts
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import canonical, digest
-from polaris.certificate.networks import Policy as CheckedPolicy
-from polaris.certificate.networks import Rounding, band, value
-from polaris.certificate.onnx_file import read_layers
-from polaris.certificate.parts import Law, Layer
-from polaris.certificate.verdict import Rejected
-from polaris.certificate.zonotopes import Zonotope as CheckedZonotope
+from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.files.parts import Law, Layer
+from polaris.certificate.kernel.balls import matrix
+from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.kernel.zonotopes import Zonotope as CheckedZonotope
+from polaris.certificate.model.bodies import Whereabouts
+from polaris.certificate.model.networks import Policy as CheckedPolicy
+from polaris.certificate.model.networks import Rounding, band, value
+from polaris.certificate.model.onnx_file import read_layers
 from polaris.model.errors import ScenarioError
 from polaris.model.thrusters import Thrusters
 from polaris.model.tolerances import ROUNDING
@@ -39,10 +39,10 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.neural import NeuralController
-from polaris.synthesis.policy import Policy
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.neural import NeuralController
+from polaris.synthesis.controllers.policy import Policy
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.networks.layers import Activation, Affine, Diagonal
 from reach.networks.network import Network
 from reach.numerics.linear import discretize

@@ -11,11 +11,11 @@ from scipy.optimize import minimize, nnls
 
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, free_flight
-from polaris.model.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.obstacle import directions
-from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle, perceive
-from polaris.model.satellite import SatelliteObstacle
-from polaris.model.shapes import Polytope
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacle import directions
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle, perceive
+from polaris.model.scene.satellite import SatelliteObstacle
+from polaris.model.scene.shapes import Polytope
 from polaris.model.system import LinearSystem
 from polaris.report.scene.geometry import boxed
 from reach.numerics.linear import discretize

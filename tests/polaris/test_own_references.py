@@ -10,9 +10,9 @@ pytest.importorskip("flint")
 
 import flint
 
-from polaris.certificate.balls import PRECISION
-from polaris.certificate.own import check_own
-from polaris.certificate.verdict import Rejected, Undecided
+from polaris.certificate.kernel.balls import PRECISION
+from polaris.certificate.kernel.verdict import Rejected, Undecided
+from polaris.certificate.model.own import check_own
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
 from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
@@ -62,7 +62,7 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
             raise Rejected(claim, f"{whose} misses")
 
     try:
-        with patch("polaris.certificate.own.check_goal", goal):
+        with patch("polaris.certificate.model.own.check_goal", goal):
             check_own(document, law, scenario, {"reference": {"kind": kind, **spec}})
     except (Rejected, Undecided) as error:
         assert error.claim == "controllers"

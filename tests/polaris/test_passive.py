@@ -11,13 +11,13 @@ from scipy.linalg import expm
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
-from polaris.runs.tables import drift_told
+from polaris.runs.files.tables import drift_told
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.drifting import drifted, stopped
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.passive import PassiveSafety
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.passive import PassiveSafety
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
 from .closed_loops import held

@@ -22,8 +22,8 @@ from polaris.model.errors import (
     SynthesisInfeasible,
 )
 from polaris.model.hill import clohessy_wiltshire
+from polaris.model.scene.timed_polytope import TimedPolytope
 from polaris.model.system import LinearSystem
-from polaris.model.timed_polytope import TimedPolytope
 from polaris.planning import backends, diagnose, effort, model, search, solve, tree
 from polaris.planning import problem as problem_module
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
@@ -35,9 +35,9 @@ from polaris.planning.search import PathSearch
 from polaris.planning.solve import plan
 from polaris.runs.certificate import certificate
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis import in_view
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule import in_view
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from .tiny import TINY
 
@@ -292,7 +292,7 @@ def test_every_solver_solves_the_same_program(seed, solver):
 def test_static_has_one_optimum(solver):
     """Cells that one search had stated and the other had not once made a difference of 1.5e-5 m/s."""
     from polaris.scenario.scenario import load_scenario
-    from polaris.synthesis.get_safety import get_safety
+    from polaris.synthesis.safety.get_safety import get_safety
 
     problem = load_scenario("static").problem()
     ours = get_safety(problem).plan

@@ -9,25 +9,25 @@ import flint
 import numpy as np
 import pytest
 
-from polaris.certificate.argument import Argument
 from polaris.certificate.checker import verify_document
-from polaris.certificate.document import Document
-from polaris.certificate.lemma import Stated
-from polaris.certificate.plants import precision_for
-from polaris.certificate.powered import branched
-from polaris.certificate.verdict import Record, Rejected
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.lemma import Stated
+from polaris.certificate.claims.powered import branched
+from polaris.certificate.files.document import Document
+from polaris.certificate.kernel.verdict import Record, Rejected
+from polaris.certificate.model.plants import precision_for
 from polaris.model.errors import NotCertified, PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.report.html.run_report import aborts
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
-from polaris.runs.tables import abort_told
+from polaris.runs.files.tables import abort_told
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
 from polaris.simulation.falsification.aborting import aborted, exceeded
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.demand import command_errors
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.demand import command_errors
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
 from .closed_loops import attack

@@ -31,11 +31,11 @@ from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
 from polaris.simulation.simulate import flown_modes, simulate
-from polaris.synthesis import controllers
-from polaris.synthesis.feedback import Feedback
-from polaris.synthesis.lqr import lqr_gain
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Tracking
+from polaris.synthesis.controllers import controllers
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.feedback import Feedback
+from polaris.synthesis.tracker.lqr import lqr_gain
+from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import discretize
 
 from ..kept import kept
@@ -213,7 +213,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     pytest.importorskip("flint")
     from flint import arb
 
-    from polaris.certificate.upkeep import check_upkeep
+    from polaris.certificate.claims.upkeep import check_upkeep
 
     known = {"fired": fired, "carried": carried, "system_kind": "clohessy_wiltshire", "mean_motion": 0.001}
     document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)

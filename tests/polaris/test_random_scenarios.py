@@ -14,18 +14,18 @@ pytest.importorskip("flint")
 
 import flint
 
-from polaris.certificate.argument import ORDERS, Argument
-from polaris.certificate.balls import PRECISION
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.coasting import check_end
-from polaris.certificate.document import Document, digest
-from polaris.certificate.verdict import Record, Rejected
+from polaris.certificate.claims.argument import ORDERS, Argument
+from polaris.certificate.claims.coasting import check_end
+from polaris.certificate.files.document import Document, digest
+from polaris.certificate.kernel.balls import PRECISION
+from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.model.errors import PolarisError
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import printed
 from ..sizes import fewer
@@ -176,7 +176,9 @@ def test_nothing_is_safe_for_ever_where_a_set_moves():
 
 
 def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit(monkeypatch):
-    monkeypatch.setattr("polaris.certificate.argument.ORDERS", ORDERS[:1])  # with many it is refused later
+    monkeypatch.setattr(
+        "polaris.certificate.claims.argument.ORDERS", ORDERS[:1]
+    )  # with many it is refused later
     schedule, data = document(10)
     late = [k for k, step in enumerate(schedule.steps) if step.mode and is_late(schedule, k, step.margin)]
     assert late

@@ -9,13 +9,13 @@ pytest.importorskip("flint")
 
 from flint import arb
 
-from polaris.certificate.balls import column, identity, matrix
-from polaris.certificate.limits import Limits, Target
-from polaris.certificate.loop import Memory, Needs
-from polaris.certificate.motion import Plant
-from polaris.certificate.recovery import Recovery
-from polaris.certificate.verdict import Rejected
-from polaris.certificate.zonotopes import Zonotope
+from polaris.certificate.claims.recovery import Recovery
+from polaris.certificate.kernel.balls import column, identity, matrix
+from polaris.certificate.kernel.motion import Plant
+from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.kernel.zonotopes import Zonotope
+from polaris.certificate.model.limits import Limits, Target
+from polaris.certificate.model.loop import Memory, Needs
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
 

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
 from polaris.report.figures import draw_run
-from polaris.runs import atomic as replacing
-from polaris.runs import ownership
-from polaris.runs.atomic import CannotWrite, check_file, check_target
-from polaris.runs.ownership import tidy
+from polaris.runs.files import atomic as replacing
+from polaris.runs.files import ownership
+from polaris.runs.files.atomic import CannotWrite, check_file, check_target
+from polaris.runs.files.ownership import tidy
 from polaris.runs.run import read_run
 from polaris.runs.schedule import write_run
 from tests.leftovers import left_by_a_dead_process
@@ -289,8 +289,8 @@ def test_unwritable_files_are_found_before_the_work(tmp_path, monkeypatch):
         "polaris.runs.campaign.drive.replay_run",
         "polaris.traces.export.export_run",
         "polaris.report.report_page",
-        "polaris.synthesis.get_safety.get_safety",
-        "polaris.synthesis.synthesize.synthesize",
+        "polaris.synthesis.safety.get_safety.get_safety",
+        "polaris.synthesis.schedule.synthesize.synthesize",
         "polaris.inspection.flights.simulation.fly_one",
     ):
         monkeypatch.setattr(name, work)

@@ -85,7 +85,7 @@ def test_every_second_belongs_to_a_stage_or_to_other(folder, tmp_path):
 def test_stages_of_a_synthesis_follow_one_another(change, monkeypatch):
     """By a clock that counts its readings: no reading is counted twice, none is left out."""
     ticks = itertools.count()
-    monkeypatch.setattr("polaris.synthesis.attempts.time.perf_counter", lambda: float(next(ticks)))
+    monkeypatch.setattr("polaris.synthesis.safety.attempts.time.perf_counter", lambda: float(next(ticks)))
     scenario = load_scenario(TINY, [change])
     first = next(ticks)
     schedule = polaris.synthesize(scenario)
@@ -350,7 +350,7 @@ def test_no_obstacles_reads_null_and_not_infinity():
 
 def test_true_states_of_another_satellite_stay_in_what_is_known():
     from polaris.model.hill import clohessy_wiltshire
-    from polaris.model.satellite import SatelliteObstacle, true_states
+    from polaris.model.scene.satellite import SatelliteObstacle, true_states
 
     system = clohessy_wiltshire(0.0012, 10.0, 0.1, 1e-5)
     visitor = SatelliteObstacle(

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
-from polaris.model.obstacles import BoxObstacle
+from polaris.model.scene.obstacles import BoxObstacle
 from polaris.planning.reference import Reference
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.ball_sets import BallSets
-from polaris.synthesis.clearance import best_facets
-from polaris.synthesis.controllers import AffineController, AnyThrust, TubeSegment, construct_s
-from polaris.synthesis.feedback import Feedback
-from polaris.synthesis.get_safety import get_recover, get_safety
-from polaris.synthesis.search import SwitchingRules
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Tracking
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, TubeSegment, construct_s
+from polaris.synthesis.safety.ball_sets import BallSets
+from polaris.synthesis.safety.clearance import best_facets
+from polaris.synthesis.safety.get_safety import get_recover, get_safety
+from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.feedback import Feedback
+from polaris.synthesis.tracker.tracking import Tracking
 from reach.sets.zonotope import Zonotope
 
 from .conftest import small_controllers, small_problem, small_safety

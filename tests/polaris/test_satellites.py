@@ -11,14 +11,14 @@ from scipy.linalg import expm
 
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.satellite import SatelliteObstacle, true_states
+from polaris.model.scene.satellite import SatelliteObstacle, true_states
 from polaris.model.system import LinearSystem
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import Scenario
 from polaris.simulation.baselines import compare
-from polaris.synthesis.clearance import error_tube
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -223,10 +223,10 @@ def checked(system, sat, delta, cells, thrust):
     pytest.importorskip("flint")
     import flint
 
-    from polaris.certificate.balls import PRECISION
-    from polaris.certificate.parts import UnsafeSet
-    from polaris.certificate.satellites import Satellite
-    from polaris.certificate.verdict import Rejected
+    from polaris.certificate.files.parts import UnsafeSet
+    from polaris.certificate.kernel.balls import PRECISION
+    from polaris.certificate.kernel.verdict import Rejected
+    from polaris.certificate.model.satellites import Satellite
 
     (found,) = sat.timed_polytopes(system, delta, cells)
     told = SimpleNamespace(  # what it reads of a certificate here

@@ -9,11 +9,11 @@ import pytest
 pytest.importorskip("flint")
 
 from docs.generate.scenario_docs import schema
-from polaris.certificate.own import GOALS
-from polaris.certificate.perception import RIGID
-from polaris.certificate.scenario_keys import SCENARIO, check_keys
-from polaris.certificate.structure import Either, Kinds, Real, Rows, Text, Whole, conform, strict_json
-from polaris.certificate.verdict import Rejected
+from polaris.certificate.files.scenario_keys import SCENARIO, check_keys
+from polaris.certificate.files.structure import Either, Kinds, Real, Rows, Text, Whole, conform, strict_json
+from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.model.own import GOALS
+from polaris.certificate.model.perception import RIGID
 from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import read_document, validate
 from polaris.scenario.scenario import bundled_scenarios, load_scenario, locate

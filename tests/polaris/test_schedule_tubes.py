@@ -8,8 +8,8 @@ contains what `reach.support_tube` shows to be reached, and how much larger it i
 import numpy as np
 import pytest
 
-from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.intersample import at_nodes
+from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.tracker.intersample import at_nodes
 from reach import Ellipsoid, LinearSystem, Zonotope, support_tube
 from reach.numerics.linear import powers
 

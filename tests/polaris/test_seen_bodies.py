@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("flint")
 
-from polaris.certificate.bodies import Whereabouts
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.document import Document, digest
-from polaris.certificate.plants import plant_of
+from polaris.certificate.files.document import Document, digest
+from polaris.certificate.model.bodies import Whereabouts
+from polaris.certificate.model.plants import plant_of
 from polaris.model.errors import ScenarioError
-from polaris.model.obstacles import BallObstacle, PolytopeObstacle
-from polaris.model.satellite import SatelliteObstacle, true_states
+from polaris.model.scene.obstacles import BallObstacle, PolytopeObstacle
+from polaris.model.scene.satellite import SatelliteObstacle, true_states
 from polaris.model.tolerances import ROUNDING
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
@@ -30,10 +30,10 @@ from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator
 from polaris.simulation.run_metrics import evaluate
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.neural import NeuralController
-from polaris.synthesis.policy import OF_BODY, Policy
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.neural import NeuralController
+from polaris.synthesis.controllers.policy import OF_BODY, Policy
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.networks.layers import Affine
 from reach.networks.network import Network
 from reach.numerics.linear import discretize

@@ -11,11 +11,11 @@ from polaris.cli.show.schedule import _share
 from polaris.model.errors import PolarisError
 from polaris.planning.lp import GrowingLP
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.search import SwitchingRules
-from polaris.synthesis.share_bound import Master, share_bound
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.undisturbed import FREE, Flights
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.share_bound import Master, share_bound
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.schedule.undisturbed import FREE, Flights
 from reach.numerics.linear import discretize
 
 from ..kept import printed as bundled

@@ -10,9 +10,9 @@ from polaris.runs.case import replay, write_case
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attacker
 from polaris.simulation.falsification.search import falsify
-from polaris.synthesis import spending
-from polaris.synthesis.spending import Spell, peak, spent, together
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule import spending
+from polaris.synthesis.schedule.spending import Spell, peak, spent, together
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import kept
 from .tiny import TINY
@@ -43,7 +43,7 @@ def test_no_frequency_exceeds_the_peak_of_a_response(seed):
     most = np.abs(np.fft.rfft(response, 1 << 16)).max()
     assert most <= peak(response) <= 1.2 * most
     flint = pytest.importorskip("flint")
-    checked = pytest.importorskip("polaris.certificate.spending")
+    checked = pytest.importorskip("polaris.certificate.claims.spending")
     found = checked.peak([flint.arb(x) for x in response])
     assert float(found.mid()) == pytest.approx(peak(response), rel=1e-9)
 

@@ -10,10 +10,10 @@ import pytest
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.controllers import AffineController
-from polaris.synthesis.get_safety import get_recover, get_safety
-from polaris.synthesis.search import SwitchingRules
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.safety.get_safety import get_recover, get_safety
+from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import printed
 from ..sizes import fewer
@@ -268,7 +268,7 @@ def test_malformed_rules(options, field):
 
 def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_tube():
     """Were the disturbance or the corners left out, every attack above would pass for nothing."""
-    from polaris.synthesis.clearance import error_tube
+    from polaris.synthesis.safety.clearance import error_tube
 
     safety = small_safety(None, 1e-3)
     schedule = synthesize(None, safety, [], SwitchingRules())

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.certificate.argument import Argument
 from polaris.certificate.checker import verify
-from polaris.certificate.document import read
-from polaris.certificate.verdict import Record, Rejected
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.files.document import read
+from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
-from polaris.model.obstacles import BallObstacle
 from polaris.model.prediction import jitter_error, prediction_error
-from polaris.model.satellite import SatelliteObstacle
+from polaris.model.scene.obstacles import BallObstacle
+from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.timing import Timing
 from polaris.runs.certificate import certificate
 from polaris.runs.run import run
@@ -24,7 +24,7 @@ from polaris.simulation.delayed import Predicting
 from polaris.simulation.disturbances import disturbances
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import flown_modes, initial_states
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.linear import discretize
 
 from ..kept import kept

@@ -8,10 +8,10 @@ from polaris.model.errors import ScenarioError
 from polaris.model.system import LinearSystem
 from polaris.runs.certificate import certificate
 from polaris.scenario.scenario import load_scenario
-from polaris.synthesis.feedback import MOST_NODES, Feedback, choose_feedback
-from polaris.synthesis.lqr import solve_are
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.tracking import Tracking
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.feedback import MOST_NODES, Feedback, choose_feedback
+from polaris.synthesis.tracker.lqr import solve_are
+from polaris.synthesis.tracker.tracking import Tracking
 
 from .tiny import TINY
 

@@ -23,7 +23,7 @@ from polaris.report.figures.comparison import _front, _sensitivity
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
-from polaris.runs.folder import RunFolder
+from polaris.runs.files.folder import RunFolder
 from polaris.runs.points import needed, non_dominated
 from polaris.runs.schedule import DATA_FILES
 from polaris.scenario.error_tables import Chaser, Thrusters, Timing

@@ -9,23 +9,23 @@ import flint
 import numpy as np
 import pytest
 
-from polaris.certificate.argument import Argument
-from polaris.certificate.balls import PRECISION
-from polaris.certificate.document import Document
-from polaris.certificate.repeated import limit_names
-from polaris.certificate.transients import check_withheld
-from polaris.certificate.verdict import Record, Rejected
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.files.document import Document
+from polaris.certificate.files.repeated import limit_names
+from polaris.certificate.kernel.balls import PRECISION
+from polaris.certificate.kernel.verdict import Record, Rejected
+from polaris.certificate.model.transients import check_withheld
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
+from polaris.runs.files.tables import besides
 from polaris.runs.schedule import guarantee
-from polaris.runs.tables import besides
 from polaris.scenario.scenario import load_scenario, scenario_folder
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.transients import moved
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.transients import moved
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, Forger, make

@@ -6,10 +6,10 @@ from scipy.linalg import expm
 
 from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
-from polaris.synthesis.clearance import error_tube
-from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.feedback import Feedback
-from polaris.synthesis.tracking import Tracking
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.tracker.feedback import Feedback
+from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 

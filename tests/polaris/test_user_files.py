@@ -11,9 +11,9 @@ from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.report import write_report
 from polaris.report.figures import draw_run
-from polaris.runs.atomic import replacing
 from polaris.runs.campaign import make_cases
-from polaris.runs.ownership import MANIFEST
+from polaris.runs.files.atomic import replacing
+from polaris.runs.files.ownership import MANIFEST
 from polaris.runs.run import read_run
 from polaris.runs.schedule import write_run
 from tests.campaign.scene import run as run_campaign
@@ -44,8 +44,8 @@ def idle(monkeypatch):
         raise AssertionError("the work had begun")
 
     for name in (
-        "polaris.synthesis.get_safety.get_safety",
-        "polaris.synthesis.synthesize.synthesize",
+        "polaris.synthesis.safety.get_safety.get_safety",
+        "polaris.synthesis.schedule.synthesize.synthesize",
         "polaris.inspection.flights.simulation.fly_one",
         "polaris.runs.campaign.drive.work_through",
         "polaris.runs.tradeoff.work_through",

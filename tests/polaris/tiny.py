@@ -5,7 +5,7 @@ from pathlib import Path
 
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.baselines import compare
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.schedule.synthesize import synthesize
 
 TINY = Path(__file__).parent / "data" / "tiny.toml"
 

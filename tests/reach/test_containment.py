@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
 from reach.numerics.rounding import cross, integers
-from reach.sets.distance import Answer
 from reach.sets.ellipsoid import Ellipsoid
 from reach.sets.interval import Interval
 from reach.sets.lazy import AffineImage, MinkowskiSum
 from reach.sets.norms import largest_norm
-from reach.sets.pairs import contains, disjoint
 from reach.sets.polytope import HPolytope
+from reach.sets.relations.distance import Answer
+from reach.sets.relations.pairs import contains, disjoint
 from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, ellipsoids, intervals, polytopes, sets, size, vectors, zonotopes

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from polaris.model.hill import clohessy_wiltshire
-from polaris.synthesis.lqr import lqr_gain
+from polaris.synthesis.tracker.lqr import lqr_gain
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import discretize, growth, powers
 from reach.numerics.relaxation import clip_relaxation

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
 from reach.sets.clipping import enclosing_hull, meet_halfspace
-from reach.sets.pairs import contains
+from reach.sets.relations.pairs import contains
 from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, numbers, vectors, zonotopes

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reach.numerics.errors import ReachError
-from reach.sets.pairs import contains
 from reach.sets.reduction import METHODS, mean_width, reduce, reduction_loss
+from reach.sets.relations.pairs import contains
 from reach.sets.zonotope import Zonotope
 
 from .strategies import directions, zonotopes

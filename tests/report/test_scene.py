@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from polaris.model.hill import clohessy_wiltshire
-from polaris.model.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.obstacle import RigidObstacle
-from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
-from polaris.model.satellite import SatelliteObstacle
-from polaris.model.shapes import Polytope
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacle import RigidObstacle
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.scene.satellite import SatelliteObstacle
+from polaris.model.scene.shapes import Polytope
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference

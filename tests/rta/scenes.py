@@ -4,16 +4,16 @@ from functools import cache
 
 import numpy as np
 
-from polaris.model.obstacles import BoxObstacle
+from polaris.model.scene.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
-from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.lqr import lqr_gain
-from polaris.synthesis.problem import Problem
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.safety.problem import Problem
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.lqr import lqr_gain
 from reach.sets.zonotope import Zonotope
 
 from ..kept import printed

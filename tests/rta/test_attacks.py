@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import NotCertified
-from polaris.model.obstacles import BoxObstacle
+from polaris.model.scene.obstacles import BoxObstacle
 from polaris.model.system import LinearSystem
 from polaris.model.tolerances import ROUNDING
 from polaris.planning.goals import Box
@@ -24,12 +24,12 @@ from polaris.rta.methods import METHODS
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
-from polaris.synthesis.controllers import AffineController, AnyThrust
-from polaris.synthesis.get_safety import get_safety
-from polaris.synthesis.lqr import lqr_gain
-from polaris.synthesis.polytope_sets import PolytopeSets
-from polaris.synthesis.problem import Problem
-from polaris.synthesis.synthesize import synthesize
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.safety.get_safety import get_safety
+from polaris.synthesis.safety.polytope_sets import PolytopeSets
+from polaris.synthesis.safety.problem import Problem
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.lqr import lqr_gain
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 

@@ -18,9 +18,9 @@ from polaris.rta.online.loop import FlightLoop
 from polaris.rta.online.runtime import OnlineMonitor
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
-from polaris.synthesis.black_box import BlackBox
-from polaris.synthesis.synthesize import synthesize
-from polaris.synthesis.transients import moved
+from polaris.synthesis.controllers.black_box import BlackBox
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.transients import moved
 
 from ..polaris.test_transients import SOFT, made
 from ..polaris.tiny import TINY

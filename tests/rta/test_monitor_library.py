@@ -16,7 +16,7 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
 from polaris.rta.methods.monitor import Monitor
-from polaris.synthesis.controllers import AnyThrust
+from polaris.synthesis.controllers.controllers import AnyThrust
 from reach.sets.zonotope import Zonotope
 from tests.polaris.random_scenarios import synthesised
 from tests.rta.scenes import corridor, scene
@@ -171,7 +171,7 @@ def test_a_method_that_does_not_exist_is_refused_before_the_synthesis(monkeypatc
     def never(*_, **__):
         raise AssertionError("synthesised all the same")
 
-    monkeypatch.setattr("polaris.synthesis.synthesize.synthesize", never)
+    monkeypatch.setattr("polaris.synthesis.schedule.synthesize.synthesize", never)
     for wrong in (["--methods", "nonsense"], ["--tune", "monitor.gain=2"]):
         failed = CliRunner().invoke(app, ["compare", "robot", *wrong])
         assert failed.exit_code == 2 and "must be one of" in failed.output, failed.output

@@ -28,9 +28,9 @@ from polaris.runs.training import (  # noqa: E402
 )
 from polaris.scenario.reading import write_toml  # noqa: E402
 from polaris.scenario.scenario import bundled_files, load_scenario  # noqa: E402
-from polaris.synthesis.neural import NeuralController  # noqa: E402
-from polaris.synthesis.policy import Policy  # noqa: E402
-from polaris.synthesis.synthesize import synthesize  # noqa: E402
+from polaris.synthesis.controllers.neural import NeuralController  # noqa: E402
+from polaris.synthesis.controllers.policy import Policy  # noqa: E402
+from polaris.synthesis.schedule.synthesize import synthesize  # noqa: E402
 from reach.networks.layers import Affine  # noqa: E402
 from reach.networks.network import Network  # noqa: E402
 

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, free_flight
-from polaris.model.shapes import Polytope
+from polaris.model.scene.shapes import Polytope
 from polaris.traces import (
     AgentTrace,
     BallTrace,

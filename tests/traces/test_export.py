@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import polaris
-from polaris.model.distances import UNKNOWN, ray_ttc, signed_distances
 from polaris.model.errors import ScenarioError
 from polaris.model.hill import clohessy_wiltshire, elliptical_nmt
-from polaris.model.keep_in import KeepInCone, KeepInPolytope
-from polaris.model.obstacle import RigidObstacle
-from polaris.model.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
-from polaris.model.satellite import SatelliteObstacle, true_states
-from polaris.model.shapes import Polytope
+from polaris.model.scene.distances import UNKNOWN, ray_ttc, signed_distances
+from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
+from polaris.model.scene.obstacle import RigidObstacle
+from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
+from polaris.model.scene.satellite import SatelliteObstacle, true_states
+from polaris.model.scene.shapes import Polytope
 from polaris.runs.schedule import write_run
 from polaris.simulation.baselines import compare
 from polaris.traces import AgentTrace, Trace, evaluate_trace, export_run, read_trace, to_trace, write_trace

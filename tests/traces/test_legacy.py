@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polaris.runs.tables import strict
+from polaris.runs.files.tables import strict
 from polaris.traces import (
     AgentTrace,
     BallTrace,

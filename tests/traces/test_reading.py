@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from polaris.model.distances import UNKNOWN
 from polaris.model.errors import ScenarioError
+from polaris.model.scene.distances import UNKNOWN
 from polaris.traces import parse_trace, read_trace
 
 from .traces import agent, entry, save, trace

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...synthesis.recoverable import directed
+from ...synthesis.safety.recoverable import directed
 from . import say, show_table, table
 
 SAFETY = (

@@ -6,7 +6,7 @@ from typing import Any
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.inspection import MEANING
+from ...runs.inspections.inspection import MEANING
 from . import RED, alarming, say, show_claim, show_table, table
 
 

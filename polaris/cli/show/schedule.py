@@ -7,8 +7,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.tables import besides, pilots
-from ...synthesis.recoverable import directed
+from ...runs.files.tables import besides, pilots
+from ...synthesis.safety.recoverable import directed
 from . import RED, alarming, assume, say, show_table, table
 
 ROWS = (

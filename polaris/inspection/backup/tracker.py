@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...model.checks import positive
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ...synthesis.lqr import solve_are
+from ...synthesis.tracker.lqr import solve_are
 from ..enmt import Ellipses, semi_axes, stopping_point
 from ..inspection import Inspection
 from .settled import Decay

@@ -9,7 +9,7 @@ import numpy as np
 from ...model.checks import non_negative, positive
 from ...model.errors import ScenarioError
 from ...model.system import Array
-from ...synthesis.lqr import lqr_gain
+from ...synthesis.tracker.lqr import lqr_gain
 from ..inspection import Inspection
 
 

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from ...model.checks import of_kind
-from ...runs.folder import RunFolder
+from ...runs.files.folder import RunFolder
 from ...runs.picture import Picture
 from ...runs.picturing import picture_of, picture_of_safety
-from ...synthesis.get_safety import Safety
-from ...synthesis.schedule import Schedule
+from ...synthesis.safety.get_safety import Safety
+from ...synthesis.schedule.schedule import Schedule
 from ..scene.scene import describe
 from .scene import draw_scene, scene_figure
 from .scene3d import scene_3d_figure
@@ -87,7 +87,7 @@ def draw_run(folder: RunFolder) -> list[Path]:
     ScenarioError
         If a file is missing or damaged, or the place cannot be written to.
     """
-    from ...runs.atomic import adding
+    from ...runs.files.atomic import adding
     from . import comparison, flight, inspection
 
     known: dict[str, Mapping[str, Figure]] = {

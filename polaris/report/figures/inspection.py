@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 
 from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.inspection import Inspection
-from ...runs.monte_carlo import CampaignPicture
+from ...runs.inspections.monte_carlo import CampaignPicture
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, ORANGE, PURPLE, RED, SKY, VERMILION, tint
 from ..scene.unsafe import AXES, ORDER
 from .style import ABOVE, WIDTH, dot, new_figure, step_edges

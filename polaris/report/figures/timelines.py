@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
-from ...model.distances import stretches
+from ...model.scene.distances import stretches
 from ...model.system import Array
 from ...runs.picture import Picture
 from ..scene import palette

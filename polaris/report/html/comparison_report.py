@@ -12,8 +12,8 @@ from markupsafe import Markup
 
 from ...model.files import parse_json, read_text
 from ...runs.comparison import ComparisonPicture
-from ...runs.folder import RunFolder
-from ...synthesis.recoverable import directed
+from ...runs.files.folder import RunFolder
+from ...synthesis.safety.recoverable import directed
 from ..scene.palette import method_style
 from .page import (
     Cell,

@@ -13,8 +13,8 @@ from ...inspection.flights.fuel_run import FuelRun
 from ...inspection.inspection import Inspection
 from ...model.checks import counted
 from ...model.system import Array
-from ...runs.folder import RunFolder
-from ...runs.inspection import MEANING
+from ...runs.files.folder import RunFolder
+from ...runs.inspections.inspection import MEANING
 from ..scene import palette
 from ..scene.geometry import Shape, gapped
 from ..scene.items import Item

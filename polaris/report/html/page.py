@@ -18,7 +18,7 @@ from markupsafe import Markup
 
 from ...model.errors import escape_controls
 from ...simulation.metrics import possible
-from ...synthesis.recoverable import directed
+from ...synthesis.safety.recoverable import directed
 from .assets import own_script, plotly, resource
 
 ABSENT = {

@@ -7,11 +7,11 @@ from typing import Any
 from markupsafe import Markup
 
 from ...model.checks import counted
-from ...model.distances import stretches
-from ...runs.folder import RunFolder
+from ...model.scene.distances import stretches
+from ...runs.files.folder import RunFolder
+from ...runs.files.tables import besides, pilots
 from ...runs.picture import Picture
-from ...runs.tables import besides, pilots
-from ...synthesis.recoverable import directed
+from ...synthesis.safety.recoverable import directed
 from ..scene.items import drawn_pilots
 from ..scene.palette import mode_colour
 from .page import Cell, Measure, Page, badge, macros, reading, table

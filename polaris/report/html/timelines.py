@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from reach.numerics.linear import growth
 
-from ...model.distances import UNKNOWN, signed_distances
-from ...model.obstacles import perceive
+from ...model.scene.distances import UNKNOWN, signed_distances
+from ...model.scene.obstacles import perceive
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ...runs.picture import Picture
 from ...simulation.baselines import Flights
-from ...synthesis.recoverable import directed
+from ...synthesis.safety.recoverable import directed
 from ..scene.items import modes_per_node
 from ..scene.palette import GREEN, input_labels, mode_colour
 from ..scene.scene import describe, shown_axes

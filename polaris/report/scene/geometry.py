@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from ...model.shapes import Polytope
+from ...model.scene.shapes import Polytope
 from ...model.system import Array
 from ...runs.picture import directions
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.distances import stretches
-from ...model.keep_in import KeepIn
-from ...model.obstacle import Obstacle
-from ...model.satellite import SatelliteObstacle
-from ...model.shapes import Ball
+from ...model.scene.distances import stretches
+from ...model.scene.keep_in import KeepIn
+from ...model.scene.obstacle import Obstacle
+from ...model.scene.satellite import SatelliteObstacle
+from ...model.scene.shapes import Ball
 from ...model.system import Array
 from ...runs.picture import Picture
 from .geometry import Shape, flat_outline, gapped

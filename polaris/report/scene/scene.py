@@ -7,10 +7,10 @@ import numpy as np
 
 from reach.sets.outlines import polygon
 
-from ...model.keep_in import KeepIn
-from ...model.obstacle import Obstacle
-from ...model.obstacle import directions as directions_in_space
-from ...model.shapes import Ball, Box
+from ...model.scene.keep_in import KeepIn
+from ...model.scene.obstacle import Obstacle
+from ...model.scene.obstacle import directions as directions_in_space
+from ...model.scene.shapes import Ball, Box
 from ...model.system import Array
 from ...runs.picture import Picture, directions
 from . import geometry

@@ -7,10 +7,10 @@ from itertools import product
 import numpy as np
 from scipy.optimize import linprog
 
-from ...model.keep_in import KeepIn
-from ...model.obstacle import Obstacle
-from ...model.satellite import SatelliteObstacle
-from ...model.shapes import Ball
+from ...model.scene.keep_in import KeepIn
+from ...model.scene.obstacle import Obstacle
+from ...model.scene.satellite import SatelliteObstacle
+from ...model.scene.shapes import Ball
 from ...model.system import Array
 from ...planning.goals import EllipticalNMT, Goal, LinearNMT
 from ...runs.picture import Approach, Picture, directions

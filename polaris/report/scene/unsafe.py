@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from ...inspection.inspection import Inspection
-from ...model.keep_in import KeepIn
-from ...model.obstacle import Obstacle
-from ...model.satellite import SatelliteObstacle
-from ...model.shapes import Ball, Polytope
+from ...model.scene.keep_in import KeepIn
+from ...model.scene.obstacle import Obstacle
+from ...model.scene.satellite import SatelliteObstacle
+from ...model.scene.shapes import Ball, Polytope
 from ...model.system import Array
 from ...runs.picture import seconds
 from . import geometry

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...model.checks import positive
 from ...model.errors import ScenarioError
-from ...model.obstacles import BallObstacle
+from ...model.scene.obstacles import BallObstacle
 from ...model.system import Array
 from ..decision_grid import DecisionGrid
 from ..method import BUFFER, FILTERED, Choice, Method, Option, Seen

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...model.checks import non_negative, whole
 from ...model.errors import NotCertified, ScenarioError
 from ...model.system import Array
-from ...synthesis.controllers import AffineController
+from ...synthesis.controllers.controllers import AffineController
 from ..decision_grid import DecisionGrid
 from ..flight import Conditions, fly
 from ..method import Choice, Method, Option, Seen

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...model.checks import positive
 from ...model.system import Array
-from ...synthesis.controllers import AffineController
+from ...synthesis.controllers.controllers import AffineController
 from ..decision_grid import DecisionGrid
 from ..method import Choice, Method, Option, Seen, keep_clear
 

@@ -14,8 +14,8 @@ from reach.brief import brief
 from ...model.errors import NoAnswer, PolarisError
 from ...model.system import Array
 from ...model.version import version
-from ..atomic import check_file, replacing_file
-from ..tables import write_csv
+from ..files.atomic import check_file, replacing_file
+from ..files.tables import write_csv
 
 Columns = dict[str, Array]  # results by name, one entry per run: one mode after the other
 

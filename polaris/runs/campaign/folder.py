@@ -22,11 +22,11 @@ from reach.brief import brief
 from ...model.errors import NotCertified, ScenarioError
 from ...model.files import parse_json
 from ...model.version import version
-from ..atomic import CAMPAIGN as MANIFEST
-from ..atomic import adding, check_target, refuse_taken, replacing, try_writing
-from ..folder import provenance, read_json
-from ..ownership import Owned, read_list, tidy
-from ..tables import json_text, write_text
+from ..files.atomic import CAMPAIGN as MANIFEST
+from ..files.atomic import adding, check_target, refuse_taken, replacing, try_writing
+from ..files.folder import provenance, read_json
+from ..files.ownership import Owned, read_list, tidy
+from ..files.tables import json_text, write_text
 from .batch import Batch, Columns, Results, Task, joined
 from .formats import FORMATS, usable
 from .plan import CampaignPlan

@@ -11,7 +11,7 @@ from reach.numerics.files import open_regular
 from reach.numerics.packages import unusable
 
 from ...model.errors import ScenarioError
-from ..arrays import LARGEST, read_arrays
+from ..files.arrays import LARGEST, read_arrays
 from .batch import Columns
 
 KEY = "polaris"  # where a part says which campaign, case, batch and schedule it belongs to

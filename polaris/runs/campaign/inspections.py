@@ -15,9 +15,9 @@ from ...model.system import Array
 from ...scenario.reading import parse_toml
 from ...scenario.scenario import MonteCarloScenario
 from ...simulation.metrics import CONFIDENCE, lower_bound
-from ..arrays import held_by
-from ..folder import summary_of
-from ..inspection import ARRAYS
+from ..files.arrays import held_by
+from ..files.folder import summary_of
+from ..inspections.inspection import ARRAYS
 from .batch import Batch, Case, Kind, Replayed, Results, Task, of_mode
 
 BLOCK = 100  # runs flown together: what fits into fast memory

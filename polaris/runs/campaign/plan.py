@@ -15,7 +15,7 @@ from ...model.errors import ScenarioError
 from ...model.version import version
 from ...scenario.base import parse_assignment
 from ...scenario.scenario import Scenario, ScheduleScenario, load_scenario
-from ...synthesis.black_box import Ask
+from ...synthesis.controllers.black_box import Ask
 from .batch import Case, Kind, Task
 from .inspections import InspectionRuns
 from .schedules import Boxes, ScheduleRuns

@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ...model.distances import signed_distances
 from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError, SynthesisInfeasible
-from ...model.satellite import true_states
+from ...model.scene.distances import signed_distances
+from ...model.scene.satellite import true_states
 from ...model.system import Array
 from ...scenario.reading import parse_toml
 from ...scenario.scenario import ScheduleScenario
@@ -24,11 +24,11 @@ from ...simulation.metrics import CONFIDENCE, mean_interval, possible, violation
 from ...simulation.run_metrics import PART, Runs, evaluate
 from ...simulation.sampled import with_boxes
 from ...simulation.simulate import DISTURBANCES, INITIALS, Initial, simulate
-from ...synthesis.black_box import Ask
-from ...synthesis.schedule import Schedule
-from ...synthesis.synthesize import synthesize
+from ...synthesis.controllers.black_box import Ask
+from ...synthesis.schedule.schedule import Schedule
+from ...synthesis.schedule.synthesize import synthesize
+from ..files.tables import columns
 from ..schedule import digest
-from ..tables import columns
 from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}

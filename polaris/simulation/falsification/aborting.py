@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...synthesis.goal_rows import distance
-from ...synthesis.schedule import Schedule
+from ...synthesis.safety.goal_rows import distance
+from ...synthesis.schedule.schedule import Schedule
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker
 from .violations import Failure

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.system import Array
-from ...synthesis.schedule import Schedule
+from ...synthesis.schedule.schedule import Schedule
 from ..delayed import flight_of
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
 from ..failing import Failing, drawn

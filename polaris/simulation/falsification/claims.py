@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array, LinearSystem
-from ...model.timed_polytope import TimedPolytope
-from ...synthesis.clearance import error_tube, facet_room
-from ...synthesis.demand import command_errors
-from ...synthesis.schedule import Schedule
+from ...synthesis.safety.clearance import error_tube, facet_room
+from ...synthesis.safety.demand import command_errors
+from ...synthesis.schedule.schedule import Schedule
 from ..failing import Failing
 from ..run_metrics import Runs, cubic
 from ..simulate import flown_modes

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from reach.numerics.linear import powers
 
 from ...model.system import Array, LinearSystem
-from ...synthesis.passive import PassiveSafety
+from ...synthesis.safety.passive import PassiveSafety
 from ..run_metrics import Runs
 from .violations import Failure
 

@@ -11,7 +11,7 @@ from reach.brief import brief
 
 from ...model.checks import of_kind, whole
 from ...model.system import Array
-from ...synthesis.schedule import Schedule
+from ...synthesis.schedule.schedule import Schedule
 from ..run_metrics import Runs
 from .aborting import aborted, exceeded
 from .attacks import Attack, Attacker

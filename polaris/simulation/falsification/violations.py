@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...synthesis.recoverable import directed
+from ...synthesis.safety.recoverable import directed
 from ..delayed import flight_of
 from ..run_metrics import Runs
 from .attacks import Attack

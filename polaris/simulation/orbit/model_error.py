@@ -9,10 +9,10 @@ import numpy as np
 from reach.brief import brief
 
 from ...model.errors import ScenarioError
-from ...model.satellite import SatelliteObstacle
+from ...model.scene.satellite import SatelliteObstacle
 from ...model.system import Array
-from ...synthesis.schedule import Schedule
-from ...synthesis.synthesize import synthesize
+from ...synthesis.schedule.schedule import Schedule
+from ...synthesis.schedule.synthesize import synthesize
 from .environment import Environment
 from .frame import relative_rate
 from .region import Region, satellite_region, visited

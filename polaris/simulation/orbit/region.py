@@ -9,12 +9,12 @@ from scipy.linalg import expm
 from reach.numerics.linear import growth, powers
 from reach.sets.zonotope import Zonotope
 
-from ...model.satellite import SatelliteObstacle
+from ...model.scene.satellite import SatelliteObstacle
 from ...model.system import Array, LinearSystem
-from ...synthesis.clearance import error_tube
-from ...synthesis.get_safety import Safety
-from ...synthesis.intersample import at_nodes
-from ...synthesis.schedule import Schedule
+from ...synthesis.safety.clearance import error_tube
+from ...synthesis.safety.get_safety import Safety
+from ...synthesis.schedule.schedule import Schedule
+from ...synthesis.tracker.intersample import at_nodes
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from reach.brief import brief
 
 from ...model.system import Array
 from ...model.thrusters import Thrusters
-from ...synthesis.schedule import Schedule
+from ...synthesis.schedule.schedule import Schedule
 from ..delayed import Predicting
 from ..disturbances import disturbances, limit_rows
 from ..failing import drawn

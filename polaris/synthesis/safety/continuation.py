@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from reach.sets.zonotope import Zonotope
 
 from ...model.tolerances import ROUNDING
-from ..intersample import at_nodes
-from ..recoverable import Margin, left
+from ..tracker.intersample import at_nodes
 from ..tracker.loop import Array
+from .recoverable import Margin, left
 from .row_table import RowTable
 
 COARSE = (0.5, 0.05)

@@ -1,0 +1,1 @@
+"""Claims of a certificate, each derived again: safety, goal, velocity change, drifts, aborts."""

@@ -1,0 +1,283 @@
+"""What a run claims of the goal and of the velocity change, derived again from the sets of the argument."""
+
+from bisect import bisect_right
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..kernel.arcs import Path
+from ..kernel.balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
+from ..kernel.motion import Motion
+from ..kernel.verdict import Rejected, Undecided
+from ..kernel.zonotopes import Merging, Zonotope
+from ..model.loop import Memory, Needs
+from ..model.scheduled import Scheduled
+from .flights import Flown, Pilot, fly
+from .goal_rows import Weighted
+from .spending import spent
+
+SHARE, SOON = 0.05, 0.25
+"""Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
+HOLDING = 0.3
+"""By how much more what counts as reached may be than what S needs for ever: it is claimed with less,
+but of a number that others derive a little differently."""
+SLACK = 1e-6  # by how much a claim may fall short of what is derived, relative to it
+MOST = 300  # nodes at which a distance is looked for that is claimed of none in particular
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """S along the tail.
+
+    `held` are sets that each hold all errors, at the last hand-over to S and at T, with how many nodes it is
+    until T; `spent` bounds the velocity change until T [m/s].
+    """
+
+    document: Document
+    path: Path
+    loop: Motion
+    memory: Memory
+    held: tuple[tuple[Zonotope, int], ...]
+    spent: arb
+    scheduled: Scheduled | None = None
+    pilot: Pilot | None = None  # S, where it is flown on
+    merging: Merging = field(default_factory=lambda: Merging(80))
+    _flown: list[Flown] = field(default_factory=list, repr=False)
+    _joint: dict[int, arb] = field(default_factory=dict, repr=False)
+    _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
+    _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
+    _caused: dict[int, tuple[arb_mat, list[list[arb]]]] = field(default_factory=dict, repr=False)
+
+    def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
+        """Refuse a claim that does not hold; returns what was confirmed.
+
+        Distance, drift and velocity change are those of one node of the tail: the one that is named, if the
+        goal is claimed to be reached, else any.
+        """
+        reached, by = claim["reached"] is True, claim["by_s"]
+        if reached == (by is None):
+            raise Rejected(
+                "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
+            )
+        rows = Weighted.of(spec, self.soon, self.document)
+        needs = Needs(self.loop, self.memory, rows.rows)
+        self.tolerated(claim, spec, rows.scale, self.holding(needs))
+        seconds = claim["velocity_time_s"]
+        if (seconds is None) != (rows.seconds is None):
+            raise Rejected("goal", "velocities count as a length exactly where the goal asks for some")
+        if rows.seconds is not None:
+            off = rows.seconds * SLACK - abs(rows.seconds - seconds)
+            require(
+                "goal", off, f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
+            )
+        nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
+        refusals: list[Rejected | Undecided] = []
+        for node in nodes:
+            try:
+                self.no_less("distance from the goal", claim["distance_m"], self._distance(rows, needs, node))
+                self._drift(claim["drift_m_per_orbit"], node)
+                spent = self.spent + self.correcting(node)
+                self.no_less("velocity change", claim["delta_v_max_m_s"], spent)
+            except (Rejected, Undecided) as error:
+                refusals.append(error)
+            else:
+                within = f"within {claim['distance_m']:.4g} m"
+                return (
+                    f"reached by {by:.6g} s, {within}" if reached else f"not claimed to be reached, {within}"
+                )
+        raise refusals[0]
+
+    def keeps(self, claim: dict[str, Any], budget: float) -> str:
+        """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
+        if claim["reached"] is True:
+            spent, until = arb(claim["delta_v_max_m_s"]), "the goal"
+        else:
+            spent, until = self.spent / (1 + arb(SLACK)), "T: the goal is not claimed to be reached"
+        told = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
+        require("schedule", budget - spent, told)
+        return f"at most {told}"
+
+    @property
+    def soon(self) -> arb:
+        """Time in which a velocity is a length [s]."""
+        return arb(SOON) * self.document.steps * self.document.delta
+
+    def holding(self, needs: Needs) -> arb:
+        """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
+        off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
+        most = sums(needs.settled, off, *needs.upset[-1:])
+        return largest(sums(most, self.from_thrust(needs.rows, self._last)) if self.scheduled else most)
+
+    def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
+        """What counts as reached is no more than the scenario says, and what is reached is within it."""
+        given = spec.get("tolerance_m")
+        allowed = largest((arb(SHARE) * scale, settled * (1 + arb(HOLDING)))) if given is None else arb(given)
+        told = "the tolerance is more than the scenario's"
+        require("goal", allowed * (1 + SLACK) - claim["tolerance_m"], told)
+        if claim["reached"] is True:
+            spare = arb(claim["tolerance_m"]) - claim["distance_m"]
+            require("goal", spare, "the distance is more than tolerated")
+
+    def node_at(self, by: float) -> int:
+        """The node of the tail at an instant [s]."""
+        doc = self.document
+        T = doc.steps * doc.delta
+        if T * (1 - 1e-9) <= by <= doc.cells * doc.delta * (1 + 1e-9):
+            node = min(max(round((by - T) / doc.delta * doc.q), 0), self._last)
+            if abs((doc.steps + arb(node) / doc.q) * doc.delta - by) <= 1e-9 * by:
+                return node
+        raise Rejected("goal", f"{by:.6g} s is no instant of the tail")
+
+    @property
+    def _last(self) -> int:
+        """The last node of the tail."""
+        return (self.document.cells - self.document.steps) * self.document.q
+
+    def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
+        """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
+        final, claimed = self.held[-1][0], claim["distance_m"]
+        most = arb(claim["delta_v_max_m_s"]) * (1 + SLACK)
+        size, found = final.size(), list[tuple[float, int]]()
+        far = 1
+        while far < self._last and not self.spent + self.correcting(far) > most:
+            far *= 2
+        every = range(min(far, self._last) + 1)
+        late = bisect_right(every, most, key=lambda node: self.spent + self.correcting(node))
+        for node in every[: max(late, 1)]:
+            lag = min(node, self.memory.periods)
+            middle = rows.over(self._state(node))
+            if node <= self.memory.periods:
+                middle = sums(middle, (needs.carried[lag] * final.c).entries())
+            if not rows.distance(middle) > arb(claimed) * (1 + SLACK):
+                reach = (magnitude(needs.carried[lag]) * size).entries()
+                found.append((float(rows.distance(sums(middle, reach, needs.responses[lag])).mid()), node))
+        if not found:
+            raise Rejected("goal", f"not even the middle of the flights comes as near as {claimed:.6g} m")
+        return [node for _, node in sorted(found)[:MOST]]
+
+    def no_less(self, what: str, claimed: float, derived: arb) -> None:
+        """What is claimed is no less than what is derived, up to rounding."""
+        spare = arb(claimed) * (1 + SLACK) - derived
+        require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
+
+    def after(self, nodes: int) -> list[Flown]:
+        """S from T on, for at least so many periods."""
+        doc = self.document
+        reached = self.held[-1][0].grown(diagonal(magnitude(self.path.jump).entries()))
+        assert self.pilot is not None
+        while len(self._flown) * doc.q < nodes:
+            k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
+            pilot = self.pilot.knowing(doc.known_to(k))
+            self._flown.append(fly(pilot, start, k, self.path, None, self.merging))
+        return self._flown
+
+    def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
+        """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
+        found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
+        for z, since in self.held:
+            lag = since + node
+            parts = [(needs.disturbed if around else needs.at_nodes)[min(lag, periods + 1)]]
+            if lag > periods:
+                parts.append(needs.still(z.size()))
+            else:
+                parts.append(z.support(needs.carried[lag]))
+                parts += [needs.booked(z, lag)] if around else []
+            found.append(sums(*parts))
+        least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
+        least = sums(least, self.from_thrust(needs.rows, node)) if self.scheduled else least
+        if not around:  # commands do not answer to what is displaced
+            least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
+        if node > periods:
+            return sums(least, needs.still(jump))
+        carried = magnitude(needs.carried[node])
+        least = sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
+        if around or not self.document.profile or node == self._last:
+            return least
+        pairs = zip(least, self._flown_at(needs.rows, node), strict=True)
+        return [smallest(pair) for pair in pairs]
+
+    def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
+        """What errors need along rows at a node after T in the sets that S flies then."""
+        cell, place = divmod(node, self.document.q)
+        step = self.after(node + 1)[cell]
+        z = step.nodes[place - 1] if place else step.start
+        return sums(z.support(rows), (magnitude(rows) * column(self.document.at_nodes)).entries())
+
+    def from_thrust(self, rows: arb_mat, node: int) -> list[arb]:
+        """What errors of scheduled commands add along rows from a node of the tail on."""
+        if id(rows) not in self._caused:
+            assert self.scheduled is not None
+            tail = self.scheduled.along(rows)[min(self.document.steps, self.document.cells - 1) :]
+            q = self.document.q
+            later = [tail[-1][-1]] * (len(tail) * q + 1)
+            most = later[-1]
+            for cell, place in product(reversed(range(len(tail))), reversed(range(q + 1))):
+                most = [largest(pair) for pair in zip(most, tail[cell][place], strict=True)]
+                later[cell * q + place] = most
+            self._caused[id(rows)] = rows, later
+        later = self._caused[id(rows)][1]
+        return later[min(node, len(later) - 1)]
+
+    def _state(self, node: int) -> arb_mat:
+        """State of the reference at a node of the tail."""
+        cell, place = divmod(node, self.document.q)
+        arcs, at = self.path.arcs, self.document.steps + cell
+        return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
+
+    def _distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
+        """How far a flight may be from the goal at a node."""
+        return rows.distance(sums(rows.over(self._state(node)), self._at(needs, node)))
+
+    def _drift(self, claimed: float | None, node: int) -> None:
+        doc = self.document
+        if doc.system_kind != "clohessy_wiltshire":
+            if claimed is not None:
+                raise Rejected("goal", "a drift per orbit needs Hill's frame")
+            return
+        if claimed is None:
+            return
+        both = self._drifting.rows
+        most = largest(sums((both * self._state(node)).entries(), self._at(self._drifting, node)))
+        self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
+
+    @cached_property
+    def _drifting(self) -> Needs:
+        row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
+        return Needs(self.loop, self.memory, above(matrix([row]), -matrix([row])))
+
+    def correcting(self, nodes: int) -> arb:
+        """Bound on S's velocity change over periods after T [m/s]."""
+        doc, plant = self.document, self.loop.plant
+        for node in range(len(self._summed) - 1, nodes):
+            most = self.tops(node, doc.inputs[doc.steps + node // doc.q])
+            tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
+            self._summed.append(self._summed[-1] + plant.spent(tops))
+        if nodes not in self._joint:
+            self._joint[nodes] = spent(self.after(nodes), nodes)
+        return smallest([self._summed[nodes], self._joint[nodes]]) / doc.mass
+
+    def tops(self, node: int, u: list[float]) -> list[arb]:
+        """What S commands at most in the period after a node, about inputs u of the reference."""
+        m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
+        doc = self.document
+        known = replace(self.loop.plant, estimate=tuple(doc.known_to(doc.steps)))
+        error = known.command_error(matrix(doc.laws[0].gain or []))
+        ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
+        return [
+            (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
+        ]
+
+    @cached_property
+    def _commands(self) -> Needs:
+        gain = matrix(self.document.laws[0].gain or [])
+        return Needs(self.loop, self.memory, above(gain, -gain))
+
+    def _thrust(self, node: int) -> list[arb]:
+        """What S commands for errors, of both signs, in the periods on both sides of a node."""
+        if node not in self._known:
+            self._known[node] = self._at(self._commands, node, around=True)
+        return self._known[node]

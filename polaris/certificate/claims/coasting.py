@@ -1,0 +1,88 @@
+"""The reference as it is flown, and on after T as long as it takes."""
+
+from dataclasses import replace
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..files.parts import UnsafeSet, Vector
+from ..kernel.arcs import Arc, Path
+from ..kernel.balls import column, largest, magnitude, matrix, plain, require
+from ..kernel.motion import Plant
+from ..kernel.verdict import Imprecise, Rejected
+from ..model.loop import Memory
+
+PATH_SLACK = 1e-9
+"""Largest difference between stored and exact reference, relative to its size: rounding of doubles."""
+
+JUMP_SLACK = 2e-5
+"""Largest step of the reference at T, relative to its size. It is booked; more would not be rounding."""
+
+
+def flown_path(document: Document, plant: Plant, tail: Vector) -> Path:
+    """The exact motion under the stored inputs; from T on from a state of which an orbit closes exactly."""
+    coasts = column(tail)
+    if document.system_kind == "clohessy_wiltshire" and document.horizon == "infinite":
+        coasts[4, 0] = -plant.A[3, 4] * coasts[0, 0]  # v_y = -2 eta r_x
+    return Path.propagate(plant, column(document.center), document.inputs, document.steps, coasts)
+
+
+def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, list[list[int]]]:
+    """The path and its facets; for a claim for ever, until the loop has forgotten what it was at T.
+
+    Where the tail is shorter than that, the reference coasts on as it would, past sets at rest: any
+    facet will do, and the one with most room is taken.
+    """
+    doc, chosen, arcs = document, list(document.facets), list(path.arcs)
+    missing = doc.steps * doc.q + memory.periods - doc.cells * doc.q if doc.horizon == "infinite" else 0
+    for _ in range(-(-missing // doc.q)):
+        arcs.append(Arc.of(path.plant, arcs[-1].nodes[-1], arb_mat(len(doc.u_max), 1)))
+        chosen.append([_widest_facet(item, arcs[-1]) for item in doc.unsafe])
+    last = arcs[-1].nodes[-1]
+    if not largest(x.rad() for x in last.entries()) <= PATH_SLACK * largest(magnitude(last).entries()):
+        raise Imprecise("recoverable", "precision is lost before the loop has forgotten what it was at T")
+    return replace(path, arcs=arcs), chosen
+
+
+def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
+    """The facet of a set at rest that leaves an arc most room."""
+    rows, offsets = -(matrix(item.normals) * arc.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
+    room = arc.room(rows, offsets)
+    least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
+    return least.index(max(least))
+
+
+def check_end(document: Document, path: Path) -> str:
+    """What is claimed about the time after T follows from what has been shown; returns what is confirmed."""
+    doc, tail = document, document.cells - document.steps
+    last = arb(doc.cells) * doc.delta
+    if doc.horizon == "infinite":
+        _closes(doc, path, tail)
+        if doc.until is not None:
+            raise Rejected("end", "an infinite claim has no last instant")
+    else:
+        if doc.until is None:
+            raise Rejected("end", f"the claim {doc.horizon} must name its last instant")
+        most = last if doc.horizon == "one_period" else arb(doc.steps) * doc.delta
+        told = f"safe until {plain(most)} s, {doc.until:.6g} claimed"
+        require("end", most * (1 + 1e-12) - doc.until, told)
+        if doc.horizon == "one_period" and not tail:
+            raise Rejected("end", "one period is claimed, but the reference ends at T")
+    until = "" if doc.until is None else f", until {doc.until:.6g} s"
+    return doc.horizon + until
+
+
+def _closes(doc: Document, path: Path, tail: int) -> None:
+    """The coasting motion repeats, and one turn of it lies in the tail with all sets at rest."""
+    moving = [item.name for item in doc.unsafe if doc.moves(item)]
+    if moving:
+        raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
+    if any(any(u) for u in doc.inputs[doc.steps :]):
+        raise Rejected("end", "the tail does not coast")
+    if doc.system_kind == "clohessy_wiltshire":
+        turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
+        require("end", arb(tail) * doc.delta - turn, f"the tail has {tail} steps, less than one turn")
+    else:
+        rate = path.plant.A * path.arcs[doc.steps].nodes[0] if tail else column([1])
+        if any(not x.is_zero() for x in rate.entries()):
+            raise Rejected("end", "the reference does not come to rest exactly")

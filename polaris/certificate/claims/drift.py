@@ -1,0 +1,204 @@
+"""Passive safety: if all thrust stops at any instant of a step, the drift stays clear of the unsafe sets.
+
+A flight whose thrust stops in a step drifts as if it had been at a place of the step's start all along. The
+certificate encloses these places by parallelotopes, one after another for groups of periods; that they do is
+shown period by period (`Departures`), that the drift from each stays clear, over a time that begins with the
+step, facet by facet (`clear`).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..files.parts import Abort, Departure
+from ..kernel.arcs import Arc
+from ..kernel.balls import (
+    beside,
+    column,
+    exponential,
+    exponential_over,
+    identity,
+    largest,
+    magnitude,
+    matrix,
+    plain,
+    require,
+    row_sums,
+    smallest,
+)
+from ..kernel.motion import Motion, Plant
+from ..kernel.verdict import Rejected, Undecided
+from ..kernel.zonotopes import Zonotope
+
+SLACK = 1e-9  # by how much a horizon and a distance may fall short, relative to them: they are rounded
+MOST_PARTS = 20_000  # most parts of steps over which a drift is followed
+
+
+@dataclass(frozen=True, eq=False)
+class Departures:
+    """Where thrust may stop in one step, as of its start, in the periods one after another."""
+
+    plant: Plant
+    k: int
+    groups: list[Departure]
+    displaced: list[float]  # how far jitter may displace every state
+
+    @cached_property
+    def _group(self) -> list[int]:
+        """Which group every period belongs to."""
+        return [g for g, group in enumerate(self.groups) for _ in range(group.periods)]
+
+    @cached_property
+    def _inverses(self) -> list[arb_mat]:
+        try:
+            return [matrix(group.axes).transpose().inv() for group in self.groups]
+        except ZeroDivisionError as error:
+            raise Rejected(
+                "passive", f"axes of the departures in step {self.k} are not independent"
+            ) from error
+
+    @cached_property
+    def _back(self) -> list[arb_mat]:
+        """``e^{-A t}`` from every node of the step."""
+        plant = self.plant
+        return [exponential(-plant.A, plant.h * i)[0] for i in range(plant.q + 1)]
+
+    @cached_property
+    def _over(self) -> arb_mat:
+        return magnitude(exponential_over(-self.plant.A, self.plant.h))
+
+    def check(self, i: int, base: Arc, d: Zonotope, moved: Zonotope, end: Zonotope, bow: list[arb]) -> None:
+        """Every state in which thrust may stop in period i leads back into the group's parallelotope.
+
+        `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `moved` the second
+        less the first, point by point; `bow` bounds how far states leave the chords (Lemma 28).
+        """
+        A, h, first, last = self.plant.A, self.plant.h, base.nodes[i], base.nodes[i + 1]
+        group = self.groups[self._group[i]]
+        inverse, centre = self._inverses[self._group[i]], column(group.center)
+        ends = d.moved(first), end.moved(last)
+        size = column([largest(pair) for pair in zip(*(z.size().entries() for z in ends), strict=True)])
+        apart = moved.moved(last - first).size()
+        bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
+        beyond = (
+            magnitude(inverse * self._back[i]) * (self._over * (column(bow) + column(self.displaced) + bent))
+        ).entries()
+        for z, back in zip(ends, self._back[i : i + 2], strict=True):
+            M = inverse * back
+            middle = (M * z.c - inverse * centre).entries()
+            for axis, (at, spread, more) in enumerate(zip(middle, z.spread(M), beyond, strict=True)):
+                told = f"axis {axis} of where thrust may stop, step {self.k}, part {i}"
+                require("passive", 1 - abs(at) - spread - more, told)
+
+
+@dataclass(frozen=True, eq=False)
+class Drifts:
+    """Free motion from the steps of a certificate that claims something of it."""
+
+    document: Document
+    plant: Plant
+
+    @cached_property
+    def _claim(self) -> Abort:
+        drift = self.document.drift
+        assert drift is not None
+        return drift
+
+    @cached_property
+    def _cells(self) -> int:
+        """Steps that a drift is followed over: those of the horizon, and the one in which thrust stops."""
+        doc, drift = self.document, self._claim
+        runs = [run for groups in drift.steps for group in groups or () for run in group.facets[:1]]
+        parts = max((sum(length for length, _ in run) for run in runs), default=0)
+        cells = -(-parts // drift.parts)
+        if parts > MOST_PARTS:
+            raise Undecided("passive", f"a drift over more than {MOST_PARTS} parts of steps is not followed")
+        if runs:
+            spare = (cells - 1) * arb(doc.delta) - arb(drift.horizon) * (1 - SLACK)
+            require("passive", spare, f"the drift is followed for {cells} steps")
+            if any(len(item.start) < doc.steps + cells for item in doc.unsafe):
+                raise Rejected("passive", "unsafe sets are not known for as long as the drift is followed")
+        return cells
+
+    @cached_property
+    def _motion(self) -> Motion:
+        """Free motion over one part of a step."""
+        return replace(self.plant, h=arb(self.document.delta) / self._claim.parts, q=1).open
+
+    @cached_property
+    def _powers(self) -> list[arb_mat]:
+        found = [identity(len(self.document.A))]
+        for _ in range(self._cells * self._claim.parts):
+            found.append(found[-1] * self._motion.phi)
+        return found
+
+    def _bookings(self, item: int, facet: int) -> tuple[arb_mat, arb_mat, list[arb]]:
+        """Of a facet: its row ``-n C``, what bends in a part, what disturbs by the end of each."""
+        key = item, facet
+        if key not in self._known:
+            motion = self._motion
+            row = -(matrix([self.document.unsafe[item].normals[facet]]) * self.plant.C)
+            rows = matrix([(row * M).entries() for M in self._powers[:-1]])
+            gained = motion.push_gain(rows, self.plant.disturbance)
+            pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))
+            self._known[key] = row, motion.bend(row * self.plant.A), pushed
+        return self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, int], tuple[arb_mat, arb_mat, list[arb]]]:
+        return {}
+
+    def check(self, least: float | None) -> str:
+        """Every drift that the certificate calls clear is; returns what was confirmed."""
+        doc, drift = self.document, self._claim
+        found = [
+            room
+            for k, groups in enumerate(drift.steps)
+            for group in groups or ()
+            for room in self._clear(k, group)
+        ]
+        if least is not None and found:
+            told = f"the drift keeps {least:.6g} m"
+            require("passive", smallest(found) - arb(least) * (1 - SLACK), told)
+        count = sum(groups is not None for groups in drift.steps)
+        return f"the drift from {count} of {doc.steps} steps stays clear for {drift.horizon:.6g} s"
+
+    def _clear(self, k: int, group: Departure) -> list[arb]:
+        """Room that the drift from one group of periods of step k leaves, of every unsafe set the least."""
+        count, least = len(self._powers) - 1, []
+        sets = beside(column(group.center), matrix(group.axes).transpose())
+        states = [power * sets for power in self._powers]
+        sizes = [column(row_sums(state)) for state in states]
+        asked = [o for o, item in enumerate(self.document.unsafe) if self._claim.keep_in or not item.keep_in]
+        if len(asked) != len(group.facets):
+            told = f"step {k} has facets of {len(group.facets)} unsafe sets, not {len(asked)}"
+            raise Rejected("passive", told)
+        for o, runs in zip(asked, group.facets, strict=True):
+            known = range(len(self.document.unsafe[o].normals))
+            if sum(length for length, _ in runs) != count or any(f not in known for _, f in runs):
+                raise Rejected("passive", f"step {k} must name a facet in {count} parts")
+            chosen = [facet for length, facet in runs for _ in range(length)]
+            least.append(smallest(self._rooms(k, o, chosen, states, sizes)))
+        return least
+
+    def _rooms(
+        self, k: int, o: int, chosen: list[int], states: list[arb_mat], sizes: list[arb_mat]
+    ) -> list[arb]:
+        """Room beyond one facet of one unsafe set in every part."""
+        p, item, found = self._claim.parts, self.document.unsafe[o], []
+        for j, facet in enumerate(chosen):
+            row, bend, pushed = self._bookings(o, facet)
+            cell, place = divmod(j, p)
+            first, last = arb(item.start[k + cell][facet]), arb(item.end[k + cell][facet])
+            more = (bend * sizes[j])[0, 0] + pushed[j]
+            for at in (0, 1):
+                middle, *spread = (row * states[j + at]).entries()
+                offset = first + (last - first) * arb(place + at) / p
+                room = -offset - middle - sum(map(abs, spread), more)
+                told = f"the drift from step {k} to {item.name}, {j + 1} parts on: {plain(room)} m"
+                require("passive", room, told)
+                found.append(room)
+        return found

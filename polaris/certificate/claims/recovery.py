@@ -1,0 +1,189 @@
+"""Recoverability: from the set reached at a switch, the safety controller keeps to every limit to the end.
+
+The limits are facets of unsafe sets, and the thrusters'.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..kernel.arcs import Path
+from ..kernel.balls import above, beside, plain, require, row_of, spans, sums
+from ..kernel.verdict import Rejected
+from ..kernel.zonotopes import Zonotope
+from ..model.limits import Limits, Target, levels_of
+from ..model.loop import Needs
+from ..model.scheduled import Scheduled
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """Limits, reduced by the jump at the start of the tail, against needs along their rows."""
+
+    document: Document
+    limits: Limits
+    needs: Needs
+    levels: list[list[Target]] = field(default_factory=list)
+    """What feedback may command l periods after a hand-over; the last ones hold from then on."""
+
+    @classmethod
+    def of(
+        cls,
+        document: Document,
+        path: Path,
+        limits: Limits,
+        needs: Needs,
+        noise: list[arb],
+        scheduled: Scheduled | None,
+    ) -> "Recovery":
+        """Against what the jump, and errors by the time of the flight, leave of limits around a path."""
+        limits = limits.less_jump(needs, path)
+        if scheduled is not None:
+            limits = limits.less(scheduled.along(limits.rows))
+        return cls(document, limits, needs, levels_of(document, noise, needs, path))
+
+    @property
+    def nodes(self) -> int:
+        """Number of the last node."""
+        return self.document.q * len(self.limits.targets)
+
+    def time(self, node: int) -> str:
+        """Time of a node, for messages."""
+        return f"{node / self.document.q * self.document.delta:.6g} s"
+
+    def lags(self, node: int) -> int:
+        """Number of periods after a node that are looked at one by one."""
+        return min(self.needs.memory.periods, self.nodes - node)
+
+    @cached_property
+    def _least(self) -> list[dict[int, Target]]:
+        """For every cell the limit of least room, by row, among those of that cell and all later ones."""
+        found: list[dict[int, Target]] = [{}]
+        for nodes in reversed(self.limits.targets[: self.document.cells]):
+            least = dict(found[-1])
+            for target in (target for met in nodes for target in met):
+                if target.row not in least or not least[target.row].room <= target.room:
+                    least[target.row] = target
+            found.append(least)
+        return found[::-1]
+
+    def _far_cell(self, node: int) -> int:
+        """First cell whose limits lie beyond the memory, seen from a node."""
+        doc = self.document
+        most = doc.steps if doc.horizon == "infinite" else doc.cells  # all of a tail that repeats lies ahead
+        return min(node // doc.q + self.needs.memory.periods // doc.q, most)
+
+    def check_sets(self, reached: dict[int, Zonotope], margins: dict[int, float]) -> float:
+        """Check that each set is recoverable, and inside by the share of the room that is claimed.
+
+        `reached` are sets of errors at nodes, `margins` shares of the room claimed to be left.
+        A bound from the extents of the set comes first; only where it does not do, the exact support. Returns
+        the least share found where that was needed; 1 if nowhere.
+        """
+        sizes = beside(*(reached[k].size() for k in sorted(reached)))
+        worst = 1.0
+        coarse = [
+            [[float(x.abs_upper()) for x in row] for row in (spans(rows, sizes) + bend * sizes).tolist()]
+            for rows, bend in zip(self.needs.carried, self.needs.bend, strict=True)
+        ]
+        for place, k in enumerate(sorted(reached)):
+            share = max(margins.get(k, 0.0), 0.0)
+            close: dict[tuple[int, int], list[Target]] = {}
+            for lag in range(self.lags(k) + 1):
+                of, most, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
+                for target in self._all(k, lag):
+                    row, room, whole = target.least
+                    if not most[row][place] + more[row] <= room - of * whole:
+                        close.setdefault((lag, row), []).append(target)
+            if close:
+                worst = min(worst, self._check_close(k, reached[k], close, share))
+            if share > 0:
+                self._check_late(k, reached[k], share)
+        return worst
+
+    @cached_property
+    def _disturbed(self) -> list[list[float]]:
+        return [[float(x.abs_upper()) for x in each] for each in self.needs.disturbed]
+
+    def _all(self, node: int, lag: int) -> list[Target]:
+        """Limits that a set at a node must keep to some periods later."""
+        booked = self.levels[min(lag, len(self.levels) - 1)] if self.levels else []
+        return self.limits.at(node + lag, first=lag == 0) + booked
+
+    def _of(self, share: float, node: int, lag: int) -> float:
+        """The share claimed of limits some periods after a node: none of those flown on to."""
+        return share if node + lag <= self.document.cells * self.document.q else 0.0
+
+    def _check_late(self, k: int, z: Zonotope, share: float) -> None:
+        """The share claimed at a set is left of all limits beyond the memory, too."""
+        late = self.needs.still(z.size())
+        for row, target in self._least[self._far_cell(k)].items():
+            need = late[row] + self.needs.disturbed[-1][row]
+            where = f"the set at {self.time(k)}, {target.name} beyond the memory of the loop"
+            self._leaves(share, target, need, where)
+
+    def _leaves(self, share: float, target: Target, need: arb, where: str) -> None:
+        """A need, that of a jump included, leaves a share of the room, up to rounding of the stored share."""
+        room, whole = target.room, target.whole
+        if not room - need >= share * whole * (1 - MARGIN_SLACK) - whole * MARGIN_SLACK:
+            left = float(((room - need) / whole).mid()) if room > 0 else 0.0
+            told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
+            raise Rejected("margins", f"{told}: needs {plain(need)} of {plain(room)}", share - left)
+
+    def _check_close(
+        self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
+    ) -> float:
+        needs, worst = self.needs, 1.0
+        support = z.support(above(*(row_of(needs.carried[lag], row) for lag, row in close)))
+        booked = above(*(row_of(needs.bend[lag], row) for lag, row in close)) * z.size()
+        for ((lag, row), targets), most, extra in zip(close.items(), support, booked.entries(), strict=True):
+            disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
+            for target in targets:
+                need, room = most + extra + disturbance, target.room
+                if not room - need >= of * target.whole:  # all of it can be had more exactly
+                    at = row_of(needs.carried[lag], row)
+                    most = sums((at * z.c).entries(), z.spread(at))[0]
+                    need = most + needs.booked(z, lag)[row] + disturbance
+                where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
+                where += " under the safety controller"
+                require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")
+                if target.whole > 0:
+                    worst = min(worst, float(((room - need) / target.whole).lower()) if room > 0 else 0.0)
+                self._leaves(of, target, need, where)
+        return worst
+
+    def check_far(self) -> None:
+        """Check the limits beyond the memory of the loop, for every set within the memory's extent."""
+        need = sums(self.needs.forgotten, self.needs.disturbed[-1])
+        for cell in range(self._far_cell(0), len(self.limits.targets)):
+            for i, met in enumerate(self.limits.targets[cell]):
+                for t in (*met, *(self.levels[-1] if self.levels else ())):
+                    if need[t.row] <= t.room:
+                        continue
+                    at = self.time(cell * self.document.q + i)
+                    where = f"errors forgotten by the loop, {t.name} at t = {at}"
+                    told = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
+                    require("recoverable", t.room - need[t.row], told)
+
+    def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
+        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
+        per = self.needs.per_norm(inverse)
+        coarse = [[float(x.abs_upper()) for x in each] for each in per]
+        for step, radius in enumerate(radii):
+            k = step * self.document.q
+            for lag in range(self.lags(k) + 1) if radius > 0 else ():
+                most, more = coarse[lag], self._disturbed[lag]
+                for t in self._all(k, lag):
+                    row, room, _ = t.least
+                    if most[row] * radius + more[row] <= room:
+                        continue
+                    spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
+                    if not spare >= -MARGIN_SLACK * abs(t.room):
+                        where = f"radius {radius:.6g} at {self.time(k)}, {t.name} at {self.time(k + lag)}"
+                        require("recoverable_sets", spare, where)
+
+
+MARGIN_SLACK = 1e-6
+"""Slack of stored margins and radii, as a share of the room: they are results in double precision."""

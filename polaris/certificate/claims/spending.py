@@ -1,0 +1,78 @@
+"""What thrusters spend at most: period by period from sets, and in linear loops all periods at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import accumulate, groupby, islice
+
+from flint import arb, arb_poly
+
+from ..kernel.balls import above, column, identity, magnitude, row_sums, smallest
+from ..kernel.periods import Spell
+from .flights import Flown
+
+LONGEST, SQUARED = 4000, 4
+"""Most periods that are looked at all at once; how often the power of a response is squared for its peak."""
+
+TOP = 2 ** (SQUARED + 1)  # the power of the response that it is
+
+
+def spent(flights: Iterable[Flown], periods: int | None = None) -> arb:
+    """Bound on the integral of the thrust over so many periods on end, of flights that follow each other."""
+    total, left = arb(0), periods
+    alike = groupby(flights, lambda one: (id(one.pilot.law), all(spell.errors for spell in one.spells)))
+    for (_, linear), parts in alike:
+        run = list(parts)
+        spells = list(islice((spell for one in run for spell in one.spells), left))
+        left = None if left is None else left - len(spells)
+        apart = sum((spell.spent for spell in spells), arb(0))
+        joint = linear and 0 < len(spells) <= LONGEST
+        total += smallest([apart, together(run[0], spells)]) if joint else apart
+    return total
+
+
+def together(first: Flown, spells: Sequence[Spell]) -> arb:
+    """The same of periods under one linear law from a set, all at once (Proposition 45)."""
+    plant, count = first.pilot.plant, len(spells)
+    loop, m = plant.loop(first.pilot.gain), plant.B.ncols()
+    rows = list(accumulate(range(count - 1), lambda row, _: row * loop.phi, initial=first.pilot.gain))
+    stacked = above(*rows)
+    pushes = loop.gains_over(stacked, loop.disturbances, 1)[0]
+    since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
+    base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
+    base = sum([*row_sums(stacked * first.start.G), *since], base)
+    push = -(loop.gamma * plant.B)
+    answers = [row * push for row in rows]
+    size = sum(map(magnitude, answers[1:]), magnitude(answers[0]))
+    commanded, applied = size, size + identity(m)
+    for a in range(m):
+        own = [answer[a, a] for answer in answers]
+        commanded[a, a] = smallest([commanded[a, a], peak(own)])
+        applied[a, a] = smallest([applied[a, a], peak([arb(1), *own]).max(arb(1))])
+    within = magnitude(plant.A) * magnitude(loop.over) * magnitude(plant.B) * (plant.h**2 / 2)
+    rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * within
+    known, made = (
+        column([_long(each, count) for each in zip(*part, strict=True)])
+        for part in zip(*(spell.errors for spell in spells), strict=True)
+    )
+    if plant.carried:  # what is commanded, and the errors of what is made of it
+        most, more = applied * known + (commanded + rest) * made, arb(0)
+        more += sum((x for spell in spells for x in spell.errors[1]), more)
+    else:  # what is applied, but for errors that stand for pulses
+        more = arb(count * m) * (plant.bit - replace(plant, thrusters=plant.prompt).bit)
+        most = (applied + rest) * (known + made)
+    return (base + sum(most.entries(), more)) * plant.h
+
+
+def _long(sizes: Iterable[arb], count: int) -> arb:
+    """Square root of a count times the sum of squares."""
+    return (sum((x * x for x in sizes), arb(0)) * count).sqrt()
+
+
+def peak(response: Sequence[arb]) -> arb:
+    """Bound on the largest amplification of any frequency by a response: by a power of its spectrum."""
+    power = arb_poly(list(response)) * arb_poly(list(response)[::-1])
+    for _ in range(SQUARED):
+        power = power * power
+    return sum((abs(x) for x in power.coeffs()), arb(0)).root(TOP)

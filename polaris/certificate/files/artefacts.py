@@ -1,0 +1,243 @@
+"""The other files of the run folder: hashes, and what the readable ones say about the same numbers."""
+
+import csv
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from ..claims.lemma import Stated
+from ..kernel.verdict import Record, Rejected
+from ..model.onnx_file import check_file
+from ..model.plants import plant_of
+from .document import Document
+from .file_keys import FLOWN
+from .file_keys import SUMMARY as SUMMARY_KEYS
+from .repeated import check_gains, check_reference, check_schedule, limit_names, same, share, switches
+from .scenario_keys import check_keys
+from .structure import LARGEST_SCENARIO, conform, contents, every, found, sha256, strict_json
+
+NEEDED = (
+    *("scenario.toml", "schedule.json", "schedule.csv", "reference.csv", "gains.json"),
+    *("sets.npz", "tubes.npz", "trajectories.npz"),
+)
+"""Files that belong to a run; the last three are hashed, not read."""
+
+MOST_DOTS = 50  # most dots in a key of the scenario: reading takes the square of their number; keys need two
+TEXTS = re.compile(
+    r"#[^\n]*"
+    r'|"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}'
+    r'|"(?:[^"\\\n]|\\[^\n])*"|\'[^\'\n]*\'',
+    re.DOTALL,
+)
+"""Comments and quoted texts, whose dots do not count."""
+SUMMARY = "summary.json"  # has wall times, so it has no hash; what it claims is compared
+
+
+def has_artefacts(document: Document, folder: Path) -> bool:
+    """Whether any file of a run folder lies beside the certificate, named in it or not."""
+    return any(found(folder / name) for name in (*NEEDED, SUMMARY, *document.artefacts))
+
+
+def check_hashes(document: Document, folder: Path, record: Record) -> None:
+    """Compare every file that the certificate names with its hash; it must name all that are needed."""
+    for name, known in sorted(document.artefacts.items()):
+        if name != Path(name).name or not (folder / name).is_file():
+            raise Rejected("artefacts", f"{ascii(name)} is missing")
+        there = sha256(folder / name)
+        if there != known:
+            raise Rejected("artefacts", f"{ascii(name)} has the hash {there}, not {ascii(known)}")
+    for name in NEEDED:
+        if name not in document.artefacts:
+            raise Rejected("artefacts", f"no hash of {name}")
+    record.holds("artefacts", f"{len(document.artefacts)} files")
+
+
+def check_networks(document: Document, scenario: dict[str, Any], folder: Path, record: Record) -> None:
+    """Layers are those of the files that the scenario names, copied into the folder."""
+    laws = zip(document.laws[1:], scenario["experimental"], strict=True)
+    networks = [(law, Path(spec["path"]).name) for law, spec in laws if law.kind == "neural"]
+    for law, name in networks:
+        if name not in document.artefacts:
+            raise Rejected("artefacts", f"no hash of {ascii(name)}")
+        check_file(law, folder / name)
+    if networks:
+        record.holds("controllers", f"layers of {len(networks)} networks are those of their files")
+
+
+def read_scenario(folder: Path) -> dict[str, Any]:
+    """The scenario file, its keys, types and ranges checked."""
+    data = contents(folder / "scenario.toml", LARGEST_SCENARIO)
+    try:
+        text = data.decode("utf-8")
+        if max(part.count(".") for part in re.split(r"[=,{[\n]", TEXTS.sub("", text))) > MOST_DOTS:
+            raise ValueError(f"a key has more than {MOST_DOTS} dots")
+        scenario = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise Rejected("artefacts", f"scenario.toml cannot be read: {error}") from error
+    check_keys(scenario)
+    return scenario
+
+
+def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], record: Record) -> Stated:
+    """Compare the certificate with the files that can be read; returns what remains to be confirmed.
+
+    A file that says something else is `Rejected` under the claim that it is about, one that cannot be read
+    under ``artefacts``.
+    """
+    start = None
+    try:
+        claimed = check_schedule(document, scenario, folder)
+        check_reference(document, folder / "reference.csv")
+        bounds = check_gains(document, scenario, folder / "gains.json")
+        record.holds("schedule", "modes, margins, reference and gains are those of the other files")
+        if found(folder / SUMMARY):
+            summary = check_summary(document, scenario, claimed, folder / SUMMARY)
+            start = summary["synthesis"]["start_margin"]
+            record.holds("summary", "claims no more than the certificate")
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
+        raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
+    orbit = scenario.get("abort", {}).get("orbit")
+    return Stated(
+        start,
+        bounds,
+        least=claimed.get("abort", {}).get("least_m"),
+        upkeep=claimed["upkeep"],
+        tank=scenario.get("tank", {}).get("delta_v_m_s"),
+        budget=scenario.get("schedule", {}).get("delta_v_max_m_s"),
+        goal=(claimed["goal"], scenario["goal"]),
+        orbit=scenario["goal"] if orbit == {"kind": "goal"} else orbit,
+    )
+
+
+def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
+    """What a run folder says besides, and no check confirms."""
+    specs = scenario["experimental"]
+    plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
+    cheapest = f"the plans that {plans} follows are the cheapest (start, dynamics, limits, goal hold)"
+    flown = "statistics of simulated runs in summary.json, which prove nothing"
+    bound = "the bound on the share of experimental control in summary.json, over all schedules"
+    asked = "the share proven without black boxes, and the worst found with them, in summary.json"
+    boxes = any(item["kind"] == "black_box" for item in specs)
+    reasons = "reasons in schedule.json for margins, drifts that hit, missing aborts, steps lost to faults"
+    told = [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
+    return [*[cheapest] * bool(plans), reasons, *told]
+
+
+# -- the summary ------------------------------------------------------------------------------------
+
+ROUNDING = 1e-9  # difference between sums that were added up in another order, relative to them
+
+
+def check_summary(
+    document: Document, scenario: dict[str, Any], claimed: dict[str, Any], path: Path
+) -> dict[str, Any]:
+    """Compare every claim of the summary with the certificate; returns the summary.
+
+    Statistics of simulated runs cannot be confirmed. They must agree with the schedule, with what is proven
+    (no run of S or of the schedule collides, S commands no more thrust than there is) and with one another.
+    `claimed` is the guarantee as ``schedule.json`` repeats it.
+    """
+    laws, K = document.laws, document.steps
+    # Those flown: S alone, each experimental controller alone, the schedule.
+    alone = {mode: "experimental" if mode == 1 else f"experimental_{mode}" for mode in range(1, len(laws))}
+    keys = SUMMARY_KEYS | every(FLOWN, " ".join(alone.values()))
+    stored: dict[str, Any] = conform(strict_json(contents(path)), keys, "summary", path.name)
+    synthesis = stored["synthesis"]
+    flown = {"polaris": ("polaris", document.modes), "safety": (laws[0].name, [0] * K)}
+    flown |= {key: (laws[mode].name, [mode] * K) for mode, key in alone.items()}
+    expected: dict[str, Any] = {
+        "scenario": document.scenario,
+        "title": scenario["title"],
+        "seed": scenario.get("simulation", {}).get("seed", 0),
+        "guarantee": claimed,
+        "synthesis": {
+            "recoverable": document.recoverable,
+            "experimental_share": share(document.modes),
+            "switches": switches(document.modes),
+        },
+    }
+    for key, (name, modes) in flown.items():
+        runs = stored["polaris"]["runs"]
+        expected[key] = {"controller": name, "runs": runs, "switches": switches(modes)}
+    same("summary", "summary.json", expected, stored)
+    if synthesis["start_limit"] not in limit_names(document):
+        raise Rejected("summary", "what limits the initial set is no limit of the scene")
+    # How the plan was found is no claim of safety; its velocity change is that of the reference.
+    spent = math.fsum(abs(x) for u in document.inputs[:K] for x in u) * document.delta / document.mass
+    _close("velocity change of the plan", spent, synthesis["planner"]["delta_v_m_s"])
+    for key, (_, modes) in flown.items():
+        _check_flown(document, key, modes, stored[key])
+    spent, goal = stored["polaris"]["delta_v_max_m_s"], claimed["goal"]["delta_v_max_m_s"]
+    worths = [0.0, *(spec.get("weight", 1.0) for spec in scenario["experimental"])]
+    worth = math.fsum(worths[mode] for mode in document.modes) / K
+    worst, most = synthesis.get("worst_found"), synthesis["share_at_most"]
+    needed = {
+        "share_at_most of no less than experimental_share": _raised(most) >= share(document.modes),
+        "share_at_most of no less than proven_share": _raised(most) >= synthesis.get("proven_share", 0.0),
+        "share_bound.worth of no less than the schedule's": _raised(synthesis["share_bound"]["worth"])
+        >= worth,
+        "worst_found where, and only where, black boxes fly": "worst_found" not in synthesis
+        or (worst is None) == (not document.statement),
+        "violated with a failure": worst is None or worst["violated"] == (worst["failure"] is not None),
+        "velocity changes of runs within the claim": document.guarantee != "proved"
+        or bool(document.transients)
+        or spent <= _raised(goal),
+    }
+    _hold(needed, "")
+    return stored
+
+
+def _close(what: str, derived: float, stored: float, size: float | None = None) -> None:
+    """Equal up to rounding, relative to a size, or to the derived value itself."""
+    off = abs(derived - stored)
+    if not off <= ROUNDING * (abs(derived) + 1e-300 if size is None else size):
+        raise Rejected("summary", f"{what}: {stored} in summary.json, derived {derived}", off)
+
+
+def _check_flown(document: Document, key: str, modes: list[int], found: dict[str, Any]) -> None:
+    """Statistics of runs under known modes."""
+    T, up = document.steps * document.delta, 1 + ROUNDING
+    plant, periods = plant_of(document), document.steps * document.q
+    horizon = T if document.mean_motion is None else 2 * math.pi / document.mean_motion
+    _close(f"experimental share of {key}", share(modes), found["experimental_share"], 1.0)
+    _close(f"horizon of free drift of {key}", horizon, found["drift_horizon_s"])
+    hit, collided = found["collided_runs"], found["collided"]
+    proved = document.guarantee == "proved" and not key.startswith("experimental")
+    apart = [found[name] for name in ("min_distance_m", "min_distance_mean_m", "mean_distance_m")]
+    if None in apart:
+        raise Rejected("summary", f"{key}: a distance is null in summary.json, but there are unsafe sets")
+    (least, mean, all_times), straight = apart, found["min_ttc_s"]
+    drift = found["min_ttc_free_drift_s"]
+    spent, most_spent = found["delta_v_m_s"], found["delta_v_max_m_s"]
+    ratios = [found[f"max_thrust_ratio{who}"] for who in ("_safety", "_experimental")]
+    flies = [any((mode > 0) == experimental for mode in modes) for experimental in (False, True)]
+    needed = {
+        "collided_runs": hit <= found["runs"] and (hit > 0) == collided,
+        "collided, although it is proven not to": not (proved and collided),
+        "distances in order": least <= _raised(mean) and mean <= _raised(all_times),
+        "min_distance_m, of runs that did not collide": collided or least > 0,
+        "min_ttc_s, of runs that did not collide": collided or straight is None or straight > 0,
+        "min_ttc_free_drift_s": drift is None or drift <= horizon * up,
+        "velocity changes in order": spent <= most_spent * up
+        and most_spent <= spent * found["runs"] * up
+        and most_spent <= float(plant.spent(plant.u_max).upper()) * periods / document.mass * up,
+        "max_thrust_ratio of who flies": [ratio is not None for ratio in ratios] == flies,
+        "max_thrust_ratio": found["max_thrust_ratio"]
+        == max((r for r in ratios if r is not None), default=-1),
+        "max_thrust_ratio_safety of at most 1": not proved or ratios[0] is None or ratios[0] <= up,
+    }
+    _hold(needed, f"{key}: ")
+
+
+def _hold(needed: dict[str, bool], where: str) -> None:
+    """Refuse a summary in which one number contradicts another."""
+    for what, holds in needed.items():
+        if not holds:
+            raise Rejected("summary", f"{where}{what} does not hold in summary.json")
+
+
+def _raised(x: float) -> float:
+    """A number moved up by rounding, whatever its sign."""
+    return x * (1 + math.copysign(ROUNDING, x))

@@ -1,0 +1,279 @@
+"""What the readable files of a run folder repeat of the certificate: the same numbers, bit for bit."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+from ..claims.powered import told_aborts
+from ..kernel.verdict import Rejected
+from ..model.transients import check_withheld
+from .document import Document, canonical
+from .file_keys import GAINS, SCHEDULE
+from .structure import conform, contents, shown, strict_json
+
+STEP_COLUMNS = (
+    *("step", "t_start_s", "t_end_s", "mode", "controller", "margin", "limit", "limit_time_s"),
+    *("need", "room"),
+)
+"""Header of ``schedule.csv``."""
+
+BEYOND = "limits beyond the loop's memory"  # what limits a step besides unsafe sets and inputs
+
+LAW = "u = mu(t) + gain (xi(t) - x), reference.csv gives xi and mu"  # the law that ``gains.json`` states
+
+MARGIN_ROUNDING = 1e-9  # how far a margin may be off the need and the room that explain it
+
+_NUMBER = r"-?(?:\d[\d.]*(?:e[+-]?\d+)?|inf|nan)"
+
+REASONS = {
+    "infinite": r"the reference ends (?P<how>on a closed orbit|at rest), and all unsafe sets are static",
+    "one_period": r"the reference does not end on a natural motion trajectory"
+    r"|unsafe sets that move \((?P<moving>.*)\) are covered until (?P<until>\S+) s only"
+    r"|the period is shorter than the memory of the loop",
+    "none": r"not proven after T = (?P<until>\S+) s: "
+    rf"(?P<limit>.*) at t = {_NUMBER} s: needs {_NUMBER} of {_NUMBER}",
+}
+"""Words for why a claim about the time after T reaches as far as it does."""
+
+
+def same(claim: str, what: str, found: Any, given: Any) -> None:
+    """Refuse two values that differ, or whose types do; `found` is the certificate's.
+
+    Of tables the keys of `found` are compared, in their order, a key that is missing like None; each under
+    its own claim, if `CLAIMS` has one.
+    """
+    if isinstance(found, dict) and isinstance(given, dict):
+        for key in found:
+            own = claim if claim == "summary" else CLAIMS.get(key, claim)
+            same(own, f"{what}, {key}", found[key], given.get(key))
+    elif isinstance(found, list) and isinstance(given, list) and any(isinstance(x, dict) for x in found):
+        same(claim, f"number of {what}", len(found), len(given))
+        for i, (item, other) in enumerate(zip(found, given, strict=True)):
+            same(claim, f"{what} {i}", item, other)
+    elif found != given or isinstance(found, bool) != isinstance(given, bool):
+        raise Rejected(claim, f"{what}: {shown(found)} in the certificate, {shown(given)} in the run folder")
+
+
+CLAIMS = {
+    "margin": "margins",
+    **dict.fromkeys(("law", "controller", "controllers"), "controllers"),
+    "recoverable": "recoverable_sets",
+    **dict.fromkeys(("horizon", "until_s", "reason"), "end"),
+    **{name: name for name in ("guarantee", "assumptions", "system", "error_bounds")},
+    "sampling": "sampling",
+}
+"""Claims under which fields of the schedule and of the gains are compared, if not under the file's own."""
+
+
+# -- schedule ---------------------------------------------------------------------------------------
+
+
+def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Compare ``schedule.json`` and ``schedule.csv``; returns the guarantee as they repeat it."""
+    stored = conform(strict_json(contents(folder / "schedule.json")), SCHEDULE, "schedule", "schedule.json")
+    K, delta, modes, laws = document.steps, document.delta, document.modes, document.laws
+    steps, shares = stored["steps"], {law.name: modes.count(mode) / K for mode, law in enumerate(laws)}
+    expected = {
+        "modes": modes,
+        "step_s": delta,
+        "duration_s": K * delta,
+        "steps": [
+            {
+                "margin": None if margin == -math.inf else margin,
+                "step": k,
+                "mode": mode,
+                "controller": laws[mode].name,
+                "t_start_s": k * delta,
+                "t_end_s": (k + 1) * delta,
+            }
+            for k, (mode, margin) in enumerate(zip(modes, document.margins, strict=True))
+        ],
+        "controllers": [_controller(document, mode) for mode in range(len(laws))],
+        "switches": switches(modes),
+        "experimental_share": share(modes),
+        "share": shares | dict.fromkeys(stored["share"].keys() - shares),
+        # The effort of the search is no rule; where the scenario says it, the run says the same.
+        "rules": switching_rules(scenario),
+        "recoverable": document.recoverable,
+        "guarantee": {
+            "kind": document.guarantee,
+            "horizon": document.horizon,
+            "until_s": document.until,
+            "reason": document.reason,
+            "assumptions": [*document.assumptions, ARITHMETIC],
+            **({"statement": document.statement} if document.statement else {}),
+            "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
+            "upkeep": stored["guarantee"]["upkeep"],  # likewise
+            "abort": _abort(document, stored["guarantee"].get("abort")),
+            "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
+            "powered_abort": told_aborts(document, stored["guarantee"].get("powered_abort")),
+        },
+    }
+    same("schedule", "schedule.json", expected, stored)
+    for k, step in enumerate(steps):
+        _check_limit(document, k, step)
+    _check_reason(document)
+    rows = [[row[key] for key in STEP_COLUMNS] for row in steps]
+    _same_table("schedule", folder / "schedule.csv", [STEP_COLUMNS, *rows])
+    return dict(stored["guarantee"])
+
+
+def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What is told of the drift: the least distance is derived by `Drifts`, a witness is no claim."""
+    drift = document.drift
+    if drift is None or stored is None:
+        return None if drift is None else {}
+    spans: list[list[float]] = []
+    for k, parts in enumerate(drift.steps):
+        if parts is not None and spans and spans[-1][1] == k * document.delta:
+            spans[-1][1] = (k + 1) * document.delta
+        elif parts is not None:
+            spans.append([k * document.delta, (k + 1) * document.delta])
+    if (None in drift.steps) == (stored["witness"] is None):
+        raise Rejected("passive", "a witness belongs to a drift that is not clear from all steps")
+    if (witness := stored["witness"]) is not None:
+        step, after, last = witness["step"], witness["after_s"], drift.horizon + document.delta
+        there = step < document.steps and drift.steps[step] is None and witness["distance_m"] <= 0
+        if not (there and witness["t_s"] == step * document.delta and 0 < after <= last):
+            raise Rejected("passive", "the witness is not of a step from which the drift is not clear")
+        if witness["unsafe_set"] not in {item.name for item in document.unsafe}:
+            raise Rejected("passive", f"{shown(witness['unsafe_set'])} of the witness is no unsafe set")
+    if (stored["least_m"] is None) == bool(spans and document.unsafe):
+        raise Rejected("passive", "a least distance belongs to a drift that is clear from some step")
+    return stored | {"drift_s": drift.horizon, "keep_in": drift.keep_in, "clear_s": spans}
+
+
+KINDS = {"any_thrust": "AnyThrust", "neural": "NeuralController", "black_box": "BlackBox"}
+"""Kinds of controllers as the readable files call them, those with a gain apart."""
+
+
+def _controller(document: Document, mode: int) -> dict[str, Any]:
+    law = document.laws[mode]
+    kind = KINDS.get(law.kind, "AffineController")
+    return {"mode": mode, "name": law.name, "kind": kind}
+
+
+def share(modes: list[int]) -> float:
+    """Share of steps under experimental controllers."""
+    return sum(mode > 0 for mode in modes) / len(modes)
+
+
+def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
+    """What limits a step is a limit of the scene, within the flight; its need and room give the margin."""
+    if step["limit"] not in limit_names(document):
+        raise Rejected("schedule", f"step {k} is limited by {shown(step['limit'])}, which there is not")
+    when, last = step["limit_time_s"], document.cells * document.delta
+    if when is not None and not 0 <= when <= last * (1 + 1e-9):
+        raise Rejected("schedule", f"step {k} is limited at {when} s, of {last} s")
+    need, room, margin = step["need"], step["room"], document.margins[k]
+    if margin != -math.inf and None in (when, need, room):
+        raise Rejected("margins", f"step {k} has a margin of {margin}, but no time, need and room of a limit")
+    if when is not None and document.recoverable != "ball" and when < k * document.delta * (1 - 1e-9):
+        raise Rejected("schedule", f"step {k} is limited at {when} s, before it begins")
+    if need is not None and room is not None:
+        left = 1 - need / room if room > 0 else -math.inf
+        if left != margin and not abs(left - margin) <= MARGIN_ROUNDING * (1 + min(abs(left), abs(margin))):
+            raise Rejected("margins", f"step {k} needs {need} of {room}, which leaves {left}, not {margin}")
+
+
+def limit_names(document: Document) -> set[str]:
+    """What a flight under S can be limited by."""
+    return {item.name for item in document.unsafe} | {*document.input_names, BEYOND}
+
+
+def _check_reason(document: Document) -> None:
+    """The words for how far the claim reaches fit the claim, the system and the scene."""
+    words = re.fullmatch(REASONS[document.horizon], document.reason)
+    if words is None:
+        raise Rejected("end", f"{shown(document.reason)} is no reason for the claim {document.horizon}")
+    true = {
+        "until": f"{document.until:g}" if document.until is not None else "",
+        "how": "at rest" if document.mean_motion is None else "on a closed orbit",
+        "moving": ", ".join(item.name for item in document.unsafe if document.moves(item)),
+    }
+    for what, found in words.groupdict().items():
+        if what == "limit" and found is not None and found not in limit_names(document):
+            raise Rejected("end", f"{shown(found)} in the reason is no limit")
+        if what != "limit" and found is not None:
+            same("end", f"{what} in the reason", true[what], found)
+
+
+ARITHMETIC = "arithmetic: in double precision, its round-off covered by booked tolerances"
+"""What the synthesis assumes besides, and the checker does not."""
+
+
+# -- switching ---------------------------------------------------------------------------------------
+
+
+def switching_rules(scenario: dict[str, Any]) -> dict[str, Any]:
+    """The rules as ``schedule.json`` repeats them; of the effort of the search, what the scenario gives."""
+    spec = scenario.get("schedule", {})
+    return {
+        "strategy": spec.get("strategy", "greedy"),
+        "min_dwell": spec.get("min_dwell_steps", 1),
+        "max_switches": spec.get("max_switches"),
+        "delta_v_price": spec.get("delta_v_price", 0.06),
+        "switch_price": spec.get("switch_price", 0.005),
+        "delta_v_max": spec.get("delta_v_max_m_s"),
+        "weights": [item.get("weight", 1.0) for item in scenario["experimental"]],
+        **{key: spec[key] for key in ("beam",) if key in spec},
+    }
+
+
+def switches(modes: list[int]) -> int:
+    """Number of changes of mode."""
+    return sum(a != b for a, b in zip(modes[:-1], modes[1:], strict=True))
+
+
+# -- reference --------------------------------------------------------------------------------------
+
+
+def check_reference(document: Document, path: Path) -> None:
+    """Compare ``reference.csv``: header, times, states and inputs."""
+    n, m = len(document.A), len(document.u_max)
+    if document.system_kind == "clohessy_wiltshire":
+        states = ["r_x_m", "r_y_m", "r_z_m", "v_x_m_s", "v_y_m_s", "v_z_m_s"]
+        inputs = ["u_x_N", "u_y_N", "u_z_N"]
+    else:
+        states, inputs = [f"x{i}" for i in range(n)], [f"u{i}" for i in range(m)]
+    held: list[list[Any]] = [*document.inputs, [None] * m]
+    flown = enumerate(zip(document.states, held, strict=True))
+    rows = [[k * document.delta, *state, *u] for k, (state, u) in flown]
+    _same_table("reference", path, [["t_s", *states, *inputs], *rows])
+
+
+def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
+    """A CSV file has exactly these rows, numbers in the shortest form that reads back exactly."""
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    lines, given = text.getvalue().encode().split(b"\n"), contents(path).split(b"\n")
+    for i, (line, there) in enumerate(zip_longest(lines, given), 1):
+        same(claim, f"{path.name}, line {i}", line, there)
+
+
+# -- gains ------------------------------------------------------------------------------------------
+
+
+def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Compare ``gains.json``; returns the bounds of Lemma 1, their norm and method compared."""
+    stored = conform(strict_json(contents(path)), GAINS, "controllers", "gains.json")
+    spec, n = scenario["tracking"], len(document.A)
+    weight = spec.get("weight", "auto")
+    along = [1.0] * n if isinstance(weight, str) else weight
+    named = [[along[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
+    bounds = {
+        "method": spec.get("bound", "envelope"),
+        "weight": document.weight if weight == "auto" else named,
+    }
+    same("controllers", "gains.json", {"law": LAW, **document.repeated, "error_bounds": bounds}, stored)
+    for key, said in document.repeated.items():
+        if canonical(said) != canonical(stored[key]):
+            raise Rejected(
+                CLAIMS[key], f"gains.json, {key}: more, or written otherwise than in the certificate"
+            )
+    return dict(stored["error_bounds"])

@@ -1,0 +1,183 @@
+"""Every key that a scenario file may have, with its type and range.
+
+A key that stands here is either compared with the certificate or known to be no claim (`docs/certificate.md`
+lists which). What does not stand here is refused: a checker that passes over a key it does not know has
+checked another scenario. Written by hand on purpose; a test compares it with the scenario models.
+"""
+
+import math
+from typing import Any
+
+from ..kernel.verdict import Rejected
+from .file_keys import READ
+from .structure import Either, Kinds, Real, Rows, Text, Whole, conform, every
+
+STEPS = 100_000  # most steps of a horizon
+
+NAME = Text(pattern=r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+NUMBER = Real()
+NOT_NEGATIVE = Real(least=0)
+POSITIVE = Real(above=0)
+MASS = Real(least=1e-3, most=1e7)
+VECTOR = Rows(NUMBER, 1, 100)
+WIDTHS = Rows(NOT_NEGATIVE, 1, 100)
+OPEN_WIDTHS = Rows(Real(least=0, most=math.inf), 1, 100)
+LIMITS = Rows(POSITIVE, 1, 100)
+MATRIX = Rows(VECTOR, 1, 1000, even=True)
+WEIGHT = Either((VECTOR, MATRIX))
+PER_AXIS = Either((POSITIVE, LIMITS))
+SIZES = Either((NOT_NEGATIVE, WIDTHS))
+SHARE = Real(least=0, below=1)
+WORTH = Real(above=0, most=1e6)
+FACETS = Whole(3, 64)
+
+
+# fmt: off
+_REFERENCE = Kinds({
+    "shared": {},
+    "setpoint": {"state": VECTOR},
+    "nmt": {"semi_minor_m": NOT_NEGATIVE, "phase_rad?": NUMBER,
+            "cross_track_m?": NOT_NEGATIVE, "cross_phase_rad?": NUMBER},
+    "unaware": {},
+})
+_AFFINE = {
+    "name": NAME, "Q?": WEIGHT, "R?": WEIGHT, "gain?": MATRIX, "reference?": _REFERENCE, "weight?": WORTH,
+}
+_ESTIMATE = {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS}
+_GOAL = every(POSITIVE, "tolerance_m? velocity_tolerance_m_s?")
+_ORBITS: dict[str, dict[str, Any]] = {
+    "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
+                       "sides?": Whole(4, 64), "cross_track_max_m?": POSITIVE},
+    "linear_nmt": {**_GOAL, "amplitude_max_m": POSITIVE, "along_track_m?": NUMBER},
+    "stationary": {**_GOAL, "state": VECTOR},
+}
+_BODY = {"name": NAME, "velocity_m_s?": VECTOR}
+_POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
+
+SCENARIO = {
+    "schema_version": Whole(1, 1),
+    "name": NAME,
+    "title": Text(pattern=r"(?s:.{1,200})"),
+    "description?": Text(pattern=r"(?s:.{0,5000})"),
+    "system": Kinds({
+        "clohessy_wiltshire": {"mean_motion_rad_s": Real(above=0, most=0.01), "mass_kg": MASS,
+                               "thrust_max_N": PER_AXIS, "disturbance_max_m_s2?": NOT_NEGATIVE},
+        "linear": {**every(MATRIX, "A B D C?"), "input_max": PER_AXIS, "disturbance_max?": NOT_NEGATIVE,
+                   "position_states?": Rows(Whole(0, 99), 1, 3), "mass_kg?": MASS},
+    }),
+    "orbit?": {
+        **every(NOT_NEGATIVE, "radius_deviation_max_m radial_rate_max_m_s density_kg_m3"
+                " ballistic_coefficient_m2_kg ballistic_difference_max_m2_kg other_acceleration_max_m_s2?"),
+        "rate_deviation_max": Real(least=0, most=0.1),
+        "scale_height_m": POSITIVE,
+        "inclination_max_deg?": Real(least=0, most=90),
+    },
+    "navigation?": {
+        **_ESTIMATE,
+        "phases?": Rows({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
+        "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
+                         "error?": LIMITS, "initial?": _ESTIMATE},
+    },
+    "thrusters?": {
+        **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
+        "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
+        "pulse?": Text(("held", "centred")), "remainder?": Text(("dropped", "carried")),
+    },
+    "timing?": {
+        "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
+        **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
+    },
+    "faults?": Rows(Kinds({
+        "stuck_off": {"isolation_s?": NOT_NEGATIVE}, "stuck_on": {"isolation_s": POSITIVE},
+        "loss": {"share": Real(above=0, below=1), "isolation_s?": NOT_NEGATIVE},
+        "navigation_lost": {"lasts_s": Real(above=0, most=1e4)},
+    }), 0, 8),
+    "chaser?": {"radius_m": NOT_NEGATIVE},
+    "tank?": {"delta_v_m_s": POSITIVE},
+    "abort?": {
+        "drift_orbits?": Real(above=0, most=100), "drift_s?": POSITIVE, **every(bool, "required? keep_in?"),
+        "orbit?": Kinds({"goal": {}, **_ORBITS}), **every(POSITIVE, "within_s? delta_v_max_m_s?"),
+    },
+    "feedback?": {"period_s?": POSITIVE},
+    "initial_set": Kinds({
+        "box": {"center": VECTOR, "half_widths": WIDTHS},
+        "ball": {"center": VECTOR, **every(NOT_NEGATIVE, "position_radius_m velocity_radius_m_s")},
+        "zonotope": {"center": VECTOR, "generators": MATRIX},
+    }),
+    "horizon": every(POSITIVE, "duration_s step_s"),
+    "tracking": {
+        "Q": WEIGHT, "R": WEIGHT, "bound?": Text(("envelope", "lyapunov")),
+        "thrust_share?": Real(above=0, most=1),
+        "weight?": Either((Text(("auto", "identity")), LIMITS)),
+    },
+    "recoverable?": {
+        "kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball")),
+        "recourse?": Text(("in_view", "none")),
+    },
+    "goal": Kinds({**_ORBITS, "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS}}),
+    "planner?": {
+        "objective?": Text(("margin_then_fuel", "distance", "fuel")),
+        "extra_margin_m?": NOT_NEGATIVE,
+        "solver?": Text(("facets", "highs", "gurobi")),
+        **every(Whole(1, 10**9), "max_linear_programs? max_nodes?"),
+        "time_limit_s?": Real(above=0, most=1e6),
+        **every(SHARE, "thrust_reserve? gap?"),
+    },
+    "obstacles?": Rows(Kinds({
+        "box": {**_BODY, "center_m": VECTOR, "half_widths_m": WIDTHS},
+        "ball": {**_BODY, "center_m": VECTOR, "radius_m": POSITIVE, "facets?": FACETS},
+        "polytope": {**_BODY, **_POLYTOPE, "unbounded?": bool},
+        "satellite": {"name": NAME, "state": VECTOR, "state_half_widths": WIDTHS, "radius_m": POSITIVE,
+                      "thrust_accel_max_m_s2?": NOT_NEGATIVE, "facets?": FACETS},
+    }), 0, 64),
+    "keep_in?": Rows(Kinds({
+        "polytope": _POLYTOPE,
+        "cone": {"name": NAME, "apex_m": VECTOR, "axis": VECTOR, "half_angle_deg": Real(least=0.1, most=89),
+                 "facets?": FACETS, "length_m?": POSITIVE},
+    }), 0, 16),
+    "experimental": Rows(Kinds({
+        "affine": _AFFINE,
+        "saturated_affine": _AFFINE,
+        "any_thrust": {"name": NAME, "weight?": WORTH},
+        "black_box": {"name": NAME, "weight?": WORTH, "probability?": Real(least=1e-5, most=0.5),
+                      "confidence?": Real(least=0.5, most=1 - 1e-9), "memory?": bool},
+        "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
+                   "inputs?": Rows(Text(pattern=READ + NAME.pattern), 1, 100),
+                   "precision?": Text(("real", "float32", "float64")), "output_scale_N": PER_AXIS,
+                   "reference?": _REFERENCE, "weight?": WORTH},
+    }), 1, 8),
+    "schedule?": {
+        "strategy?": Text(("greedy", "look_ahead")),
+        "min_dwell_steps?": Whole(1, STEPS),
+        "max_switches?": Whole(0),
+        "beam?": Whole(1, 1000),
+        "bound_programs?": Whole(0, 10**9),
+        **every(NOT_NEGATIVE, "delta_v_price? switch_price?"), "delta_v_max_m_s?": POSITIVE,
+    },
+    "simulation?": {"runs?": Whole(1, 1_000_000), "seed?": Whole(0, 2**63 - 1)},
+}
+# fmt: on
+"""The whole file."""
+
+
+def check_keys(scenario: Any) -> None:
+    """Refuse a scenario with a key, a type or a number that the format does not have."""
+    conform(scenario, SCENARIO, "scenario", "scenario.toml")
+    if {"C", "position_states"} <= set(scenario["system"]):
+        raise Rejected("scenario", "system gives both C and position_states")
+    for i, spec in enumerate(scenario["experimental"]):
+        linear = spec["kind"] in ("affine", "saturated_affine")
+        if linear and not ("gain" in spec) == ("Q" not in spec) == ("R" not in spec):
+            raise Rejected("scenario", f"experimental[{i}] must have either a gain or Q and R")
+    bodies = [*scenario.get("obstacles", ()), *scenario.get("keep_in", ())]
+    for spec in bodies:
+        if spec["kind"] == "polytope" and len(spec["normals"]) != len(spec["offsets_m"]):
+            raise Rejected("scenario", f"{spec['name']} must have one offset for every normal")
+    for what, specs in (("unsafe sets", bodies), ("controllers", scenario["experimental"])):
+        names = [spec["name"] for spec in specs]
+        if len(set(names)) < len(names):
+            raise Rejected("scenario", f"two {what} have the same name")
+        if not names:
+            raise Rejected("scenario", f"there are no {what}")
+    for name in {"safety", "polaris"} & {spec["name"] for spec in scenario["experimental"]}:
+        raise Rejected("scenario", f"an experimental controller is called {name}, a name of the results")

@@ -1,0 +1,1 @@
+"""Ball arithmetic, sets and linear motions; knows nothing of scenarios."""

@@ -1,0 +1,1 @@
+"""Plant, errors, controllers and surroundings of a certificate, as the checker models them."""

@@ -1,0 +1,141 @@
+"""Limits that errors about the reference keep to: facets of unsafe sets, and the thrusters'."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..kernel.arcs import Path
+from ..kernel.balls import TINY, above, magnitude, matrix, sums
+from .loop import Needs
+from .scheduled import Along
+
+SPARE = 1e-12  # of rooms in doubles, which tell where a need is certainly within: far above their rounding
+
+
+@dataclass(frozen=True)
+class Target:
+    """One limit at one node."""
+
+    row: int  # which of the rows
+    room: arb  # what there is for errors
+    name: str  # unsafe set or input
+    whole: arb  # the room before a jump of the reference took its part: what shares refer to
+
+    def less(self, taken: arb) -> Target:
+        """The same with less room."""
+        return Target(self.row, (self.room - taken).lower(), self.name, self.whole)
+
+    @cached_property
+    def least(self) -> tuple[int, float, float]:
+        """Row, room and whole in doubles; the room less what rounding may do to them and to needs."""
+        room, whole = float(self.room.lower()), float(self.whole.upper())
+        return self.row, room - SPARE * (abs(room) + abs(whole)) - TINY, whole
+
+
+@dataclass(frozen=True, eq=False)
+class Barrier:
+    """The separating facets of one cell."""
+
+    names: list[str]  # of the unsafe sets
+    rows: arb_mat  # -n C: an error e, about a path, is separate if row e is less than the path's room
+    offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
+
+    @classmethod
+    def of(cls, document: Document, position: arb_mat, cell: int, chosen: list[int]) -> Barrier:
+        """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end."""
+        facets = list(zip(document.unsafe, chosen, strict=True))
+        rows = _against([item.normals[f] for item, f in facets], position)
+        ends = [
+            (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
+            for item, f in facets
+        ]
+        return cls([item.name for item, _ in facets], rows, [(arb(a), arb(b)) for a, b in ends])
+
+
+def _against(normals: list[list[float]], position: arb_mat) -> arb_mat:
+    """``-n C`` of some normals, maybe none."""
+    return -(matrix(normals) * position) if normals else arb_mat(0, position.ncols())
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of every cell: distinct rows, and the room along them at the nodes."""
+
+    rows: arb_mat  # an error e keeps to a limit if row e <= room
+    targets: list[list[list[Target]]]  # [cell][node]; one that need not be met at a node is missing there
+
+    @classmethod
+    def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
+        """Limits around a path, with one facet per cell and unsafe set."""
+        plant = path.plant
+        pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
+        index = {pair: i for i, pair in enumerate(pairs)}
+        facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
+        targets = []
+        for cell, arc in enumerate(path.arcs):
+            barrier = Barrier.of(document, plant.C, cell, chosen[cell])
+            error = replace(plant, estimate=tuple(document.known_to(cell))).command_error(gain) * 2
+            thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
+            inputs = [
+                Target(len(pairs) + j, room, name, room)
+                for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
+            ]
+            nodes = []
+            for i, rooms in enumerate(arc.room(barrier.rows, barrier.offsets)):
+                met = [
+                    Target(index[o, f], room, barrier.names[o], room)
+                    for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))
+                ]
+                # A held input is renewed at the end of its period.
+                nodes.append(met + inputs if i < plant.q else met)
+            targets.append(nodes)
+        return cls(above(facets, gain, -gain), targets)
+
+    def less_jump(self, needs: Needs, path: Path) -> Limits:
+        """The same limits, the tail's reduced by what the jump at its start needs."""
+        size = magnitude(path.jump)
+        cost, late = [needs.boxed(size, lag) for lag in range(len(needs.carried))], needs.still(size)
+        targets = self.targets[: path.planned]
+        for tail, nodes in enumerate(self.targets[path.planned :]):
+            reduced = []
+            for i, met in enumerate(nodes):
+                lag = tail * path.plant.q + i
+                spent = cost[lag] if lag <= needs.memory.periods else late
+                reduced.append([t.less(spent[t.row]) for t in met])
+            targets.append(reduced)
+        return Limits(self.rows, targets)
+
+    def less(self, taken: Along) -> Limits:
+        """The same limits, each reduced by what is taken of it at its node, along its row."""
+        targets = [
+            [[t.less(at[t.row]) for t in met] for met, at in zip(*cell, strict=True)]
+            for cell in zip(self.targets, taken, strict=True)
+        ]
+        return Limits(self.rows, targets)
+
+    def at(self, node: int, first: bool) -> list[Target]:
+        """Limits at a node of the grid: of the cell on its right and, unless it is the first, on its left."""
+        q = len(self.targets[0]) - 1
+        cell, place = divmod(node, q)
+        met = list(self.targets[cell][place]) if cell < len(self.targets) else []
+        if place == 0 and cell > 0 and not first:
+            met += self.targets[cell - 1][q]
+        return met
+
+
+def levels_of(document: Document, noise: list[arb], needs: Needs, path: Path) -> list[list[Target]]:
+    """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
+    first = needs.rows.nrows() - 2 * len(noise)
+    jumps = needs.ever(magnitude(path.jump))[first:]
+    names = [f"{name} that errors are booked for" for name in document.input_names * 2]
+    return [
+        [
+            Target(first + j, (top - noise[j % len(noise)] - jumps[j]).lower(), names[j], arb(0))
+            for j, top in enumerate(map(arb, most * 2))
+        ]
+        for most in document.profile
+    ]

@@ -1,0 +1,278 @@
+"""Whether the timed polytopes contain the sets that the scenario describes, at all times.
+
+A polytope contains a set if each of its facets lies beyond the set's support in that direction. All
+supports are worked out here anew, from the scenario's numbers.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from flint import arb
+
+from ..files.document import ROUNDED, Document
+from ..files.parts import UnsafeSet
+from ..kernel.balls import absolute, absolute_dot, column, cross, dot, largest, matrix, norms, require
+from ..kernel.verdict import Rejected
+from .allocation import per_axis
+from .navigation import holding
+from .satellites import Satellite
+
+SLACK = 1e-9  # rounding of unit normals: how far one may be turned. What that moves is booked.
+
+SLOPE = 1e-6  # least sine of the angle of a cone, and of the angle between two of its facets
+
+
+def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
+    """Check every unsafe set of the certificate, in the scenario's order; returns their number."""
+    left, radius = list(document.unsafe), scenario.get("chaser", {}).get("radius_m", 0.0)
+    if document.chaser_radius != radius:
+        told = f"the chaser's radius is {document.chaser_radius} in the certificate, {radius} in the scenario"
+        raise Rejected("unsafe_sets", told)
+    clock = arb(document.timing.get("clock", 0.0))  # compared before, as what jitter displaces
+    moved = norms((absolute(matrix(document.C)) * column(document.displaced)).transpose())[0]
+    obstacles, kept = (
+        [
+            _grown(document, spec, sign * (radius + moved) + clock * _speed(spec, clock))
+            for spec in scenario.get(key, ())
+        ]
+        for key, sign in (("obstacles", arb(1)), ("keep_in", arb(-1)))
+    )
+    others = any(spec["kind"] == "satellite" for spec in obstacles)
+    if document.satellites != others:
+        has, assumed = ("", "nothing") if others else ("no ", "something")
+        told = f"the scenario has {has}other satellites, but {assumed} is assumed of them"
+        raise Rejected("assumptions", told)
+    for spec in obstacles:
+        if not left or left[0].name != spec["name"] or left[0].keep_in:
+            raise Rejected("unsafe_sets", f"{spec['name']} is missing")
+        _check_obstacle(document, left.pop(0), spec)
+    for spec in kept:
+        facets: list[UnsafeSet] = []
+        while left and left[0].keep_in and left[0].name == f"{spec['name']}[{len(facets)}]":
+            facets.append(left.pop(0))
+        for item in facets:
+            if len(item.normals) != 1 or not item.resting:
+                raise Rejected("unsafe_sets", f"{item.name} must be one halfspace at rest")
+        _check_keep_in(document, facets, spec)
+    for i, phase in enumerate(scenario.get("navigation", {}).get("phases", ())):
+        if "within_m" in phase:
+            facets, left = left[: 2 * len(document.C)], left[2 * len(document.C) :]
+            _check_within(document, facets, scenario, i, radius + moved)
+    if left:
+        raise Rejected("unsafe_sets", f"{left[0].name} is not in the scenario")
+    return len(document.unsafe)
+
+
+def _speed(spec: dict[str, Any], clock: arb) -> arb:
+    """How fast a set moves."""
+    if spec["kind"] == "satellite" and clock > 0:
+        raise Rejected("unsafe_sets", f"where {spec['name']} is by another clock is not bounded")
+    return _length([arb(x) for x in spec.get("velocity_m_s") or [0.0]])
+
+
+def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
+    """What the scenario says of a set, its facets moved outwards, or inwards if negative."""
+    if radius == 0:
+        return spec
+    if spec["kind"] == "box":
+        return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
+    if spec["kind"] == "polytope":
+        lengths = [_length([arb(x) for x in normal]) for normal in spec["normals"]]
+        return spec | {
+            "offsets_m": [b + radius * size for b, size in zip(spec["offsets_m"], lengths, strict=True)]
+        }
+    if spec["kind"] != "cone":
+        return spec | {"radius_m": spec["radius_m"] + radius}
+    inwards = -radius / (arb(spec["half_angle_deg"]) * arb.pi() / 180).sin()
+    axis = [arb(x) for x in spec["axis"]]
+    length = _length(axis)
+    apex = [a + inwards * x / length for a, x in zip(spec["apex_m"], axis, strict=True)]
+    cut = spec.get("length_m")
+    return spec | {"apex_m": apex} | ({} if cut is None else {"length_m": cut + radius - inwards})
+
+
+# -- obstacles --------------------------------------------------------------------------------------
+
+
+def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+    if spec["kind"] == "satellite":
+        _check_count(item, _directions(document, spec))
+        Satellite(document, item, spec).check()
+        return
+    d, (facets, support) = len(document.C), RIGID[spec["kind"]]
+    v, anchor = (spec.get(key) or [0.0] * d for key in ("velocity_m_s", "center_m"))
+    _check_count(item, facets(document, spec))
+    if not any(v) and not item.resting:
+        raise Rejected("unsafe_sets", f"{item.name} rests, but not in the certificate")
+    for f, normal in enumerate(item.normals):
+        n = [arb(x) for x in normal]
+        extent = support(document, item, spec, f)
+        base, rate = extent + dot(n, anchor), dot(n, v)
+        size, speed = abs(extent) + absolute_dot(n, anchor), absolute_dot(n, v)
+        for cell in range(len(item.start)):
+            for place in (0, 1):
+                t, offset = arb(cell + place) * document.delta, (item.start, item.end)[place][cell][f]
+                where = f"{item.name}, facet {f}, at the {('start', 'end')[place]} of step {cell}"
+                require("unsafe_sets", offset - (base + rate * t) + (size + speed * t) * ROUNDED, where)
+
+
+def _box_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    return dot([abs(arb(x)) for x in item.normals[f]], spec["half_widths_m"])
+
+
+def _ball_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    return _length([arb(x) for x in item.normals[f]]) * arb(spec["radius_m"])
+
+
+def _polytope_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
+    most, moved = _row_support(document, item.normals[f], spec, f, item.name)
+    return most + moved
+
+
+def _check_count(item: UnsafeSet, count: int) -> None:
+    if len(item.normals) != count:
+        raise Rejected("unsafe_sets", f"{item.name} has {len(item.normals)} facets, not {count}")
+
+
+def _directions(document: Document, spec: dict[str, Any]) -> int:
+    """Number of facets about a ball."""
+    d = len(document.C)
+    return 2 if d == 1 else int(spec.get("facets") or {2: 12, 3: 26}[d])
+
+
+RIGID: dict[str, tuple[Callable[[Document, dict[str, Any]], int], Callable[..., arb]]] = {
+    "box": (lambda document, spec: 2 * len(document.C), _box_support),
+    "ball": (_directions, _ball_support),
+    "polytope": (lambda document, spec: len(spec["normals"]), _polytope_support),
+}
+"""By kind of an obstacle that keeps its shape: how many facets it has, and its support along one of them,
+at t = 0 and from its centre (from the origin without one)."""
+
+
+def _length(n: list[arb]) -> arb:
+    return dot(n, n).sqrt()
+
+
+def _row_support(
+    document: Document, normal: list[float], spec: dict[str, Any], f: int, name: str
+) -> tuple[arb, arb]:
+    """Support of a facet of a polytope along its normal, and by how much it is moved if that is turned.
+
+    The latter over the positions that matter: ten times as far as anything in the certificate. Rounding of
+    a unit normal is no turn: a facet through the origin has no offset to which it could be compared.
+    """
+    given = [arb(x) for x in spec["normals"][f]]
+    length = _length(given)
+    off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
+    require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
+    return spec["offsets_m"][f] / length, arb(0) if off < ROUNDED else off * _reach(document)
+
+
+def _reach(document: Document) -> arb:
+    """Ten times as far from the origin as any position of the certificate."""
+    states = (*document.states, *document.lower, *document.upper)
+    far = [arb(max(map(abs, values))) for values in zip(*states, strict=True)]
+    return 10 * largest(absolute_dot(far, row) for row in document.C)
+
+
+# -- keep-in sets -----------------------------------------------------------------------------------
+
+
+def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, Any]) -> None:
+    """The polytope that the facets leave lies inside the set."""
+    name = spec["name"]
+    rows = [[-x for x in item.normals[0]] for item in facets]
+    offsets = [-item.start[0][0] for item in facets]
+    if spec["kind"] == "polytope":
+        if len(facets) != len(spec["normals"]):
+            raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
+        for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
+            most, moved = _row_support(document, row, spec, f, name)
+            spare = most - moved - offset + abs(most) * ROUNDED
+            require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
+        return
+    d = len(document.C)
+    sides = (2 if d == 2 else int(spec.get("facets", 12))) + (spec.get("length_m") is not None)
+    if len(facets) != sides:
+        raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {sides}")
+    _check_cone(rows, offsets, spec)
+
+
+def _check_within(
+    document: Document, facets: list[UnsafeSet], scenario: dict[str, Any], i: int, size: arb
+) -> None:
+    """The chaser is kept where a phase's bounds on errors of estimates hold, for as long as it lasts."""
+    d, phases = len(document.C), scenario["navigation"]["phases"]
+    half = per_axis(phases[i]["within_m"], d)
+    begins, ends = (phase["from_s"] for phase in [*phases, {"from_s": math.inf}][i : i + 2])
+    if begins >= document.steps * document.delta or len(half) != d:
+        raise Rejected("unsafe_sets", f"within_m of phase {i} does not fit the scenario")
+    for f, item in enumerate(facets):
+        outward = [(-1.0 if f < d else 1.0) * (j == f % d) for j in range(d)]
+        if item.name != f"within-{i}[{f}]" or not item.keep_in or item.normals != [outward]:
+            raise Rejected("unsafe_sets", f"{item.name} is not what phase {i} of the navigation needs")
+        most = half[f % d] - size
+        for k in range(len(item.start)):
+            if holding(document, begins, ends, min(k, document.steps)):
+                for offset in (item.start[k][0], item.end[k][0]):
+                    require("unsafe_sets", most + offset + half[f % d] * ROUNDED, f"{item.name}, step {k}")
+    if len(facets) != 2 * d:
+        raise Rejected("unsafe_sets", f"where phase {i} of the navigation holds is not all kept")
+
+
+def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, Any]) -> None:
+    """Edges of the polyhedral cone lie on or inside the circular one, and its facets pass its apex.
+
+    A pointed polyhedral cone is spanned by its edges, and the circular cone is convex. In order about
+    the axis, once around, each facet meets the next in an edge.
+    """
+    name, axis = spec["name"], [arb(x) for x in spec["axis"]]
+    length = _length(axis)
+    axis = [x / length for x in axis]
+    apex = spec["apex_m"]
+    if spec.get("length_m") is not None:
+        away = spec["length_m"]
+        off = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))
+        require("unsafe_sets", SLACK - off, f"the end of {name} is turned")
+        at, far = dot(axis, apex) + away, absolute_dot(axis, apex) + away
+        require("unsafe_sets", at - offsets[-1] + far * ROUNDED, f"the end of {name} is too far out")
+        rows, offsets = rows[:-1], offsets[:-1]
+    size = sum(abs(x) for x in apex)
+    for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
+        at = dot(map(arb, row), apex)
+        require("unsafe_sets", at - offset + size * ROUNDED, f"{name}, facet {f}, is beyond the apex")
+    slope = (arb(spec["half_angle_deg"]) * arb.pi() / 180).cos()
+    edges = _edges(rows, axis, name)
+    for f, edge in enumerate(edges):
+        forward = dot(edge, axis) / _length(edge)
+        where = f"an edge of {name} next to facet {f} lies outside the cone"
+        require("unsafe_sets", forward - slope + ROUNDED, where)
+        for other, row in enumerate(rows):
+            beyond = dot(edge, row) / _length(edge)
+            require("unsafe_sets", ROUNDED - beyond, f"facets {f} and {other} of {name} are out of order")
+
+
+def _edges(rows: list[list[float]], axis: list[arb], name: str) -> list[list[arb]]:
+    """Directions of the edges between one facet and the next, pointing away from the apex."""
+    balls = [[arb(x) for x in row] for row in rows]
+    for f, row in enumerate(balls):
+        closing = -dot(row, axis)
+        require("unsafe_sets", closing - SLOPE, f"facet {f} of {name} does not close around the axis")
+    if len(axis) == 2:
+        turn = balls[0][0] * balls[1][1] - balls[0][1] * balls[1][0]
+        require("unsafe_sets", abs(turn) - SLOPE, f"the facets of {name} are parallel")
+        pairs = ((balls[0], balls[1]), (balls[1], balls[0]))
+        edges = [([-a[1], a[0]], b) for a, b in pairs]
+        return [[-x for x in e] if dot(e, b) > 0 else e for e, b in edges]
+    angle, edges3 = arb(0), []
+    for a, b in zip(balls, [*balls[1:], balls[0]], strict=True):
+        edge = cross(a, b)
+        forward, level = dot(edge, axis), dot(a, b) - dot(a, axis) * dot(b, axis)
+        angle += arb.atan2(forward, level)
+        edges3.append((edge, forward))
+    sign = 1 if edges3[0][1] > 0 else -1
+    for f, (_, forward) in enumerate(edges3):
+        require("unsafe_sets", sign * forward - SLOPE**2, f"facets of {name} are out of order at {f}")
+    require("unsafe_sets", 3 * arb.pi() - abs(angle), f"the facets of {name} go around more than once")
+    return [[sign * x for x in edge] for edge, _ in edges3]

@@ -1,0 +1,72 @@
+"""The plant that a certificate speaks about, with exact entries."""
+
+import math
+from dataclasses import replace
+from math import ceil
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..kernel.balls import PRECISION, exponential, largest, magnitude, matrix, require
+from ..kernel.motion import Plant
+from ..kernel.verdict import Rejected, Undecided
+
+WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
+
+MOST_BITS = 4096  # most bits that are added to follow a reference
+
+
+def plant_of(document: Document) -> Plant:
+    """Matrices with exact entries: in Hill's frame those of the mean motion, not their rounded values."""
+    A, B, D = matrix(document.A), matrix(document.B), matrix(document.D)
+    if document.system_kind == "clohessy_wiltshire":
+        exact = _hill(document)
+        for name, stored, true in zip("ABD", (A, B, D), exact, strict=True):
+            if (stored.nrows(), stored.ncols()) != (true.nrows(), true.ncols()):
+                raise Rejected("system", f"{name} is not of the size it has in Hill's frame")
+            for i, (x, y) in enumerate(zip(stored.entries(), true.entries(), strict=True)):
+                require("system", abs(y) * 1e-14 - abs(x - y), f"{name}, entry {i}: {x} is not {y}")
+        A, B, D = exact
+    h = arb(document.delta) / document.q
+    u_max = [arb(x) for x in document.u_max]
+    C, w_max = matrix(document.C), arb(document.w_max)
+    errors = tuple(document.estimate), tuple(document.thrusters), tuple(document.prompt_thrusters)
+    jitter = document.timing.get("jitter", 0.0)
+    delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
+    hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
+    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, *errors, jitter, document.carried)
+    return replace(plant, unmeasured=delay + missed * h, hidden=0 if document.transients else hidden)
+
+
+def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:
+    """Inputs keep to the thrusters' limits."""
+    for k, u in enumerate(inputs):
+        for name, top, value in zip(document.input_names, document.u_max, u, strict=True):
+            require(claim, arb(top) - abs(arb(value)), f"{name} of {whose} in step {k}")
+
+
+def precision_for(document: Document) -> int:
+    """Bits of the midpoints with which the reference can be followed to its end.
+
+    Step by step every ball takes in the corners of the one before: its radius grows like the powers of
+    ``|e^{A delta}|``, and the bits that are lost to that are added, up to `MOST_BITS`.
+    """
+    plant = plant_of(document)
+    step = magnitude(exponential(plant.A, arb(document.delta))[0])
+    most = largest((step**document.longest).entries())
+    bits = float(most.log().mid()) / math.log(2) if most.is_finite() and most > 1 else 0.0
+    if not (most.is_finite() and bits <= MOST_BITS):
+        raise Undecided("reference", f"it takes more than {MOST_BITS} bits to follow it to its end")
+    return PRECISION + math.ceil(bits)
+
+
+def _hill(document: Document) -> tuple[arb_mat, arb_mat, arb_mat]:
+    """Clohessy-Wiltshire matrices of the stored mean motion and mass, exact."""
+    if document.mean_motion is None:
+        raise Rejected("system", "Hill's frame needs a mean motion")
+    eta = arb(document.mean_motion)
+    A, B, D = arb_mat(6, 6), arb_mat(6, 3), arb_mat(6, 3)
+    for i in range(3):
+        A[i, 3 + i], B[3 + i, i], D[3 + i, i] = 1, 1 / arb(document.mass), 1
+    A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * eta * eta, 2 * eta, -2 * eta, -eta * eta
+    return A, B, D

@@ -1,0 +1,127 @@
+"""Another satellite: every place where it may be, against the timed polytope that stands for it."""
+
+from typing import Any
+
+from flint import arb, arb_mat, fmpq, fmpq_mat
+
+from ..files.document import Document
+from ..files.parts import UnsafeSet
+from ..kernel.balls import (
+    absolute,
+    column,
+    exponential,
+    exponential_over,
+    lengths,
+    matrix,
+    norms,
+    require,
+    spans,
+)
+from ..kernel.verdict import Rejected
+from .plants import plant_of
+
+ROUNDED = 1e-9  # rounding of offsets, relative to the numbers they are made from
+
+MOST_PARTS = 256  # most parts into which a step is divided to follow it
+
+
+class Satellite:
+    """Support of every place where another satellite may be, and a ball around it, over each step.
+
+    ``c(t) z_0 + |c(t)| dz + radius`` and, for every input M with its bound a (the disturbance, and its own
+    acceleration), ``a int_0^t norm(c(s) M) ds``, with ``c(t) = n C e^{A t}``. Between two instants each term
+    is at most its chord plus what its bend allows.
+    """
+
+    def __init__(self, document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+        self.document, self.item = document, item
+        plant = plant_of(document)
+        self.A = plant.A
+        self.rows = matrix(item.normals) * matrix(document.C)
+        self.state = column(spec["state"])
+        self.half = column(spec["state_half_widths"])
+        self.radius = [length * spec["radius_m"] for length in norms(matrix(item.normals))]
+        self.pushes = [(plant.D, arb(document.w_max))]
+        thrust = spec.get("thrust_accel_max_m_s2", 0.0)
+        if thrust:
+            self.pushes.append((acceleration_input(document, item.name), arb(thrust)))
+
+    def check(self) -> None:
+        """Check all steps; each is divided until its polytope is shown to do, or no further."""
+        step = exponential(self.A, arb(self.document.delta))[0]
+        carried, at = self.rows, self.state
+        gained, parts = [arb(0)] * self.rows.nrows(), 1
+        for cell in range(len(self.item.start)):
+            while True:
+                final = parts >= MOST_PARTS
+                after = self._step(cell, parts, carried, at, gained, final)
+                if after is not None:
+                    break
+                parts *= 2
+            gained, carried, at = after, carried * step, step * at
+
+    def _step(
+        self, cell: int, parts: int, carried: arb_mat, at: arb_mat, gained: list[arb], final: bool
+    ) -> list[arb] | None:
+        """Check one step in parts; the integral so far at its end, or None if it needs more parts."""
+        h = arb(self.document.delta) / parts
+        small = exponential(self.A, h)[0]
+        over = self.A * self.A * exponential_over(self.A, h)
+        first, last = self.item.start[cell], self.item.end[cell]
+        size = [abs(a) + abs(b) for a, b in zip(map(arb, first), map(arb, last), strict=True)]
+        values, margins, gained = [], [], list(gained)
+        now = [norms(carried * M) for M, _ in self.pushes]
+        for part in range(parts + 1):
+            spread = (absolute(carried) * self.half).entries()
+            middle = (carried * self.state).entries()
+            values.append(
+                [a + b + g + r for a, b, g, r in zip(middle, spread, gained, self.radius, strict=True)]
+            )
+            if part == parts:
+                break
+            second, following = carried * over, carried * small
+            bend = (absolute(second * self.state) + spans(second, self.half)) * (h**2 / 8)
+            margin = bend.entries()
+            later = [norms(following * M) for M, _ in self.pushes]
+            for (M, accel), g, after in zip(self.pushes, now, later, strict=True):
+                for f, (x, y, z) in enumerate(zip(g, after, lengths(second * M), strict=True)):
+                    margin[f] += accel * (h / 8 * max(x - y, arb(0)) + h**3 / 12 * z)
+                    gained[f] += accel * (h / 2 * (x + y) + h**3 / 12 * z)
+            margins.append(margin)
+            carried, now = following, later
+        for part, value in enumerate(values):
+            near = margins[max(part - 1, 0) : part + 1]
+            s = arb(part) / parts
+            for f, support in enumerate(value):
+                spare = first[f] * (1 - s) + last[f] * s - support + size[f] * ROUNDED
+                for margin in near:
+                    if spare - margin[f] >= 0:
+                        continue
+                    if not final:
+                        return None
+                    where = f"{self.item.name}, facet {f}, in step {cell}"
+                    require("unsafe_sets", spare - margin[f], where)
+        return gained
+
+
+def acceleration_input(document: Document, name: str) -> arb_mat:
+    """How an acceleration of the position enters the state: E with ``C E = 0`` and ``C A E = I``.
+
+    In rational arithmetic, on the stored matrices; in Hill's frame they tell nothing else than the exact.
+    `Rejected` if the position obeys no equation of second order.
+    """
+    d, A, C = len(document.C), _rational(document.A), _rational(document.C)
+    velocity = C * A
+    known = fmpq_mat([*C.tolist(), *velocity.tolist()])
+    if known.rank() < 2 * d:
+        raise Rejected("unsafe_sets", f"{name} has thrust, but the position of this system no acceleration")
+    if fmpq_mat([*known.tolist(), *(velocity * A).tolist()]).rank() > 2 * d:
+        told = "the acceleration of this system's position depends on more than position and rate"
+        raise Rejected("unsafe_sets", f"{name} has thrust, but {told}")
+    # Any solution will do: what follows of the position depends on its products with C and C A only.
+    right_inverse = known.transpose() * (known * known.transpose()).inv()
+    return matrix([[arb(x) for x in row[d:]] for row in right_inverse.tolist()])
+
+
+def _rational(rows: list[list[float]]) -> fmpq_mat:
+    return fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in row] for row in rows])

@@ -1,0 +1,163 @@
+"""What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from flint import arb, arb_mat
+
+from ..files.document import ROUNDED, Document
+from ..kernel.balls import (
+    above,
+    absolute,
+    beside,
+    column,
+    identity,
+    largest,
+    matrix,
+    require,
+    row_sums,
+    smallest,
+    sums,
+)
+from ..kernel.motion import PARTS, Motion, Plant
+from ..kernel.verdict import Rejected
+from .allocation import per_axis
+from .plants import plant_of
+
+AT_NODES = arb(1e-6)
+"""Share of what pulses displace at most within `NEAR` of a period's ends, where it is nothing."""
+
+NEAR = 1e-9  # share of a period
+
+
+def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:
+    """Timing and pulses are the scenario's, and what they add to other errors no smaller than it must be.
+
+    `measured` bounds the errors of estimates by step, if there is more than one row.
+    """
+    spec, thrusters = scenario.get("timing", {}), scenario.get("thrusters", {})
+    keys = {"delay": "delay_s", "jitter": "jitter_s", "missed": "missed_periods", "clock": "clock_error_s"}
+    for key, name in keys.items():
+        found, given = document.timing.get(key, 0), spec.get(name, 0)
+        if found != given:
+            raise Rejected("system", f"{name} is {found} in the certificate, {given} in the scenario")
+    delay, jitter, missed = (spec.get(keys[key], 0) for key in ("delay", "jitter", "missed"))
+    plant, nothing = plant_of(document), [arb(0)] * len(document.u_max)
+    stored = document.estimate or [0.0] * len(document.A)
+    if not 2 * arb(jitter) <= plant.h:
+        raise Rejected("system", "the control period must be at least twice the jitter")
+    pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
+    top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
+    if document.fired != (per_axis(top, len(document.u_max)) if pulsed else []):
+        raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
+    if pulsed and (jitter or "directions" in thrusters):
+        raise Rejected("system", "pulses go with no jitter, and no directions of thrusters")
+    exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
+    none = arb(0), [arb(0)] * len(stored)
+    late, moved = _jitter(plant) if jitter else none
+    more, within = _pulses(plant, document.fired) if pulsed else none
+    require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
+    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
+    along = plant.thrusters[0] if plant.thrusters else 0.0
+    moved = sums(moved, row_sums((held + absolute(plant.B) * along) * plant.carried))
+    for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
+        for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
+            require("system", bound - needed, f"displacement of state {i}: {bound}")
+    if (len(measured) > 1) != bool(document.error_by_step):
+        raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
+    away = displaced(document, delay)
+    carried = [_carried(plant, delay + plant.h * i, nothing) for i in range(missed + 1)]
+    unseen = (plant.unseen * column(plant.thruster_part(plant.u_max))).entries()
+    for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
+        known = column(sums(map(arb, row), away))
+        ages = [sums((over * known).entries(), more) for over, more in carried]
+        least = sums(list(map(largest, zip(*ages, strict=True))), unseen)
+        for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
+            spare = bound * arb(1 + ROUNDED) - needed
+            require("system", spare, f"error of the prediction of state {i}: {bound}")
+
+
+def displaced(document: Document, delay: float) -> list[arb]:
+    """By how much states may be displaced when they are measured, as the certificate has it."""
+    periods = arb(delay) * document.q / arb(document.delta)
+    near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
+    share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
+    return [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
+
+
+def owed(plant: Plant) -> arb:
+    """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
+    return plant.B.ncols() * arb(plant.carried) * (1 + arb(plant.thrusters[0] if plant.thrusters else 0.0))
+
+
+def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
+    """Bounds on the errors of states predicted over a time from known ones."""
+    over, more = _carried(plant, age, plant.u_max)
+    return sums((over * column(known)).entries(), more)
+
+
+def late(plant: Plant, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
+    """What errors of commands up to `most` that are not measured yet add to a command (Lemma 44)."""
+    if not plant.hidden:
+        return [arb(0)] * gain.nrows()
+    clipped = [smallest(pair) for pair in zip(most, plant.u_max, strict=True)]
+    return (absolute(gain) * plant.unseen * column(plant.thruster_part(clipped))).entries()
+
+
+def measured_error(plant: Plant, gain: arb_mat) -> list[arb]:
+    """Error of a command without `late`, of which it holds what all the thrust that there is would add."""
+    pairs = zip(plant.command_error(gain), late(plant, gain, plant.u_max), strict=True)
+    return [(x - y).abs_upper() for x, y in pairs]
+
+
+def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb]]:
+    """What a prediction under commands up to `most` makes of errors of the states, and what it adds."""
+    n = plant.A.nrows()
+    if age == 0:
+        return identity(n), [arb(0)] * n
+    pushes = Motion(plant, plant.A, error=plant.thruster_error(most)).disturbances
+    found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
+    return absolute(rows), found
+
+
+def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
+    """What instants add that are off: an error of every input, and bounds on what states are displaced by."""
+    A, B, h, m = plant.A, plant.B, plant.h, len(plant.u_max)
+    jitter, reach, inverse = arb(plant.jitter), h / 2 + plant.jitter, _spreading(plant)
+    over = (absolute(A) * reach).exp() * absolute(B)
+    shape = absolute(inverse * B) + absolute(inverse * A * B) * jitter
+    shape += absolute(inverse) * absolute(A) * absolute(A) * over * (jitter**2 / 2)
+    worst = replace(plant, thrusters=plant.prompt).thruster_error(plant.u_max)
+    impulse = [jitter * (2 * u + e) for u, e in zip(plant.u_max, worst, strict=True)]
+    both = (shape * column(impulse)).entries()
+    spread = [largest((a + b, i / h)) for a, b, i in zip(both[:m], both[m:], impulse, strict=True)]
+    return largest(spread), (over * column(spread) * reach).entries()
+
+
+def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
+    """The same of pulses in the middle of periods: no more than this within, nothing at the ends."""
+    A, B, h, m, exact = plant.A, plant.B, plant.h, len(fired), replace(plant, thrusters=plant.prompt)
+    inverse, growth, bent = _spreading(plant), (absolute(A) * h).exp(), A * A * B
+    each = ([x * scale for x in fired] for scale in (h / 8, h**2 / 32, h**3 / 62))
+    speed, way, lasting = (column(sums(part, exact.thruster_part(part))) for part in each)
+    shape = absolute(inverse * bent) + absolute(inverse) * absolute(A) * growth * absolute(bent) * (h / 2)
+    both = (shape * lasting).entries()
+    spread = column(sums(both[:m], both[m:]))
+    within = absolute(B) * speed + absolute(A * B) * way
+    within += growth * (absolute(bent) * way + absolute(B) * spread) * h
+    return largest(spread.entries()), within.entries()
+
+
+def _spreading(plant: Plant) -> arb_mat:
+    """Inputs ``a + b s`` over a period that move the state at its middle, whichever way it is asked."""
+    A, B, h, n = plant.A, plant.B, plant.h, plant.A.nrows()
+    one, zero = identity(n), arb_mat(n, n)
+    block = above(beside(-A, one, zero), beside(zero, zero, one), beside(zero, zero, zero)) * h
+    rows = [row[n:] for row in block.exp().tolist()[:n]]
+    once, twice = (matrix([row[i * n : (i + 1) * n] for row in rows]) for i in (0, 1))
+    moments = (A * (h / 2)).exp() * beside(once * B, (once - twice * (2 / h)) * B)
+    try:
+        return moments.transpose() * (moments * moments.transpose()).inv()
+    except ZeroDivisionError as error:
+        raise Rejected("system", "jitter or pulses cannot be spread over a period in this system") from error

@@ -1,0 +1,1 @@
+"""Surroundings: obstacles, keep-in sets and other spacecraft, and distances to them."""

@@ -1,0 +1,277 @@
+"""Another spacecraft: an uncertain state carried by the same dynamics, freely or under bounded thrust."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from reach.numerics.errors import Unresolved
+from reach.numerics.linear import discretize, growth, powers
+
+from ..checks import non_negative, positive, vector
+from ..errors import ScenarioError
+from ..system import Array, LinearSystem, as_finite
+from ..tolerances import ROUNDING
+from .obstacle import Obstacle, directions
+from .shapes import Ball, Polytope
+from .timed_polytope import TimedPolytope
+
+MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend of the motion
+
+
+@dataclass(frozen=True, eq=False)
+class SatelliteObstacle(Obstacle):
+    """A ball around another spacecraft, which obeys ``x' = A x + D w + E a``.
+
+    E adds the acceleration a [m/s^2] to that of the position (`LinearSystem.acceleration_input`). The timed
+    polytope holds for every initial state in the box, every disturbance within the system's bound and
+    every acceleration with ``norm(a, 2) <= thrust_accel_max``. The true set, by which runs are judged, is
+    the ball about the true centre (given as `state`), or about the nominal one.
+
+    Parameters
+    ----------
+    name : str
+        What tables, figures and messages call it.
+    state, state_half_widths : array_like, shape (n,)
+        State at t = 0 and how far each entry may be off (0 where known), in the system's units.
+    radius : float
+        Combined radius [m] within which the two must not come, > 0.
+    thrust_accel_max : float
+        Largest acceleration by its own thrust [m/s^2], which needs a system whose position has one (of
+        second order); 0 for free motion.
+    facets : int, optional
+        See `directions`.
+    """
+
+    name: str
+    state: ArrayLike
+    state_half_widths: ArrayLike
+    radius: float
+    thrust_accel_max: float = 0.0
+    facets: int | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "state", as_finite(f"{self.path}.state", self.state, 1))
+        half = vector(f"{self.path}.state_half_widths", self.state_half_widths, len(self._x0), "state has")
+        if np.any(half < 0):
+            raise ScenarioError(f"{self.path}.state_half_widths", half.tolist(), "must all be >= 0")
+        put(self, "state_half_widths", half)
+        put(self, "radius", positive(f"{self.path}.radius", self.radius, "m"))
+        thrust = non_negative(f"{self.path}.thrust_accel_max", self.thrust_accel_max, "m/s^2")
+        put(self, "thrust_accel_max", thrust)
+
+    @cached_property
+    def _x0(self) -> Array:
+        return np.asarray(self.state, dtype=float)
+
+    @cached_property
+    def shape(self) -> Ball:
+        """The ball about the true centre."""
+        return Ball(self.radius)
+
+    def _grown(self, radius: float) -> "SatelliteObstacle":
+        return replace(self, radius=self.radius + radius)
+
+    @property
+    def drawn(self) -> Ball:
+        """The ball."""
+        return self.shape
+
+    def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
+        """One timed polytope; offsets cover the whole of every cell (see `_cover`)."""
+        self._check_cells(system, delta, cells, system.d)
+        self._fits(system)
+        normals = self._normals(system)
+        wanted, parts, bow = max(1e-3, 1e-4 * self.radius), 1, np.inf
+        rule = f"must stay finite when propagated over {cells * delta:g} s"
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                while not bow <= wanted and parts <= MOST_PARTS:
+                    offsets, bow, _ = self._cover(system, normals @ system.position, delta, cells, parts)
+                    parts *= 2
+        except Unresolved as error:  # beyond floating point
+            raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule) from error
+        if not np.all(np.isfinite(offsets)):
+            raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule)
+        return (TimedPolytope(self.name, normals, offsets, static=False),)
+
+    def _cover(
+        self, system: LinearSystem, rows: Array, delta: float, cells: int, parts: int
+    ) -> tuple[Array, float, Array]:
+        """Offsets (cells, 2, F) that hold over cells, the largest allowance for bend, supports at nodes.
+
+        For a row c (``C' n`` of a facet), the support of the states at t is
+        ``c' e^{At} x0 + |c' e^{At}| dx + radius`` and, for every input M with its bound a (`pushes`),
+        ``a int_0^t norm(c' e^{As} M) ds``.
+        Between nodes h apart, each term is at most its chord plus: ``h^2/8`` times the largest
+        second derivative of the (vector inside the) first two; for the integral, whose integrand g
+        is at most its own chord plus ``h^2/8 sup norm(v'')``, ``h max(g_j - g_{j+1}, 0)/8`` plus
+        what is added to the trapezoid, ``h^3/12 sup norm(v'')``. The cell's two offsets are the
+        chord of its nodes, lifted until it is above them all.
+        """
+        A, h = system.A, delta / parts
+        far, near = powers(expm(A * delta), cells - 1), powers(expm(A * h), parts)
+        carried = rows @ far[:, None] @ near  # (cells, parts+1, F, n)
+        half, grown = np.asarray(self.state_half_widths), growth(A, h)
+        middle = carried @ self._x0
+        nominal = np.abs((near @ (far @ self._x0)[:, None, :, None])[:, :-1, :, 0])
+        bent = np.abs(carried[:, :-1] @ A @ A) @ grown
+        bow = h**2 / 8 * (bent @ half + nominal @ (np.abs(rows @ A @ A) @ grown).T)
+        node = middle + np.abs(carried) @ half + self.radius
+        size = np.abs(carried) @ (np.abs(self._x0) + half) + self.radius
+        for M, accel in self.pushes(system):
+            rate = accel * np.linalg.norm(carried @ M, axis=-1)
+            excess = h**3 / 12 * accel * np.linalg.norm(bent @ np.abs(M), axis=-1)
+            each = (h / 2 * (rate[:, :-1] + rate[:, 1:]) + excess).reshape(-1, len(rows))
+            gained = np.vstack([np.zeros(len(rows)), np.cumsum(each, axis=0)])
+            steps = np.arange(cells)[:, None] * parts + np.arange(parts + 1)
+            node = node + gained[steps]
+            size = size + gained[steps]
+            bow = bow + h / 8 * np.maximum(rate[:, :-1] - rate[:, 1:], 0.0) + excess
+        node = node + ROUNDING * size
+        lifted = node.copy()
+        lifted[:, :-1] += bow
+        lifted[:, 1:] = np.maximum(lifted[:, 1:], node[:, 1:] + bow)
+        s = np.linspace(0.0, 1.0, parts + 1)[:, None]
+        chord = lifted[:, :1] * (1 - s) + lifted[:, -1:] * s
+        lift = np.maximum((lifted - chord).max(axis=1), 0.0)
+        return np.stack([lifted[:, 0] + lift, lifted[:, -1] + lift], axis=1), float(bow.max()), node[:, 0]
+
+    def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
+        """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d)."""
+        rows = np.vstack([system.position, system.velocity])
+        most = self._cover(system, np.vstack([rows, -rows]), h, count, 1)[2] - self.radius
+        high, low = most[:, : len(rows)], -most[:, len(rows) :]
+        return (high + low) / 2, (high - low) / 2
+
+    def pushes(self, system: LinearSystem) -> tuple[tuple[Array, float], ...]:
+        """Inputs that move it, each with the bound on its 2-norm: the disturbance, and its own thrust.
+
+        Raises
+        ------
+        ScenarioError
+            If it has thrust, but the system no acceleration of the position.
+        """
+        found = [(system.D, system.w_max)] if system.w_max > 0 else []
+        if self.thrust_accel_max > 0:
+            try:
+                found.append((system.acceleration_input, self.thrust_accel_max))
+            except ScenarioError as error:
+                rule = f"must be 0 in this system: the position {error.rule}"
+                raise ScenarioError(f"{self.path}.thrust_accel_max", self.thrust_accel_max, rule) from error
+        return tuple(found)
+
+    def nominal(self, t: ArrayLike, system: LinearSystem) -> Array:
+        """Undisturbed state at times t [s], shape (..., n)."""
+        self._fits(system)
+        return free_motion(system.A, self._x0, np.asarray(t, dtype=float))
+
+    def motion(
+        self, t: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s]: of the true `state` (..., n) if given, else of the nominal one."""
+        known, system = self._known(t, system, state)
+        return np.asarray(known @ system.position.T), np.asarray(known @ system.velocity.T)
+
+    def relative_drift(
+        self, t: ArrayLike, x: Array, system: LinearSystem, state: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Both drift under the same dynamics, so their difference does."""
+        known, _ = self._known(t, system, state)
+        still = np.zeros(system.d)
+        return x - known, still, still
+
+    def outline(self, t: float, system: LinearSystem) -> Array:
+        """Vertices [m] of the over-approximating polytope at time t, shape (V, d)."""
+        self._fits(system)
+        normals = self._normals(system)
+        rows = normals @ system.position
+        if t > 0:
+            return Polytope(normals, self._cover(system, rows, t, 1, 64)[0][0, 1]).vertices()
+        spread = np.abs(rows) @ np.asarray(self.state_half_widths)
+        return Polytope(normals, rows @ self._x0 + spread + self.radius).vertices()
+
+    def _normals(self, system: LinearSystem) -> Array:
+        return directions(system.d, self.facets, f"{self.path}.facets")
+
+    def _known(
+        self, t: ArrayLike, system: LinearSystem | None, state: ArrayLike | None
+    ) -> tuple[Array, LinearSystem]:
+        if system is None:
+            raise ScenarioError(f"{self.path}.system", None, "is needed to say where another satellite is")
+        if state is None:
+            return self.nominal(t, system), system
+        known = np.asarray(state, dtype=float)
+        if known.ndim == 0 or known.shape[-1] != system.n or not np.all(np.isfinite(known)):
+            rule = f"must be finite, its last axis the {system.n} states of the system"
+            raise ScenarioError(f"{self.path}.state", known.shape, rule)
+        return known, system
+
+    def _fits(self, system: LinearSystem) -> None:
+        if len(self._x0) != system.n:
+            rule = f"must be {system.n} numbers, as the system has states"
+            raise ScenarioError(f"{self.path}.state", self._x0.tolist(), rule)
+
+
+def free_motion(A: Array, x0: Array, t: Array) -> Array:
+    """Return ``e^{A t} x0`` for many times t [s], any shape; shape (..., n).
+
+    From the nearest of a few exact nodes, a quarter of the fastest time constant apart or less, by
+    a Taylor series to round-off.
+    """
+    flat = t.reshape(-1)
+    if not np.all(np.isfinite(flat)):
+        raise ScenarioError("t", "nan or inf", "must be finite numbers [s]")
+    if flat.size == 0:
+        return np.empty((*t.shape, len(x0)))
+    low, span = float(flat.min()), float(np.ptp(flat))
+    fastest = float(np.max(np.abs(np.linalg.eigvals(A))))
+    count = int(np.clip(np.ceil(span * fastest / 0.25), 1, 100_000))
+    h = span / count
+    nodes = powers(expm(A * h), count) @ (expm(A * low) @ x0)
+    index = np.minimum(((flat - low) / h).astype(int), count) if span > 0 else np.zeros(flat.size, dtype=int)
+    rest = (flat - low - index * h)[:, None]
+    total = nodes[index]
+    term = total
+    for k in range(1, 100):
+        term = term @ A.T * (rest / k)
+        total = total + term
+        if not np.abs(term).max() > 1e-17 * np.abs(total).max():
+            break
+    return np.asarray(total.reshape(*t.shape, len(x0)))
+
+
+def true_states(
+    obstacles: Sequence[Obstacle], system: LinearSystem, times: Array, runs: int, rng: np.random.Generator
+) -> dict[str, Array]:
+    """States of other satellites that what is known of them allows, by name, shape (R, N+1, n).
+
+    Half of the runs start them in corners of the known box and give them their largest
+    acceleration; it is constant in each run, and so is a disturbance that pushes them the same way.
+    """
+    out: dict[str, Array] = {}
+    h = float(times[1] - times[0])
+    for satellite in (o for o in obstacles if isinstance(o, SatelliteObstacle)):
+        spread = rng.uniform(-1.0, 1.0, (runs, system.n))
+        spread[: runs - runs // 2] = np.where(spread[: runs - runs // 2] < 0, -1.0, 1.0)
+        x0 = np.asarray(satellite.state) + spread * np.asarray(satellite.state_half_widths)
+        way = rng.normal(size=(runs, system.d))
+        share = np.ones((runs, 1))
+        share[runs - runs // 2 :] = rng.random((runs // 2, 1))
+        free = powers(discretize(system.A, system.D, h)[0], len(times) - 1)
+        states = np.einsum("tij,rj->rti", free, x0)
+        for M, bound in satellite.pushes(system):
+            # What accelerates the position in that direction; any input, if none accelerates it at once.
+            push = way @ system.velocity @ M
+            idle = np.linalg.norm(push, axis=1) == 0
+            push[idle] = rng.normal(size=(int(idle.sum()), push.shape[1]))
+            push *= bound * share / np.linalg.norm(push, axis=1, keepdims=True)
+            held = discretize(system.A, M, h)[1]
+            forced = np.concatenate([np.zeros((1, *held.shape)), np.cumsum(free[:-1] @ held, axis=0)])
+            states = states + np.einsum("tij,rj->rti", forced, push)
+        out[satellite.name] = states
+    return out

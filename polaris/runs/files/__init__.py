@@ -1,0 +1,1 @@
+"""Files of run folders: arrays, tables, lists of what Polaris wrote, atomic replacement."""

@@ -1,0 +1,171 @@
+"""The arrays of a run folder: recoverable sets, tubes, simulated runs. Plain arrays, no pickle."""
+
+import math
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.numerics.files import open_regular
+from reach.sets.zonotope import Zonotope
+
+from ...model.system import Array
+from ...simulation.baselines import Flights
+from ...synthesis.schedule.schedule import Schedule
+from ..picture import SlicePicture, TubePicture
+
+LARGEST = 2**30  # most bytes of the arrays of a file, compressed or not
+
+SLICES = {"slice_t_s": "times", "slice_place_m": "places", "slice_outline_m": "outlines"}
+"""Attribute of slices by the name of its array."""
+
+
+def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
+    """Everything the recoverable sets are made from, in error coordinates, and slices for figures."""
+    safety = schedule.safety
+    clearance, tracking, kind = safety.clearance, safety.tracking, safety.recoverable.kind
+    rows, index = clearance.obstacle_rows
+    above, below = clearance.thrust
+    nodes = np.arange(safety.problem.K + 1) * clearance.q
+    return {
+        "kind": np.array(kind),
+        "unsafe": np.array([unsafe.name for unsafe in clearance.unsafe], dtype=str),
+        "facets": clearance.facets,
+        "obstacle_rows": rows,
+        "obstacle_row_index": index,
+        "obstacle_room_m": clearance.room,
+        "thrust_rows": tracking.gain,
+        "thrust_room_above": above,
+        "thrust_room_below": below,
+        "transition": tracking.flow.phi,
+        "decay": tracking.decay,
+        "disturbance_obstacle": tracking.disturbance(rows),
+        "disturbance_thrust": tracking.disturbance(tracking.gain),
+        "curvature_obstacle": tracking.curvature(rows),
+        "curvature_thrust": tracking.curvature(tracking.gain),
+        "weight": tracking.W,
+        "node": nodes,
+        "t_s": nodes * tracking.flow.h,
+        "radius": np.array([safety.recoverable.radius(int(node)) for node in nodes]),
+        "start_center": safety.start.c,
+        "start_generators": safety.start.G,
+        **held_by(slices, SLICES),
+    }
+
+
+def tube_arrays(schedule: Schedule) -> dict[str, Any]:
+    """The reachable set of every step at its nodes, in error and in absolute coordinates.
+
+    ``center + generators b``, ``|b_i| <= 1``; between nodes in the hull of two, up to ``bow`` on either side.
+    Generators (q+1, g, K, n) are in single precision; a box of what that takes, and of what jitter, pulses
+    and carried impulses displace the true state from the modelled one, is the last n of them.
+    """
+    safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
+    system, final = safety.problem.system, schedule.final
+    single, most = nodes.G.astype(np.float32), np.float32(np.inf)
+    off = (np.abs(nodes.G - single).sum(axis=-1) + system.displaced_at_nodes).astype(np.float32)
+    box = np.nextafter(off, most)[..., None] * np.eye(nodes.dim, dtype=np.float32)
+    q = safety.tracking.feedback.nodes_per_cell
+    return {
+        "t_s": schedule.times[:-1, None] + np.arange(q + 1) * safety.tracking.flow.h,
+        "mode": schedule.modes,
+        "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
+        "center_error": nodes.c,
+        "generators": np.concatenate([single, box], axis=-1).transpose(1, 3, 0, 2),
+        "bow": np.stack([step.tube.bow for step in schedule.steps])
+        + system.displaced
+        - system.displaced_at_nodes,
+        "final_center_error": final.c,
+        "final_generators": np.hstack([final.G, np.diag(system.displaced_at_nodes)]),
+    }
+
+
+def position_tube(arrays: Mapping[str, Any], C: Array) -> TubePicture:
+    """Positions out of `tube_arrays`."""
+    generators = (arrays["generators"] @ C.T).transpose(2, 0, 3, 1)
+    return TubePicture(arrays["center"] @ C.T, generators, arrays["bow"] @ np.abs(C).T)
+
+
+FLIGHTS = {
+    "controller": "controller",
+    "labels": "labels",
+    "t_s": "times",
+    "states": "states",
+    "inputs": "inputs",
+    "modes": "modes",
+    "distance_m": "nearest",
+    "input_range": "input_range",
+}
+"""Attribute of the flights of a controller or method by the name of its array."""
+
+
+def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:
+    """Some runs of every controller or method, and the envelope of all of them."""
+    parts = (held_by(flights, FLIGHTS, f"{key}_") for key, flights in flown.items())
+    return {name: values for part in parts for name, values in part.items() if values is not None}
+
+
+def held_by(item: Any, names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
+    """Attributes of an item by the names their arrays have."""
+    return {prefix + name: getattr(item, held) for name, held in names.items()}
+
+
+def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str = "") -> dict[str, Any]:
+    """The inverse: arrays by attribute."""
+    return {held: arrays[prefix + name] for name, held in names.items()}
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return all arrays of a file, once their declared sizes are known; nothing in it is ever unpickled.
+
+    Raises
+    ------
+    OSError, ValueError, zipfile.BadZipFile
+        If it is no regular file, damaged, or its arrays take more than `LARGEST` bytes.
+    """
+    with open_regular(path, LARGEST) as file:
+        with zipfile.ZipFile(file) as parts:
+            for part in parts.infolist():
+                _check_header(parts, part)
+            size = sum(part.file_size for part in parts.infolist())
+        if size > LARGEST:
+            raise ValueError(f"{path.name}: its arrays take {size} bytes; must be at most {LARGEST}")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+
+
+def _check_header(parts: zipfile.ZipFile, part: zipfile.ZipInfo) -> None:
+    """Raise a ValueError unless an array has the size that the archive declares for it."""
+    with parts.open(part) as file:
+        version = np.lib.format.read_magic(file)  # it and what follows read no more than a header
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, _, dtype = read(file)
+        if math.prod(shape) * dtype.itemsize + file.tell() != part.file_size:
+            raise ValueError(
+                f"{part.filename}: its shape {shape} does not fit its size, {part.file_size} bytes"
+            )
+
+
+def read_finite(path: Path, finite: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """All arrays of a file, some of which must be of finite numbers; `ValueError` if they are not."""
+    arrays = read_arrays(path)
+    if not all(np.isfinite(arrays[name]).all() for name in finite):
+        raise ValueError(f"{path.name}: numbers that are not finite")
+    return arrays
+
+
+def read_flights(path: Path) -> dict[str, Flights]:
+    """Read what `flight_arrays` gave, by key."""
+    arrays, out = read_arrays(path), {}
+    for key in [name.removesuffix("_t_s") for name in arrays if name.endswith("_t_s")]:
+        found: dict[str, Any] = {held: arrays.get(f"{key}_{name}") for name, held in FLIGHTS.items()}
+        found["controller"] = str(arrays.get(f"{key}_controller", key))
+        found["labels"] = tuple(found["labels"].tolist())
+        out[key] = Flights(**found)
+    return out

@@ -1,0 +1,264 @@
+"""Folders and files that appear whole or not at all, and replace only what Polaris wrote.
+
+They are written into a hidden folder beside their place, named by host and process, and renamed. What the
+list of a folder (`polaris.runs.files.ownership`) does not have with its hash is the user's, and is kept.
+"""
+
+import errno
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal, NoReturn
+
+from ...model.errors import ScenarioError
+from .ownership import (
+    MANIFEST,
+    Owned,
+    beside_name,
+    discard,
+    extend_list,
+    keep,
+    linked,
+    list_holder,
+    read_list,
+    remove,
+    sha256,
+    spare,
+    start_list,
+    tidy,
+    write_list,
+)
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+REFUSED = (errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, None)
+CAMPAIGN = "manifest.json"  # file by which a campaign is known
+
+
+class CannotWrite(ScenarioError):
+    """A place turned out not to take what was to be written there."""
+
+    def __init__(self, field: str, target: Path, error: OSError, before: bool) -> None:
+        told = " ".join((error.strerror or str(error)).split())
+        rule = f"cannot be written: {told}"
+        rule += "; what was there before is unchanged" if before else "; nothing is left there"
+        if error.errno in (*FULL, None):
+            rule += ". Free some space, or give another place, and run the same command again"
+        super().__init__(field, str(target), rule)
+
+
+def check_target(out: str | Path, names: Iterable[str] = (), campaign: bool = False) -> Path:
+    """Return the absolute path of a folder, once it is clear that it may be made or replaced, by trying.
+
+    What killed processes left there is cleared away.
+
+    Parameters
+    ----------
+    out : path
+    names : iterable of str
+        Files that will be written into it: none of them may be there unless Polaris wrote it.
+    campaign : bool
+        Whether a campaign may be replaced.
+
+    Raises
+    ------
+    ScenarioError
+        If a file of the user is in the way, which it names, or the place cannot be written to.
+    """
+    try:
+        target = Path(out).resolve()
+        if target == Path.cwd() or target in Path.cwd().parents:
+            raise ScenarioError("--out", str(out), "must not be the current folder or one above it")
+        tidy(target.parent, target.name)
+        if target.exists():
+            _check_existing(target, out, tuple(names), campaign)
+        nearest = next(parent for parent in target.parents if parent.exists())
+        try_writing(nearest, target.name, out)
+    except (OSError, ValueError) as error:
+        raise ScenarioError("--out", str(out), f"must be a usable path ({error})") from error
+    return target
+
+
+def check_file(
+    out: str | Path, field: str = "--out", endings: tuple[str, ...] = (), force: bool = False
+) -> Path:
+    """Return the path of a file, once it is clear that it may be written, by trying.
+
+    Nothing tells whose a single file is, so one that is there is replaced by `force` only.
+
+    Raises
+    ------
+    ScenarioError
+        If it is there, is part of a result, has another ending, or cannot be written. `field` is its name in
+        the message.
+    """
+    target = Path(out)
+    try:
+        if endings and target.suffix.lower() not in endings and not target.is_dir():
+            raise ScenarioError(field, str(out), f"must end with {' or '.join(endings)}")
+        if target.is_dir():
+            raise ScenarioError(field, str(out), "is a folder; must be a file")
+        if not target.parent.is_dir():
+            raise ScenarioError(field, str(out), f"there is no folder {target.parent}")
+        _check_taken(target, field, force)
+        tidy(target.parent, target.name)
+        try_writing(target.parent, target.name, out, field)
+    except (OSError, ValueError) as error:
+        raise ScenarioError(field, str(out), f"must be a usable path ({error})") from error
+    return target
+
+
+def _check_taken(target: Path, field: str, force: bool) -> None:
+    folder = target.parent.resolve()
+    holder = list_holder(folder)
+    if (folder.relative_to(holder) / target.name).as_posix() in (read_list(holder) or {}):
+        rule = f"is a part of the results in {target.parent}, which would be lost; give another name"
+        raise ScenarioError(field, str(target), rule)
+    if os.path.lexists(target) and not force:
+        rule = "is there already; give another name, or --force to replace it"
+        raise ScenarioError(field, str(target), rule)
+
+
+def _check_existing(target: Path, out: str | Path, names: tuple[str, ...], campaign: bool) -> None:
+    def refuse(rule: str) -> NoReturn:
+        raise ScenarioError("--out", str(out), rule)
+
+    if not target.is_dir():
+        refuse("is a file; must be a folder")
+    if os.path.ismount(target):
+        refuse("is where a file system is mounted, which cannot be replaced; give a folder in it")
+    listed = read_list(target)
+    if any(target.iterdir()) and listed is None:
+        refuse("is a folder with other contents; it will not be replaced")
+    if CAMPAIGN in (listed or ()) and not campaign:
+        refuse("holds a campaign; it will not be replaced")
+    refuse_taken(target, sorted({*names, *(listed or ())}))
+    if not os.access(target, os.R_OK | os.W_OK | os.X_OK):
+        refuse("is a folder that cannot be written to")
+    above = target.parent.stat()
+    sticky = above.st_mode & 0o1000 and hasattr(os, "geteuid")
+    if sticky and os.geteuid() not in (0, above.st_uid, target.stat().st_uid):
+        refuse(f"belongs to somebody else, and folders in {target.parent} can be renamed by their owner only")
+
+
+def refuse_taken(folder: Path, names: Iterable[str]) -> None:
+    """Raise a `ScenarioError` that names the first file in the way which Polaris did not write as it is."""
+    owned = Owned(folder)
+    for name in names:
+        if os.path.lexists(folder / name) and name not in owned:
+            why = "was changed since Polaris wrote it" if name in owned.listed else "is not Polaris's"
+            if linked(folder, name):
+                why = "is a symbolic link or in a linked folder, and Polaris does not write through links"
+            rule = f"{name} in it {why}; move it away, or give another place"
+            raise ScenarioError("--out", str(folder), rule)
+
+
+def try_writing(folder: Path, name: str, out: str | Path, field: str = "--out") -> None:
+    """Make a folder beside with a file in it, as the result will be made, and remove both."""
+    trial = folder / beside_name(name, "new")
+    try:
+        trial.mkdir()
+        try:
+            start_list(trial)
+        finally:
+            remove(trial)
+    except OSError as error:
+        rule = f"cannot be made: {folder} is not a writable folder ({error.strerror or error})"
+        raise ScenarioError(field, str(out), rule) from error
+
+
+@contextmanager
+def _beside(folder: Path, name: str, field: str, target: Path) -> Iterator[Path]:
+    """Make a hidden folder, with a list by which the next run knows it, and remove it at the end."""
+    beside = folder / beside_name(name, "new")
+    try:
+        beside.mkdir(parents=True)
+        start_list(beside)
+        yield beside
+    except BaseException as error:
+        cause = error.__cause__ if isinstance(error, CannotWrite) else error
+        if isinstance(cause, OSError) and cause.errno in (*FULL, *REFUSED):
+            raise CannotWrite(field, target, cause, os.path.lexists(target)) from cause
+        raise
+    finally:
+        remove(beside)
+
+
+@contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """Make a folder beside `target` that takes its place if all goes well, and is removed if not.
+
+    Only what Polaris wrote goes; all else is linked into the new folder, with ``.kept`` added where its name
+    is needed. If the process is killed in between, the older folder is whole, and put back next time.
+    """
+    tidy(target.parent, target.name)
+    aside = target.with_name(beside_name(target.name, "old"))
+    with _beside(target.parent, target.name, "--out", target) as beside:
+        yield beside
+        write_list(beside)
+        if target.exists():
+            shutil.copymode(target, beside)
+            keep(target, beside)
+            target.rename(aside)
+        try:
+            beside.rename(target)
+        except OSError:
+            if aside.exists():
+                aside.rename(target)
+            raise
+    discard(aside, target)
+
+
+@contextmanager
+def replacing_file(target: Path, field: str = "--out", force: bool = False) -> Iterator[Path]:
+    """Give a path of the same name elsewhere; what is written there takes the place of `target`."""
+    with _beside(target.parent, target.name, field, target) as beside:
+        yield beside / target.name
+        _check_taken(target, field, force)
+        os.replace(beside / target.name, target)
+
+
+def write_whole(path: Path, text: str, field: str = "--out", force: bool = False) -> None:
+    """Write a text file: whole, or not at all."""
+    with replacing_file(path, field, force) as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+
+
+@contextmanager
+def adding(
+    folder: Path, inside: str = "", taken: Literal["refused", "kept", "replaced"] = "refused"
+) -> Iterator[Path]:
+    """Give a new folder whose files are moved into a folder of results at the end, and listed there.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder of results.
+    inside : str
+        Folder in it to which the files go.
+    taken : str
+        What becomes of a file in the way that Polaris did not write as it is: the command is refused and
+        names it, or it is moved up into `folder` with ``.kept`` added to its name, or replaced.
+    """
+    folder = folder.resolve()
+    holder, place = list_holder(folder), folder / inside
+    if inside and linked(folder, inside):
+        raise ScenarioError("folder", str(place), "is a symbolic link; Polaris does not write through links")
+    if not os.path.lexists(holder / MANIFEST):
+        start_list(holder)
+    tidy(folder)
+    with _beside(folder, inside or folder.name, "--out", place) as beside:
+        yield beside
+        place.mkdir(exist_ok=True)
+        prefix = "".join(f"{part}/" for part in place.relative_to(holder).parts)
+        new = sorted(path for path in beside.iterdir() if path.name != MANIFEST)
+        there = [path for path in new if os.path.lexists(place / path.name)]
+        if taken == "refused":
+            refuse_taken(holder, [prefix + path.name for path in there])
+        for path in there if taken == "kept" else ():
+            if prefix + path.name not in Owned(holder):
+                (place / path.name).rename(spare(folder, f"{path.name}.kept", place / path.name))
+        for path in new:
+            extend_list(holder, prefix + path.name, sha256(path))
+            os.replace(path, place / path.name)

@@ -1,0 +1,214 @@
+"""The readable files of a run folder, tables (CSV) and strict JSON; what a run claims besides, in words."""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...model.errors import escape_controls
+from ...model.files import read_text
+from ...model.system import LinearSystem
+from ...model.timing import Observer, Timing
+from ...planning.reference import Reference
+from ...simulation.metrics import finite
+from ...synthesis.safety.get_safety import Safety
+from ...synthesis.safety.recoverable import directed
+from ...synthesis.schedule.schedule import Schedule
+from ...synthesis.schedule.synthesize import in_words
+
+
+def strict(value: Any, number: Callable[[float], Any] = finite) -> Any:
+    """Return data for strict JSON: numpy turned plain, floats as `number` says, infinities and NaN null."""
+    if isinstance(value, Mapping):
+        return {str(key): strict(item, number) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return strict(value.tolist(), number)
+    if isinstance(value, list | tuple):
+        return [strict(item, number) for item in value]
+    return number(value) if isinstance(value, float) else value
+
+
+def json_text(data: Any) -> str:
+    """Strict JSON, readable, the same bytes for the same data, control characters escaped."""
+    return escape_controls(json.dumps(strict(data), indent=2, allow_nan=False, ensure_ascii=False)) + "\n"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 with the same line ends everywhere."""
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], header: Sequence[str] = ()) -> None:
+    """Write rows by column (the first row's by default), exact numbers, what is not finite empty."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, header or list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(map(strict, rows))
+
+
+def pilots(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return who flew, by key, as people call them; experimental controllers by name if there are several."""
+    alone = [key for key in summary if key.startswith("experimental")]
+    named = (f" ({summary[key]['controller']})" if len(alone) > 1 else "" for key in alone)
+    called = {"safety": "S alone", **{key: f"U alone{name}" for key, name in zip(alone, named, strict=True)}}
+    return {key: title for key, title in {**called, "polaris": "Polaris"}.items() if key in summary}
+
+
+def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
+    """Mode, name and kind of every controller."""
+    return [
+        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        for mode, controller in enumerate(schedule.controllers)
+    ]
+
+
+def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
+    """Write ``schedule.csv`` and ``schedule.json``."""
+    rows = [
+        {
+            "step": k,
+            "t_start_s": schedule.times[k],
+            "t_end_s": schedule.times[k + 1],
+            "mode": step.mode,
+            "controller": schedule.controllers[step.mode].name,
+            "margin": step.margin.value,
+            "limit": step.margin.limit,
+            "limit_time_s": step.margin.time,
+            "need": step.margin.need,
+            "room": step.margin.room,
+        }
+        for k, step in enumerate(schedule.steps)
+    ]
+    write_csv(folder / "schedule.csv", rows)
+    controllers = controller_rows(schedule)
+    data = {
+        "schema_version": 1,
+        "step_s": schedule.safety.problem.delta,
+        "duration_s": schedule.times[-1],
+        "controllers": controllers,
+        "rules": rules,
+        "modes": schedule.modes,
+        "switches": schedule.switches,
+        "experimental_share": schedule.share(),
+        "share": {row["name"]: schedule.share(row["mode"]) for row in controllers},
+        "recoverable": schedule.safety.recoverable.kind,
+        "guarantee": guarantee,
+        "steps": rows,
+    }
+    write_text(folder / "schedule.json", json_text(data))
+
+
+def columns(system: LinearSystem) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Column names of the states and the inputs, with units where they are known."""
+    if system.mean_motion is not None and system.n == 6 and system.m == 3:
+        states = tuple(f"{name}_{'m' if name[0] == 'r' else 'm_s'}" for name in system.state_names)
+        return states, ("u_x_N", "u_y_N", "u_z_N")
+    return system.state_names, tuple(f"u{i}" for i in range(system.m))
+
+
+def write_reference(path: Path, reference: Reference) -> None:
+    """Write state at every waypoint and the input held from there on (none at the last)."""
+    states, inputs = columns(reference.system)
+    rows = [
+        {"t_s": k * reference.delta, **dict(zip(states, chi, strict=True))}
+        for k, chi in enumerate(reference.chi.tolist())
+    ]
+    for row, nu in zip(rows, reference.nu.tolist(), strict=False):
+        row |= zip(inputs, nu, strict=True)
+    write_csv(path, rows)
+
+
+def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
+    """Read what `write_reference` wrote, bit for bit."""
+    rows = list(csv.reader(io.StringIO(read_text(path), newline="")))[1:]
+    if len(rows) < 2:
+        raise ValueError("too few rows")
+    chi = np.array([[float(item) for item in row[1 : 1 + system.n]] for row in rows])
+    nu = np.array([[float(item) for item in row[1 + system.n :]] for row in rows[:-1]])
+    if chi.shape != (len(rows), system.n) or nu.shape != (len(rows) - 1, system.m):
+        raise ValueError("wrong number of columns")
+    return Reference(system, delta, chi, nu)
+
+
+def _observer(observer: Observer) -> dict[str, Any]:
+    """Return the fields of an observer that are published."""
+    told = asdict(observer)
+    unsaid = "fading", *(() if observer.after else ("after",))
+    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
+
+
+def errors_of(safety: Safety) -> dict[str, Any]:
+    """Errors of estimates, thrusters and timing, if any."""
+    system = safety.problem.system
+    timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
+    unsaid = "period", "unseen", "longer"  # nothing is derived from them
+    timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
+    return {
+        **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
+        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({} if system.timing == Timing() else {"timing": timing}),
+        **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
+        **({} if system.observer is None else {"observer": _observer(system.observer)}),
+    }
+
+
+def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """A heading and a sentence for everything that a guarantee claims besides."""
+    found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
+    found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
+    powered = claim.get("powered_abort")
+    found += [("Powered abort", abort_told(powered))] if powered else []
+    return found + [("Isolated late", _withheld(fault)) for fault in claim.get("withheld", [])]
+
+
+def _withheld(claim: Mapping[str, Any]) -> str:
+    """Describe the steps that S flies because of a fault, and the bound that is short."""
+    fault, steps = f"{claim['fault']} ({claim['lasts_s']:.6g} s)", claim["steps"]
+    if not steps:
+        return f"along this reference {fault} keeps no step from U."
+    worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
+    short, when = directed(worst["short"], ".4g", up=True), f"t = {worst['limit_time_s']:.6g} s"
+    return (
+        f"because of {fault} S flies {len(steps)} of the steps ({', '.join(str(x['step']) for x in steps)});"
+        f" in step {worst['step']} {worst['controller']} would leave {worst['limit']} {short} short, in step"
+        f" {worst['limit_step']} ({when})."
+    )
+
+
+def abort_told(claim: Mapping[str, Any]) -> str:
+    """From which steps S reaches the orbit of an abort, and why not from the first of the others."""
+    steps = claim["steps"]
+    found, lost = ([each for each in steps if (each["why"] is None) == way] for way in (True, False))
+    told = f"from {len(found)} of {len(steps)} steps S is proven to reach the orbit, whenever it is aborted"
+    if found:
+        told += f", for at most {directed(max(each['delta_v_m_s'] for each in found), '.4g', up=True)} m/s"
+    return f"{told}. In step {lost[0]['step']}: {lost[0]['why']}." if lost else f"{told}."
+
+
+def _upkeep(claim: Mapping[str, Any]) -> str:
+    """Describe the cost of flying on after T, and how long the tank lasts."""
+    orbit, tank, lasts = claim["per_orbit_m_s"], claim["tank_m_s"], claim["lasts_s"]
+    rate = f"{directed(claim['rate_m_s2'], '.4g', up=True)} m/s per second" if orbit is None else ""
+    cost = rate or f"{directed(orbit, '.4g', up=True)} m/s per orbit"
+    told = f"S spends at most {cost} from {claim['settled_s']:.6g} s on"
+    if tank is None:
+        return f"{told}."
+    if lasts is None:
+        return f"{told}: the tank of {tank:g} m/s lasts for ever."
+    return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+
+
+def drift_told(claim: Mapping[str, Any]) -> str:
+    """From when to when all thrust may stop, and where the drift is not shown to stay clear."""
+    spans = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in claim["clear_s"])
+    most = "" if claim["least_m"] is None else f", by at least {directed(claim['least_m'], '.4g')} m"
+    told = f"if all thrust stops, the drift of {claim['drift_s']:.6g} s stays clear"
+    found = f"{told} from {spans}{most}" if spans else f"{told} from no step"
+    if claim["witness"] is None:
+        return f"{found}, all of the flight."
+    return f"{found}. Witness: {in_words(claim['witness'])}."

@@ -1,0 +1,128 @@
+"""Run folders of a flight into the fuel limit (figure 9): scenario, summary, ``fuel.npz``, figures."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...inspection.enmt import semi_axes, velocity_error
+from ...inspection.filters.fuel import FuelLimit
+from ...inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
+from ...scenario.inspection_tables import FuelLimitModel
+from ...scenario.scenario import FuelLimitScenario
+from ..files.arrays import held_by, read_finite, read_held
+from ..files.folder import SCENARIO, RunKind
+from ..stages import Stages
+
+ARRAYS = {"t_s": "t", "states": "x", "thrust_N": "u", "desired_N": "desired", "delta_v_m_s": "delta_v"}
+"""Attribute of a flight by the name of its array."""
+
+PREDICTED = {"t_s": "t", "states": "x", "delta_v_m_s": "delta_v"}  # the same for a predicted flight
+
+
+def fly_fuel(scenario: FuelLimitScenario, stages: Stages | None = None) -> FuelRun:
+    """Fly one deputy into its fuel limit."""
+    model, flight = scenario.model, scenario.model.flight
+    shown = np.linspace(0, flight.duration_s, model.fuel.predictions + 1)[:-1].tolist()
+    with (stages or Stages()).stage("flight"):
+        filtering = FuelLimit(scenario.backup(), model.fuel.keep_clear, spent=model.fuel.spent_m_s)
+        return fly_fuel_limit(filtering, scenario.primary(), model.initial_state, flight.duration_s, shown)
+
+
+def _tell(scenario: FuelLimitScenario, run: FuelRun, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Contents of ``summary.json``."""
+    model, q = scenario.model, run.inspection
+    left = q.delta_v_max - run.delta_v
+    distance = np.linalg.norm(run.x[:, :3], axis=1)
+    quiet = np.flatnonzero(np.abs(run.u).sum(axis=1) > 1e-6 * q.thrust_max)
+    a, c = semi_axes(run.x[-1], q.mean_motion)
+    latched = run.latched_at
+    spent = None if latched is None else float(run.delta_v[int(np.searchsorted(run.t, latched))])
+    return {
+        "duration_s": float(run.t[-1]),
+        "period_s": model.flight.period_s,
+        "safe": bool(left.min() >= 0),
+        "fuel_left_m_s": float(left[-1]),
+        "phi12_least_m_s": float(left.min()),
+        "delta_v_m_s": float(run.delta_v[-1]),
+        "delta_v_max_m_s": q.delta_v_max,
+        "latched_at_s": run.latched_at,
+        "latch_reason": run.reason,
+        "delta_v_at_latch_m_s": spent,
+        "last_thrust_s": float(run.t[quiet[-1]]) if len(quiet) else None,
+        "exhausted": run.exhausted,
+        "distance_least_m": float(distance.min()),
+        "distance_least_time_s": float(run.t[int(distance.argmin())]),
+        "phi1_least_m": float(distance.min()) - q.separation,
+        "parking_orbit": {
+            "semi_minor_m": float(a),
+            "cross_track_m": float(c),
+            "velocity_error_m_s": float(np.linalg.norm(velocity_error(run.x[-1], q.mean_motion))),
+        },
+        "filter_seconds": {"median": float(np.median(run.seconds)), "largest": float(run.seconds.max())},
+        "guarantee": guarantee(model, run),
+        "definitions": {
+            "phi12_least_m_s": "fuel limit less what was spent, least over the flight (eq. 24)",
+            "last_thrust_s": "last period with a thrust above one millionth of its limit",
+            "distance_least_m": "least distance from the chief at the starts of the periods",
+            "parking_orbit": "of the last state; the velocity error vanishes on a closed ellipse",
+            "filter_seconds": "wall time of one decision before the switch, prediction included",
+        },
+        "seconds": dict(seconds),
+    }
+
+
+def guarantee(model: FuelLimitModel, run: FuelRun) -> dict[str, Any]:
+    """Return the claim about the fuel limit, and its assumptions."""
+    nothing = None
+    if run.exhausted:
+        nothing = "thrust was cut where the fuel ended: the limit held, the parking orbit may be missed"
+    elif run.latched_at is not None and run.latched_at <= run.t[0]:
+        nothing = f"the backup took over at once, and nothing was known of its flight before ({run.reason})"
+    if nothing:
+        return {"kind": "none", "reason": nothing, "assumptions": []}
+    clear = ", and the deputy stays clear of the chief" if model.fuel.keep_clear else ""
+    return {
+        "kind": "by_prediction",
+        "reason": f"the limit is never exceeded{clear}: each period begins with a backup flight that is "
+        "predicted to its end and bounded beyond, and paid for. The other constraints are not looked at",
+        "assumptions": [
+            "the motion is that of the Clohessy-Wiltshire equations, without disturbance",
+            "the state is known exactly and without delay, and the thrust is applied exactly",
+            "the filter is asked once per period, and at the first one the backup flight can be paid for",
+        ],
+    }
+
+
+def _write(folder: Path, scenario: FuelLimitScenario, run: FuelRun) -> None:
+    """Write the flight and the predicted backup flights."""
+    arrays = held_by(run, ARRAYS)
+    arrays["latched_at_s"] = np.array(np.nan if run.latched_at is None else run.latched_at)
+    arrays["predictions"] = np.array(len(run.predictions))
+    for k, one in enumerate(run.predictions):
+        arrays |= held_by(one, PREDICTED, f"prediction_{k}_")
+    np.savez(folder / "fuel.npz", **arrays)
+
+
+def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
+    """The flight, bit for bit; reasons and wall times are in the summary only."""
+    arrays = read_finite(folder / "fuel.npz", ("t_s", "states", "thrust_N", "delta_v_m_s"))
+    K = len(arrays["t_s"]) - 1
+    if [arrays[name].shape for name in ARRAYS] != [(K + 1,), (K + 1, 6), (K, 3), (K, 3), (K + 1,)]:
+        raise ValueError("fuel.npz: arrays of the wrong shape")
+    latched = float(arrays["latched_at_s"])
+    predictions = tuple(
+        Prediction(**read_held(arrays, PREDICTED, f"prediction_{k}_"))
+        for k in range(int(arrays["predictions"]))
+    )
+    return FuelRun(
+        scenario.inspection(),
+        **read_held(arrays, ARRAYS),
+        latched_at=None if np.isnan(latched) else latched,
+        predictions=predictions,
+    )
+
+
+FUEL_LIMIT = RunKind("fuel_limit", (SCENARIO, "fuel.npz"), _write, _tell, _read, fly_fuel)
+"""Run folder of a flight into the fuel limit."""

@@ -1,0 +1,1 @@
+"""Experimental controllers: laws, networks and black boxes, and their tubes."""

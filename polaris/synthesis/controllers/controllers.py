@@ -1,0 +1,246 @@
+"""The safety controller S, and the kinds of experimental controller U that reachability covers.
+
+Every controller flies one planning step at a time in error coordinates ``e = x - xi(t)`` about the
+safe reference, so that its tube is compared with the recoverable sets directly.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from reach.brief import brief
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
+
+from ...model.system import Array, LinearSystem
+from ...model.tolerances import ROUNDING
+from ...planning.reference import Reference
+from ..tracker.affine_law import AffineLaw, clipped_step
+from ..tracker.intersample import affine_bow, at_nodes, clipped_bow
+from ..tracker.tracking import Tracking
+
+LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
+"""Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
+ORDER, WIDE = 25.0, 200.0
+"""Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class TubeSegment:
+    """Reachable set of one controller over one planning step, sound in continuous time.
+
+    Attributes
+    ----------
+    nodes : Zonotope
+        Stack of q+1 sets in error coordinates. The set over ``[t_i, t_{i+1}]`` lies within the
+        convex hull of the two nodes (corresponding points), up to `bow`.
+    bow : ndarray, shape (q, n)
+        Elementwise bound on the distance from that hull: curvature of the motion, and the disturbance
+        since the node.
+    end : Zonotope
+        Set at the end of the step, reduced.
+    refused : str
+        Why this controller must not fly here at all ("" if it may).
+    slopes : ndarray or None, shape (q, m)
+        Slopes of the bands that a clipped command was enclosed in; None if nothing clips.
+    """
+
+    nodes: Zonotope
+    bow: Array
+    end: Zonotope
+    refused: str = ""
+    slopes: Array | None = None
+
+
+class Controller(Protocol):
+    """What the synthesis asks of a controller. Mode numbers follow section II: 0 is S."""
+
+    @property
+    def name(self) -> str:
+        """Name in tables and figures."""
+        ...
+
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+        """Reachable set over step k from a set in error coordinates."""
+        ...
+
+    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
+        """Thrust command, before any clipping, for states x of shape (..., n).
+
+        `xi` and `own` are the states, at the same instant, of the safe reference and of the
+        controller's own reference.
+        """
+        ...
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class AffineController(AffineLaw):
+    """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, unlimited or clipped to the thrust limits.
+
+    With ``clips=False`` the command itself must respect the limits: where the tube shows that it
+    might not, the controller is refused for that step. With ``clips=True`` the saturation is
+    part of the model, through a sound relaxation of the clip.
+
+    Parameters
+    ----------
+    name : str
+        Name in tables and figures.
+    system : LinearSystem
+        What it controls.
+    gain : ndarray, shape (m, n)
+        Lambda_U.
+    reference : Reference
+        The safe reference, on which the error coordinates rest.
+    own : Reference
+        The law's own reference (the same object if shared), on the same steps.
+    tracking : Tracking
+        The safety tracker, whose nodes are the law's.
+    clips : bool
+        Whether commands beyond the limits are part of the model.
+    """
+
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+        """Reachable set over step k, with errors of the thrusters as large as what is commanded in it allows.
+
+        A tube that is found under errors of commands within some bound, and in which commands keep within it,
+        holds every flight: none can be the first to exceed it.
+        """
+        here = self._like(system=self.system.at_step(k))
+        if not self.system.thrusters.proportional:
+            return here._flown(start, k)[0]
+        most = LEVELS[0] * self.system.u_max
+        while True:
+            tube, commanded = here._like(most=most)._flown(start, k)
+            if np.all(commanded <= most):
+                return tube
+            above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
+            most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)
+
+    def _like(self, **known: Any) -> "AffineController":
+        """The same law while it commands no more than so much, or knows its state so well."""
+        if (system := known.get("system")) is self.system:
+            return self
+        key = (known["most"] if system is None else system.navigation).tobytes()
+        law = self._levels.get(key) or replace(self, **known, _levels={})
+        self._levels[key] = law
+        assert isinstance(law, AffineController)
+        return law
+
+    def _flown(self, start: Zonotope, k: int) -> tuple[TubeSegment, Array]:
+        """Reachable set over step k, and what is commanded at most in it, shape (m,).
+
+        Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
+        same law; only elsewhere is the clip relaxed (or an unclipped controller refused).
+        """
+        zeta = self.offset[k]
+        d = start - zeta[0]
+        nodes = self.powers @ d + self.disturbance
+        bow = affine_bow(self, nodes[:-1], k)
+        commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
+        # Without a clip, what the estimate adds to a command counts; else it comes after the clip (Lemma 21).
+        noise = self.system.command_error(self.gain)
+        over = commanded + (0.0 if self.clips else noise) - self.system.u_max
+        excess, axis = float(over.max()), int(np.argmax(over))
+        if excess > 0 and self.clips:
+            nodes, slopes = self._clipped_nodes(d, k)
+            bow = clipped_bow(self, nodes[:-1], k)
+            commanded = self._at_most(nodes, bow, k)
+        elif excess > 0:
+            refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
+        # The two references are stored states: what separates them is known up to their round-off.
+        bow = bow + self.reference.rounding[k] + self.own.rounding[k]
+        error = nodes + zeta
+        end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
+        order = ORDER if self.system.ideal else WIDE
+        segment = TubeSegment(error, bow, end.reduce(order), refused, slopes)
+        return segment, np.minimum(commanded + noise, self.system.u_max)
+
+    def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
+        """The same law beside another safe reference; one that shares the safe reference shares that one."""
+        own = reference if self.own is self.reference else self.own
+        return replace(self, reference=reference, own=own, tracking=tracking, _levels={})
+
+    def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
+        """Command on the exact state before clipping in step k, its middle and spread, shapes (q+1, m) [N].
+
+        `nodes` are errors about the law's own reference. With the bow on either side booked, the hull of two
+        nodes holds what is commanded in the part between them.
+        """
+        centre = self.own.nu[k] - nodes.c @ self.gain.T
+        spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
+        return centre, spread + at_nodes(bow) @ np.abs(self.gain).T
+
+    def _at_most(self, nodes: Zonotope, bow: Array, k: int) -> Array:
+        """Bound on the unclipped command on the exact state in the step [N], shape (m,)."""
+        centre, spread = self.commanded(nodes, bow, k)
+        return np.asarray(((np.abs(centre) + spread) * (1 + ROUNDING)).max(axis=0))
+
+    def _clipped_nodes(self, d: Zonotope, k: int) -> tuple[Zonotope, Array]:
+        nodes, slopes = [d], []
+        for _ in range(self.feedback.nodes_per_cell):
+            node, slope = clipped_step(self, nodes[-1], self.own.nu[k])
+            nodes.append(node)
+            slopes.append(slope)
+        return Zonotope.stack(nodes), np.array(slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class AnyThrust:
+    """Anything within the thrust limits: covers a black box or a learned policy.
+
+    The input is a set; nothing is assumed of the law but that the thrusters clip it.
+    """
+
+    name: str
+    system: LinearSystem
+    reference: Reference
+    tracking: Tracking
+
+    def along(self, reference: Reference, tracking: Tracking) -> "AnyThrust":
+        """The same beside another safe reference."""
+        return replace(self, reference=reference, tracking=tracking)
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Open-loop motion of the error."""
+        h = self.tracking.flow.h
+        E = self.system.error_map(np.zeros(self.system.m))
+        return LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h, E)
+
+    @cached_property
+    def _push(self) -> Zonotope:
+        """What the inputs, about zero, add per period."""
+        B, u_max = self.system.B, self.system.u_max + self.system.thrusters.error(self.system.u_max)
+        return self.flow.input_zonotope(B, np.diag(u_max), np.abs(B) @ u_max)
+
+    def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
+        """The worst steering to hand: full thrust towards the frame's origin, shape (..., m)."""
+        direction = -(x @ self.system.position.T) @ self.system.position @ self.system.A @ self.system.B
+        return np.asarray(np.sign(direction) * self.system.u_max)
+
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+        """Reachable set over step k under every input within the limits."""
+        push = self._push
+        step = -(self.flow.input_map(self.system.B) @ self.reference.nu[k])
+        nodes = [start]
+        for _ in range(self.tracking.feedback.nodes_per_cell):
+            moved = self.flow.phi @ nodes[-1] + step + push + self.flow.period_zonotope
+            nodes.append(moved.reduce(ORDER))
+        # Between nodes the input's share is that of a part of the period: inside the whole's.
+        spread = [node + push for node in nodes[:-1]] + [nodes[-1]]
+        stack = Zonotope.stack(spread)
+        drift = np.abs(self.system.B @ self.reference.nu[k])  # the known part of the rate
+        bent = (
+            self.flow.bow(stack[:-1]) + self.flow.h**2 / 8 * np.abs(self.system.A) @ self.flow.growth @ drift
+        )
+        bow = bent + self.flow.period_box
+        return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
+
+
+def construct_s(tracking: Tracking, reference: Reference) -> AffineController:
+    """The safety controller S of Algorithm 1: ``s(x, t) = Lambda (xi(t) - x) + mu(t)``."""
+    return AffineController("safety", tracking.system, tracking.gain, reference, reference, tracking)

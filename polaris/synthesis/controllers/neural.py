@@ -1,0 +1,231 @@
+"""A feed-forward network as experimental controller, evaluated once a control period, clipped by thrusters.
+
+Its tube is that of `reach.networks.loop.NetworkLoop` in error coordinates about the safe reference; the
+proposition and its proof stand in docs/theory.md.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from reach.brief import brief
+from reach.networks.layers import Activation, Affine
+from reach.networks.loop import ORDER, NetworkLoop
+from reach.networks.network import Network
+from reach.numerics.errors import Unresolved
+from reach.numerics.rounding import gamma
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
+
+from ...model.scene.obstacle import Obstacle
+from ...model.system import Array, LinearSystem
+from ...model.tolerances import ROUNDING
+from ...planning.reference import Reference
+from ..tracker.feedback import Feedback
+from ..tracker.tracking import Tracking
+from .controllers import AffineController, TubeSegment
+from .policy import Policy, Senses
+
+WIDER = 0.02
+"""Share by which what the bands leave open is booked wider: a certificate's check merges generators
+otherwise, so that its bands are others than these."""
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class NeuralController:
+    """``u = clip(policy)``, renewed at the start of every control period and held.
+
+    Parameters
+    ----------
+    name : str
+        Name in tables and figures.
+    system : LinearSystem
+        What it controls.
+    policy : Policy
+    reference, own : Reference
+        The safe reference, and the one that the policy reads (the same object if shared).
+    tracking : Tracking
+        The safety tracker, whose nodes are the policy's.
+    unsafe : tuple of obstacles
+        The scene's, some of which the policy may read. What it is told of one is any state that this one's
+        motion allows at the instant.
+
+    Raises
+    ------
+    ScenarioError
+        If the policy does not fit the system or the scene.
+    """
+
+    name: str
+    system: LinearSystem
+    policy: Policy
+    reference: Reference
+    own: Reference
+    tracking: Tracking
+    unsafe: tuple[Obstacle, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.policy.check(self.senses, self.name)
+
+    @property
+    def feedback(self) -> Feedback:
+        """The safety controller's."""
+        return self.tracking.feedback
+
+    def along(self, reference: Reference, tracking: Tracking) -> "NeuralController":
+        """The same beside another safe reference; one that shares the safe reference shares that one."""
+        own = reference if self.own is self.reference else self.own
+        return replace(self, reference=reference, own=own, tracking=tracking)
+
+    @cached_property
+    def senses(self) -> Senses:
+        """What there is to read."""
+        return Senses.of(self.system, self.policy.inputs, self.unsafe, f"{self.name}.inputs")
+
+    @cached_property
+    def told(self) -> tuple[Array, Array]:
+        """What it may be told of bodies at every node: middle and half-widths, (K, q+1, 2d per body)."""
+        cells, q = len(self.offset), self.feedback.nodes_per_cell
+        at = q * np.arange(cells)[:, None] + np.arange(q + 1)
+        middle, half = self.senses.whereabouts(self.tracking.flow.h, cells * q + 1)
+        return middle[at], half[at]
+
+    @cached_property
+    def sight(self) -> Array:
+        """How what it reads depends on what it is told, shape (r, 2d per body)."""
+        told = np.eye(self.told[0].shape[-1])
+        return self._slopes(np.zeros((len(told), self.system.n)), told)
+
+    def _slopes(self, x: Array, told: Array) -> Array:
+        """What rows of states and of what is told add to what is read, shape (r, rows)."""
+        other = (np.zeros((len(x), size)) for size in (1, self.system.m))
+        return self._stack(0 * x, x, *other, told).T
+
+    def _stack(self, *given: Array) -> Array:
+        return self.policy.stack(self.senses.parts(*given))
+
+    @cached_property
+    def offset(self) -> Array:
+        """``xi_U - xi`` at the nodes of every cell, shape (K, q+1, n)."""
+        q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
+        return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
+
+    @cached_property
+    def loop(self) -> NetworkLoop:
+        """The closed loop in error coordinates, limits and scales included."""
+        system, policy, zeros = self.system, self.policy, np.zeros(self.system.m)
+        reads = self._slopes(np.eye(system.n), np.zeros((system.n, self.told[0].shape[-1])))
+        limited = (
+            Affine(np.diag(policy.output_scale / system.u_max), zeros),
+            Activation("clip", -1.0, 1.0),
+            Affine(np.diag(system.u_max), zeros),
+        )
+        network = Network((*policy.network.layers, *limited), policy.network.precision)
+        A, B, D = system.A, system.B, system.D
+        eta = system.navigation if np.any(system.navigation) else None
+        return NetworkLoop(A, B, D, system.w_max, self.tracking.flow.h, network, reads, eta)
+
+    @cached_property
+    def known(self) -> tuple[Array, Array]:
+        """What is read where the error is 0, at every node, and by how much it may be off: (K, q+1, r)."""
+        cells, q = len(self.offset), self.feedback.nodes_per_cell
+        times = np.repeat(np.arange(cells)[:, None, None] * np.float64(self.reference.delta), q + 1, axis=1)
+        nu = np.repeat(self.own.nu[:cells, None], q + 1, axis=1)
+        own, safe = self.own.fine(q)[:cells], self.reference.fine(q)[:cells]
+        told, C = self.told[0], np.abs(self.loop.C)
+        read = self._stack(own, safe, times, nu, told)
+        # The two references are stored states: what is made of them is known up to their round-off.
+        off = self._stack(self.own.rounding[:cells, None], 0 * safe, 0 * times, 0 * nu, 0 * told)
+        off = np.abs(off) + self.reference.rounding[:cells, None] @ C.T
+        return read, off + gamma(self.system.n + 4) * (np.abs(read) + np.abs(safe) @ C.T)
+
+    @property
+    def slope(self) -> AffineController:
+        """The clipped affine law that it is, to first order, where its own reference starts: no bound."""
+        own, m = self.own.chi[0], self.system.m
+        gain = -self.pullback(0, own, np.repeat(own[None], m, axis=0), np.eye(m)) @ self.loop.C
+        known = self.reference, self.own, self.tracking
+        return AffineController(self.name, self.system, gain, *known, clips=True)
+
+    @cached_property
+    def booked(self) -> Array:
+        """What scaling the output rounds to, as part of the state at the next node, shape (n,)."""
+        return np.asarray(ROUNDING * np.abs(self.loop.flow.input_map(self.system.B)) @ self.system.u_max)
+
+    def command(
+        self, k: int, xi: Array, own: Array, x: Array, later: float = 0.0, told: Array | None = None
+    ) -> Array:
+        """Thrust command before clipping, shape (..., m), some seconds after the start of step k.
+
+        What is told of bodies (..., 2d per body) is the middle of what it may be if it is left out.
+        """
+        return np.asarray(self.policy.network(self._read(k, own, x, later, told)) * self.policy.output_scale)
+
+    def pullback(self, k: int, own: Array, x: Array, weights: Array, later: float = 0.0) -> Array:
+        """Gradient of ``weights . command`` by what is read, shape (..., r), for weights (..., m)."""
+        read = self._read(k, own, x, later)
+        return self.policy.network.pullback(read, weights * self.policy.output_scale)
+
+    def _read(self, k: int, own: Array, x: Array, later: float, told: Array | None = None) -> Array:
+        told = self.told[0][k, self.node(later)] if told is None else told
+        read = self._stack(own, x, np.array([k * self.reference.delta]), self.own.nu[k], told)
+        return np.broadcast_to(read, (*x.shape[:-1], read.shape[-1]))
+
+    def node(self, later: float) -> int:
+        """Number of the node of a step some seconds after its start."""
+        return min(round(later / self.tracking.flow.h), self.feedback.nodes_per_cell)
+
+    def fly(self, start: Zonotope, k: int) -> TubeSegment:
+        """Reachable set over step k from a set in error coordinates; refused where its numbers overflow."""
+        nodes, bows, mu = [start], [], self.reference.nu[k]
+        read, off = self.known
+        try:
+            for i in range(self.feedback.nodes_per_cell):
+                spread = self.sight * self.told[1][k, i]
+                after, bow, command = self.loop.step(nodes[-1], read[k, i], -mu, off[k, i], spread)
+                open_ = np.abs(command.G[:, nodes[-1].order_count :]).sum(axis=1)
+                wider = np.abs(self.loop.flow.input_map(self.system.B)) @ open_ * WIDER
+                most = np.abs(command.c) + command.half_widths * (1 + WIDER)
+                push, within = misapplied(self.system, self.loop.flow, most)
+                nodes.append(reduced(after.inflate(wider + self.booked) + push))
+                bows.append(bow + wider + within)
+        except Unresolved as error:
+            return TubeSegment(*no_tube(start, self.feedback.nodes_per_cell), str(error))
+        rounding = self.reference.rounding[k] + self.own.rounding[k]
+        end = reduced(nodes[-1].inflate(rounding))
+        return TubeSegment(Zonotope.stack(nodes), np.array(bows) + rounding, end)
+
+    def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
+        """Command in step k, its middle and spread at every node [N], shapes (q+1, m).
+
+        `nodes` are errors about the law's own reference. What is commanded at a node is held from there on.
+        """
+        error, spread = nodes + self.offset[k], self.sight * self.told[1][k, :, None]
+        known = zip(*(part[k] for part in self.known), spread, strict=True)
+        sets = [self.loop.command(error[i], *given) for i, given in enumerate(known)]
+        return np.array([z.c for z in sets]), np.array([z.half_widths for z in sets]) * (1 + WIDER)
+
+
+def misapplied(system: LinearSystem, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
+    """What errors of thrusters add by the next node, and until then, (n,): commands up to `most` are held."""
+    if system.thrusters.exact and not system.timing.carried:
+        return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
+    error, drift = system.thrusters.error(most), system.adrift
+    size = np.abs(system.B) @ error
+    moved = flow.input_zonotope(system.B, np.diag(error), size)
+    if drift.size:
+        carried = np.abs(drift).sum(axis=1)
+        moved, size = moved + flow.input_zonotope(drift, np.eye(drift.shape[1]), carried), size + carried
+    return moved, flow.h * flow.growth @ size
+
+
+def no_tube(start: Zonotope, q: int) -> tuple[Zonotope, Array, Zonotope]:
+    """What stands in a refused `TubeSegment` of q parts: nodes, bow and end."""
+    return Zonotope.stack([start] * (q + 1)), np.zeros((q, start.dim)), start
+
+
+def reduced(z: Zonotope) -> Zonotope:
+    """With few generators, if it has too many: reducing wraps what turns, so it is done late and by much."""
+    return z if z.order_count <= ORDER * z.dim else z.reduce(ORDER / 3)

@@ -1,0 +1,129 @@
+"""What a network reads, and what it commands: the part of it that knows nothing of sets."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from reach.brief import brief
+from reach.networks.network import Network
+from reach.networks.precision import MORE
+
+from ...model.errors import ScenarioError
+from ...model.scene.obstacle import RigidObstacle
+from ...model.scene.satellite import SatelliteObstacle
+from ...model.system import Array, LinearSystem
+from ...model.tolerances import ROUNDING
+
+OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
+"""What may be read of an obstacle, absolute or less the chaser's own; its name follows after a colon."""
+
+
+@dataclass(frozen=True, eq=False)
+class Senses:
+    """Everything that a policy may read, from the state and what it is told of bodies."""
+
+    system: LinearSystem
+    bodies: tuple[RigidObstacle | SatelliteObstacle, ...]  # of each, position [m] and velocity [m/s]
+
+    @classmethod
+    def of(
+        cls, system: LinearSystem, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
+    ) -> "Senses":
+        """Those that some inputs need, of a scene with some unsafe sets; names the field if one is none."""
+        known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
+        named = dict.fromkeys(name.partition(":")[2] for name in inputs)
+        found = cls(system, tuple(known[name] for name in named if name in known))
+        if not inputs or len(set(inputs)) < len(inputs) or not set(inputs) <= found.sizes.keys():
+            plain = ", ".join(name for name in found.sizes if ":" not in name)
+            rule = f"must name each once, of {plain}, or {', '.join(OF_BODY)} with a colon and an obstacle"
+            raise ScenarioError(field, list(inputs), f"{rule} (here {', '.join(known) or 'there is none'})")
+        return found
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """How many numbers each input is."""
+        n, d = self.system.n, self.system.d
+        plain = {"error": n, "state": n, "time": 1, "reference_input": self.system.m}
+        return plain | {f"{kind}:{body.name}": d for body in self.bodies for kind in OF_BODY}
+
+    def parts(self, own: Array, x: Array, time: Array, nu: Array, told: Array) -> dict[str, Array]:
+        """Inputs by name: a reference's state and input, a time, and what is told (..., 2d per body)."""
+        found, d = {"error": own - x, "state": x, "time": time, "reference_input": nu}, self.system.d
+        for j, body in enumerate(self.bodies):
+            for i, rows in enumerate((self.system.position, self.system.velocity)):
+                at = told[..., (2 * j + i) * d : (2 * j + i + 1) * d]
+                found[f"{OF_BODY[i]}:{body.name}"] = at
+                found[f"{OF_BODY[i + 2]}:{body.name}"] = at - x @ rows.T
+        return found
+
+    def whereabouts(self, h: float, count: int) -> tuple[Array, Array]:
+        """Box of what may be told at times h [s] apart: middle and half-widths, (count, 2d per body)."""
+        boxes = [body.whereabouts(self.system, h, count) for body in self.bodies]
+        none = np.zeros((count, 0))
+        return np.hstack([none, *(c for c, _ in boxes)]), np.hstack([none, *(half for _, half in boxes)])
+
+    def seen(self, t: float, states: Mapping[str, Array], runs: int) -> Array:
+        """What is told of bodies whose true states (R, n), of satellites, are known, (R, 2d per body)."""
+        found = [part for b in self.bodies for part in b.motion(t, self.system, states.get(b.name))]
+        return np.hstack([np.broadcast_to(part, (runs, self.system.d)) for part in found])
+
+
+def stacked(inputs: tuple[str, ...], parts: dict[str, Array]) -> Array:
+    """Arrays by name side by side, of broadcastable leading shapes."""
+    chosen = [parts[name] for name in inputs]
+    lead = np.broadcast_shapes(*(part.shape[:-1] for part in chosen))
+    return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in chosen], axis=-1)
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """``u = output_scale * network(input_scale * z)``, before the thrusters clip it.
+
+    Parameters
+    ----------
+    network : reach.networks.network.Network
+        Its precision is that in which it is evaluated on board.
+    inputs : tuple of str
+        What z is made of, in order: "error" (own reference - x), "state", "time" (start of the step [s]),
+        "reference_input" (of the own reference); of an obstacle b "position:b" [m], "velocity:b" [m/s],
+        and "relative_position:b", "relative_velocity:b", the same less the chaser's own.
+    input_scale : ndarray, shape (r,)
+    output_scale : ndarray, shape (m,)
+        Positive, in units of the input.
+    """
+
+    network: Network
+    inputs: tuple[str, ...]
+    input_scale: Array
+    output_scale: Array
+
+    def check(self, senses: Senses, field: str) -> None:
+        """Refuse, with the fields of a scenario's table `field`, what does not fit a system."""
+        read, outputs = sum(senses.sizes[name] for name in self.inputs), senses.system.m
+        if self.network.inputs != read:
+            rule = f"must be {self.network.inputs} numbers, as the network reads; these are {read}"
+            raise ScenarioError(f"{field}.inputs", list(self.inputs), rule)
+        if self.network.outputs != outputs:
+            rule = f"must be a network of {outputs} outputs, one per input; has {self.network.outputs}"
+            raise ScenarioError(f"{field}.path", None, rule)
+        for name, given, size in (
+            ("input_scale", self.input_scale, read),
+            ("output_scale_N", self.output_scale, outputs),
+        ):
+            if np.shape(given) != (size,):
+                raise ScenarioError(f"{field}.{name}", np.size(given), f"must have {size} numbers")
+
+    def steepest(self, system: LinearSystem, unsafe: Iterable[object]) -> Array:
+        """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""
+        senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
+        others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))
+        read = senses.parts(np.zeros(n), np.eye(n), *others)
+        M, own = self.network.steepest(self.stack(read).T), self.network.rounding
+        M = M if own is None else M * (1 + own.relative(1 + MORE))  # the outputs' scale
+        return np.asarray(self.output_scale[:, None] * M * (1 + ROUNDING))
+
+    def stack(self, parts: dict[str, Array]) -> Array:
+        """Scaled inputs, shape (..., r), from arrays by name, of broadcastable leading shapes."""
+        return stacked(self.inputs, parts) * self.input_scale

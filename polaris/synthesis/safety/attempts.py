@@ -1,0 +1,241 @@
+"""What the planner is asked, which references Algorithm 1 tries, and what it proves of each after T."""
+
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ...model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
+from ...model.scene.obstacles import perceive
+from ...model.scene.timed_polytope import TimedPolytope
+from ...model.system import Array, LinearSystem
+from ...model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
+from ...planning.problem import Plan, PlannerOptions, PlanProblem
+from ...planning.recheck import path_bounds
+from ...planning.reference import Reference
+from ...planning.solve import plan
+from ..tracker.tracking import Tracking
+from .clearance import error_tube, facet_room
+from .demand import Scheduled
+from .end_condition import EndCondition, coast, judge_end, tail_length
+from .problem import Problem
+from .recoverable import Margin, RecoverableSet
+
+AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no room
+AGAIN = 1000, 2
+"""Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
+
+
+class Clock:
+    """Wall time by stage [s]; a stage named twice adds up."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """End a stage, which began where the last one ended."""
+        now = time.perf_counter()
+        self.laps[stage] = self.laps.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def after(self, before: Mapping[str, float]) -> dict[str, float]:
+        """Return the stages of earlier work and those timed here; ``other`` is what passed since the last."""
+        self.lap("other")
+        return {name: before.get(name, 0.0) + self.laps.get(name, 0.0) for name in [*before, *self.laps]}
+
+
+class Attempts:
+    """References to try in turn: with the coasting tail, without it, and planned again for safe coasting.
+
+    The last only where nothing but the time after T stands in the way, and no plan is given. `plan`, `margin`
+    (of `start`, Theta about the reference, in the first recoverable set) and `cut_by_clock` are those of the
+    last attempt, `end` that of the last one with a tail; `unsafe` is what is perceived until the tail's end,
+    and as far as drifts are followed.
+    """
+
+    plan: Plan
+    margin: Margin
+    end: EndCondition
+
+    def __init__(self, problem: Problem, tracking: Tracking, clock: Clock, given: Plan | None = None) -> None:
+        self.problem, self.tracking, self.clock, self.given = problem, tracking, clock, given
+        self.tail = tail_length(tracking)
+        ahead = 0 if problem.abort is None else problem.abort.cells(problem.delta)
+        self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, ahead))
+        self.start = problem.initial_set - problem.initial_set.c
+        self.cut_by_clock: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[tuple[Reference, Array]]:
+        """References, and the jump into the tail of each (see `coast`)."""
+        if self.given is not None:
+            yield from self._references(self.given)
+            return
+        asked = plan_problem(self.problem, self.tracking, self.unsafe)
+        self.clock.lap("bounds")
+        found = find_plan(asked, self.problem.planner)
+        self.cut_by_clock = found.cut_by_clock
+        self.clock.lap("plan")
+        yield from self._references(found)
+        for _ in range(AFRESH):
+            if (more := self._allowing(asked)) is None:
+                break
+            asked, found = more, find_plan(more, self.problem.planner)
+            self.clock.lap("plan")
+            yield from self._references(found)
+        if not self.margin.inside:
+            return
+        self.clock.lap("recoverable")
+        again = self._with_coasting(asked)
+        self.clock.lap("plan")
+        if again is not None:
+            yield from self._references(again)
+
+    def _allowing(self, asked: PlanProblem) -> PlanProblem | None:
+        """The same, with room for what the last plan was not asked for; None if that is not what is short.
+
+        That is errors by the time of the flight, as large as along that plan, and what the bounds here on the
+        reference's bow between nodes, which a checker shares, are larger than those of the planner.
+        """
+        if self.margin.inside:
+            return None
+        system, K, q = self.problem.system, self.problem.K, self.tracking.feedback.nodes_per_cell
+        last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
+        rooms = (facet_room(self.tracking, last, unsafe, q).min(axis=1) for unsafe in asked.unsafe)
+        bows = [seen - room for seen, room in zip(path_bounds(asked, last), rooms, strict=True)]
+        short = self.margin.need - self.margin.room
+        if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
+            return None
+        caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
+        margins = tuple(
+            margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.normals @ system.position).max(axis=1)
+            for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
+        )
+        limit = np.maximum(asked.u_limit - caused.along(gain).max(axis=1), 0.0)
+        return replace(asked, margins=margins, u_limit=limit)
+
+    def _with_coasting(self, asked: PlanProblem) -> Plan | None:
+        """The plan again, so that coasting after its end is safe; None if there is none to be had."""
+        options = self.problem.planner
+        most = min(options.max_linear_programs, max(AGAIN[0], AGAIN[1] * int(self.plan.stats["lps"])))
+        try:
+            found = plan(replace(asked, tail_cells=self.tail), replace(options, max_linear_programs=most))
+        except OutOfTime as error:
+            self.cut_by_clock += ("plan with coasting",)
+            warnings.warn(f"safe coasting after the end: {error}", ClockWarning, stacklevel=4)
+            return None
+        except (SynthesisInfeasible, NotCertified):
+            return None
+        self.cut_by_clock += tuple(f"{stage} with coasting" for stage in found.cut_by_clock)
+        return found
+
+    def _references(self, found: Plan) -> Iterator[tuple[Reference, Array]]:
+        self.plan, problem = found, self.problem
+        planned = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, found.nu)
+        yield coast(planned, self.tail)
+        yield planned, np.zeros(problem.system.n)
+
+    def settled(self, reference: Reference, recoverable: RecoverableSet) -> bool:
+        """Take down what an attempt proves; whether it is more than the next one could."""
+        self.margin = recoverable.margin_at(0, self.start)
+        if reference.cells > self.problem.K:
+            self.end = judge_end(
+                self.tracking, reference, self.problem.K, self.tail, self.unsafe, self.margin
+            )
+        return self.end.proven
+
+    def require_start(self, recoverable: RecoverableSet) -> None:
+        """Refuse an initial set that is not inside the first recoverable set, unless nothing is claimed."""
+        if not self.margin.inside and recoverable.guarantee == "proved":
+            raise SynthesisInfeasible(
+                f"the initial set is not inside the first recoverable set ({recoverable.kind}): "
+                f"{self.margin}.",
+                self.margin.need - self.margin.room,
+                "shrink the initial set, raise the thrust limits or take smaller steps"
+                + ("." if recoverable.kind == "polytope" else ", or use recoverable kind 'polytope'."),
+            )
+
+
+def perceive_unsafe(problem: Problem, cells: int) -> tuple[TimedPolytope, ...]:
+    """The perception oracle of Definition 2 over a number of cells."""
+    return tuple(perceive(problem.unsafe, problem.system, problem.delta, cells))
+
+
+def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope, ...]) -> PlanProblem:
+    """The MIP of eqs. 14 to 19, with margins from S's tube and thrust limits tightened by it.
+
+    Raises `SynthesisInfeasible` if correcting the initial error alone may demand more than the thrusters
+    have.
+    """
+    system, q, K = problem.system, tracking.feedback.nodes_per_cell, problem.K
+    start = problem.initial_set - problem.initial_set.c
+    # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
+    # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
+    largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
+    tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
+    thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
+    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + system.command_error(tracking.gain)
+    limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
+    if np.any(limit < 0):
+        k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
+        errors = errors_alone(tracking, int(axis), system.as_ideal())
+        share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
+        if not system.timing.instant:
+            late = errors_alone(tracking, int(axis), system.prompt)
+            share += f" ({late:.4g} of that for delay, missed periods and jitter)"
+        if system.transients:
+            late = errors_alone(tracking, int(axis), replace(system, transients=()))
+            share += f" ({late:.4g} of that for a fault until it is isolated)"
+        raise SynthesisInfeasible(
+            f"the tracker alone may demand {needed[k, axis]:.4g} of the {system.u_max[axis]:.4g} of "
+            f"{system.input_names[axis]} at t = {k * problem.delta:g} s to correct the initial set and the "
+            f"disturbance{share}.",
+            float(-limit[k, axis]),
+            "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
+        )
+    limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
+    margins = []
+    for unsafe in sets:
+        tube = error_tube(tracking, start, -unsafe.normals @ system.position)
+        margins.append(np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest)))
+    return PlanProblem(
+        system,
+        problem.initial_set.c,
+        K,
+        problem.delta,
+        sets,
+        tuple(margins),
+        limit,
+        problem.goal,
+        problem.objective,
+        problem.extra_margin,
+    )
+
+
+def errors_alone(tracking: Tracking, axis: int, other: LinearSystem) -> float:
+    """What S demands of an input, once settled, beyond what it would in a system with fewer errors."""
+    row, better = tracking.gain[axis : axis + 1], replace(tracking, system=other)
+    beyond = tracking.disturbance(row)[-1] - better.disturbance(row)[-1]
+    noise = tracking.system.command_error(tracking.gain) - other.command_error(tracking.gain)
+    return float(beyond[0] + noise[axis])
+
+
+def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:
+    """Plan; if that fails in a scene about as small as what the planner books for its solver, say so."""
+    try:
+        return plan(asked, options)
+    except (SynthesisInfeasible, NotCertified) as error:
+        lengths = [np.abs(unsafe.offsets).max() for unsafe in asked.unsafe]
+        size = max(float(np.abs(asked.system.position @ asked.x0).max()), *lengths, 0.0)
+        if not asked.unsafe or size > 100 * SOLVER_BOOK_M:
+            raise
+        hint = (
+            f"another unit of length: this scene is {size:.2g} m wide, and the planner keeps "
+            f"{SOLVER_BOOK_M:g} m more clearance than needed, whatever the size of the scene."
+        )
+        if isinstance(error, SynthesisInfeasible):
+            relax = f"{error.relax.rstrip('.')}, or {hint}" if error.relax else hint
+            raise SynthesisInfeasible(error.condition, error.shortfall, relax) from error
+        raise type(error)(f"{str(error).rstrip('.')}. It may take {hint}") from error

@@ -1,0 +1,55 @@
+"""The goal as rows of lengths: what a velocity counts for, and how far states are from it."""
+
+import numpy as np
+
+from ...model.acceleration import speeds
+from ...model.system import Array
+from ...planning.goals import GoalConditions
+from .problem import Problem
+
+SOON = 0.25  # share of the horizon in which a velocity has become the length that it counts as, at most
+
+
+def goal_rows(problem: Problem) -> tuple[Array, Array]:
+    """Rows of the goal and their sides, those of velocities weighed as the lengths they count for."""
+    goal = problem.goal.conditions
+    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
+    sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
+    weight = _weights(problem, rows)
+    return rows * weight[:, None], sides * weight
+
+
+def velocity_times(problem: Problem, rows: Array) -> Array:
+    """Time [s] in which the velocities of each row make the length that it measures, 0 for other rows, (r,).
+
+    Rows of velocities alone; if velocities have a tolerance of their own, the equalities that they are in.
+    """
+    speed = speeds(problem.system.A, problem.system.position)
+    moving = speed > 0
+    found = np.linalg.norm(rows[:, moving] / speed[moving], axis=1)
+    counts = np.all(rows[:, ~moving] == 0, axis=1)
+    if problem.goal_velocity_tolerance is not None:
+        counts[: 2 * len(problem.goal.conditions.E)] = True
+    return np.where(counts, found, 0.0)
+
+
+def _weights(problem: Problem, rows: Array) -> Array:
+    """Weights of the goal's rows: for what length velocities count, see `Arrival.velocity_time`."""
+    seconds = velocity_times(problem, rows)
+    if problem.goal_velocity_tolerance is not None:
+        assert problem.goal_tolerance is not None  # checked on construction
+        wanted: Array | float = problem.goal_tolerance / problem.goal_velocity_tolerance
+    else:
+        wanted = np.minimum(seconds, SOON * problem.K * problem.delta)
+    return np.divide(wanted, seconds, out=np.ones(len(rows)), where=seconds > 0)
+
+
+def distance(goal: GoalConditions, over: Array) -> Array:
+    """Largest excess over the goal's conditions [m], given that of every row, shape (nodes,)."""
+    fixed = 2 * len(goal.E) + len(goal.G)
+    worst = np.max(over[:, :fixed], axis=1, initial=0.0)
+    first = fixed
+    for N, _ in goal.one_of:
+        worst = np.maximum(worst, over[:, first : first + len(N)].min(axis=1))
+        first += len(N)
+    return np.asarray(worst)

@@ -1,0 +1,241 @@
+"""Passive safety: where the chaser drifts if all thrust stops, at whatever instant of a step."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from reach.numerics.linear import growth, powers
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
+
+from ...model.scene.distances import stretches
+from ...model.scene.timed_polytope import TimedPolytope
+from ...model.system import Array, LinearSystem
+from ...model.tolerances import ROUNDING
+
+SPARE = 0.03
+"""Share by which starts of the drift are enclosed wider than found: others merge generators otherwise."""
+GROUPS = 6  # groups of periods whose starts are enclosed one by one where the step as a whole is not clear
+FINE = 0.1  # largest angle [rad] by which the fastest mode turns in one part of a step
+
+
+@dataclass(frozen=True)
+class Abort:
+    """What is asked of the drift after all thrust stops."""
+
+    horizon: float  # for how long the drift must stay clear [s]
+    required: bool = False  # whether only schedules are kept whose drift stays clear from all their steps
+    keep_in: bool = True  # whether it must stay inside the keep-in sets as well
+
+    def cells(self, delta: float) -> int:
+        """Steps from the start of that in which thrust stops until the horizon is over, wherever it does."""
+        return int(np.ceil(self.horizon / delta * (1 - 1e-12))) + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """What becomes of all flights whose thrust stops in some periods of one step.
+
+    The start is a parallelotope around the states at the start of the step from which free motion leads to
+    the states in which thrust stops (docs/theory.md, Lemma 28).
+    """
+
+    periods: int  # how many, one after another
+    start: Zonotope
+    facets: NDArray[np.int_]  # of every set with most room in each part from the step's start on, (o, parts)
+    room: Array  # distance from that facet at least [m], (o, parts)
+    middle: Array  # the same of the undisturbed drift from the start's middle, at the ends of the parts
+
+    @property
+    def clear(self) -> bool:
+        """Whether the drift is proven to stay clear of every unsafe set."""
+        return bool(np.all(self.room > 0))
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFlight:
+    """Free motion of a system over a horizon, and the unsafe sets as far ahead."""
+
+    abort: Abort
+    system: LinearSystem
+    unsafe: tuple[TimedPolytope, ...]  # as far ahead as the drift from the last step is followed
+    delta: float  # step of the schedule [s]
+
+    @property
+    def cells(self) -> int:
+        """Steps over which the drift from one step is followed."""
+        return self.abort.cells(self.delta)
+
+    @cached_property
+    def parts(self) -> int:
+        """Parts of a step over which the drift is all but straight."""
+        fastest = float(np.max(np.abs(np.linalg.eigvals(self.system.A))))
+        return max(1, int(np.ceil(self.delta * fastest / FINE)))
+
+    @cached_property
+    def sets(self) -> tuple[TimedPolytope, ...]:
+        """What the drift must stay clear of."""
+        return tuple(item for item in self.unsafe if self.abort.keep_in or not item.keep_in)
+
+    @cached_property
+    def _powers(self) -> Array:
+        return powers(expm(self.system.A * self.delta / self.parts), self.cells * self.parts)
+
+    @cached_property
+    def _weight(self) -> tuple[Array, Array]:
+        """Root L of the Gramian, ``L L'``: how far states move the position over the horizon; its inverse."""
+        moved = self.system.position @ self._powers
+        gram = np.einsum("tdi,tdj->ij", moved, moved) / len(moved)
+        L = np.linalg.cholesky(gram + 1e-9 * np.diag(np.diag(gram)) + 1e-12 * np.eye(len(gram)))
+        return L, np.asarray(np.linalg.inv(L))
+
+    @cached_property
+    def _bookings(self) -> list[tuple[Array, Array, Array]]:
+        """Per unsafe set: rows ``-n C e^{A t}``, what bends in a part per state, what disturbs by its end."""
+        h, found = self.delta / self.parts, []
+        flow = LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h)
+        for item in self.sets:
+            rows = -item.normals @ self.system.position
+            bend = h**2 / 8 * np.abs(rows @ self.system.A @ self.system.A) @ growth(self.system.A, h)
+            pushed = flow.disturbance_support(rows, len(self._powers) - 1)[1:]
+            found.append((rows @ self._powers, bend, pushed))
+        return found
+
+    def after(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
+        """What becomes of flights whose thrust stops in step k: of all, or by groups if not all are clear.
+
+        `nodes` is a stack of q+1 sets of states, which lie on chords between them up to `bow`, shape (q, n).
+        """
+        q, found = len(bow), []
+        for groups in (1, min(GROUPS, q)):
+            ends = [round(q * i / groups) for i in range(groups + 1)]
+            found = [
+                self._drift(k, b - a, self._start(nodes[a : b + 1], bow[a:b], a, q))
+                for a, b in pairwise(ends)
+            ]
+            if clear(found):
+                break
+        return tuple(found)
+
+    def _start(self, nodes: Zonotope, bow: Array, first: int, q: int) -> Zonotope:
+        """Enclose, as of the start of a step of q periods, the states in which thrust may stop (Lemma 28).
+
+        In the periods between some nodes, the first of them the node `first` of the step.
+        """
+        system = self.system
+        h = self.delta / q
+        back = powers(expm(-system.A * h), first + len(bow))[first:]
+        centre, spread = np.einsum("qij,qj->qi", back, nodes.c), back @ nodes.G
+        half, grown = nodes.half_widths, growth(system.A, h)
+        most = np.maximum((np.abs(nodes.c) + half)[:-1], (np.abs(nodes.c) + half)[1:])
+        apart = np.abs(np.diff(nodes.c, axis=0)) + half[:-1] + half[1:]
+        bent = h / 8 * (h * most @ np.abs(system.A @ system.A).T + 2 * apart @ np.abs(system.A).T)
+        beyond = (bow + bent) @ grown.T
+        L, inverse = self._weight
+        tall = np.hstack([*spread, (centre - centre.mean(axis=0)).T])
+        _, axes = np.linalg.eigh(L.T @ (tall @ tall.T + np.diag(beyond.max(0) ** 2)) @ L)
+        T, rows = inverse.T @ axes, axes.T @ L.T
+        at, reach = centre @ rows.T, np.abs(rows @ spread).sum(-1)
+        extra = np.einsum("qij,qj->qi", np.abs(rows @ back[:-1]), beyond)
+        low = np.min(np.stack([(at - reach)[:-1], (at - reach)[1:]]) - extra, axis=(0, 1))
+        high = np.max(np.stack([(at + reach)[:-1], (at + reach)[1:]]) + extra, axis=(0, 1))
+        half = (high - low) / 2 * (1 + SPARE) + ROUNDING * (np.abs(low) + np.abs(high)) + 1e-12
+        return Zonotope(T @ ((low + high) / 2), T * half)
+
+    def _drift(self, k: int, periods: int, start: Zonotope) -> Drift:
+        """What becomes of a set of starts at the beginning of step k."""
+        p, L = self.parts, self.cells
+        middle, spread = self._powers @ start.c, np.abs(self._powers @ start.G).sum(-1)
+        facets, room, centre = [], [], []
+        for item, (rows, bend, pushed) in zip(self.sets, self._bookings, strict=True):
+            offsets = item.fine(p)[k : k + L]
+            ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, L * p, -1)
+            at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
+            chord = (np.abs(middle) + spread)[:-1] @ bend.T + pushed
+            most, size = at + reach, np.abs(at) + reach
+            needs = np.stack([most[:-1], most[1:]]) + chord
+            rounded = ROUNDING * (np.abs(ends) + np.maximum(size[:-1], size[1:]) + chord)
+            left = (-ends - needs - rounded).min(axis=0)
+            best = left.argmax(axis=1)
+            facets.append(best)
+            room.append(left[np.arange(L * p), best])
+            centre.append((-ends[1] - at[1:]).max(axis=1))
+        shape = (len(self.sets), L * p)
+        return Drift(periods, start, *(np.array(x).reshape(shape) for x in (facets, room, centre)))
+
+
+@dataclass(frozen=True, eq=False)
+class PassiveSafety:
+    """From which steps of a flight the drift stays clear, all thrust stopping at any instant of them."""
+
+    flight: FreeFlight
+    drifts: tuple[tuple[Drift, ...], ...]  # of every step, one for all or one after another
+
+    @cached_property
+    def clear(self) -> NDArray[np.bool_]:
+        """Whether the drift from a step is proven to stay clear, shape (K,)."""
+        return np.array([clear(parts) for parts in self.drifts])
+
+    @property
+    def kept(self) -> bool:
+        """Whether the drift stays clear from all steps, if that is required."""
+        return not self.flight.abort.required or bool(np.all(self.clear))
+
+    @property
+    def least(self) -> float | None:
+        """Least distance [m] that is proven of the drift from the steps that are clear; None without any."""
+        rooms = [part.room.min() for parts in self.drifts if clear(parts) for part in parts if part.room.size]
+        return float(min(rooms)) * (1 - ROUNDING) if rooms else None
+
+    @property
+    def spans(self) -> list[tuple[float, float]]:
+        """When thrust may stop [s]: the steps that are clear, joined."""
+        return [(a * self.flight.delta, b * self.flight.delta) for a, b in stretches(self.clear)]
+
+    def told(self) -> dict[str, Any]:
+        """What a run claims of it."""
+        abort = self.flight.abort
+        return {
+            "drift_s": abort.horizon,
+            "keep_in": abort.keep_in,
+            "clear_s": [list(span) for span in self.spans],
+            "least_m": self.least,
+            "witness": self.witness(),
+        }
+
+    def witness(self) -> dict[str, Any] | None:
+        """The step from which the drift enters an unsafe set, or is soonest not shown to stay clear.
+
+        None if it is clear from all. ``distance_m`` is what is proven of the distance then (negative: by how
+        much sets overlap), and ``middle_m`` that of the undisturbed drift from the middle of where thrust may
+        stop: if it is not positive, the drift does enter.
+        """
+        if np.all(self.clear):
+            return None
+        flight = self.flight
+        known = [(k, part) for k, parts in enumerate(self.drifts) for part in parts if not part.clear]
+        step, drift = min(known, key=lambda item: float(item[1].middle.min()))
+        o, part = np.unravel_index(int(np.argmin(drift.middle)), drift.middle.shape)
+        if drift.middle[o, part] > 0:
+            step, drift = min(known, key=lambda item: int(np.argmax(np.any(item[1].room <= 0, axis=0))))
+            part = np.argmax(np.any(drift.room <= 0, axis=0))
+            o = np.argmin(drift.room[:, part])
+        return {
+            "step": step,
+            "t_s": step * flight.delta,
+            "unsafe_set": flight.sets[o].name,
+            "after_s": float(part + 1) * flight.delta / flight.parts,
+            "distance_m": float(drift.room[o, part]),
+            "middle_m": float(drift.middle[o, part]),
+        }
+
+
+def clear(parts: Sequence[Drift]) -> bool:
+    """Whether the drift is proven to stay clear from all of a step."""
+    return all(part.clear for part in parts)

@@ -1,0 +1,229 @@
+"""What the two algorithms are asked: the mathematical problem of section II, without a file."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reach.brief import brief
+from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
+
+from ...model.acceleration import velocities
+from ...model.allocation import Allocation
+from ...model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
+from ...model.errors import ScenarioError
+from ...model.system import Array, LinearSystem
+from ...planning.goals import Goal
+from ...planning.problem import Objective, PlannerOptions
+from ..tracker.feedback import Feedback, choose_feedback
+from ..tracker.lqr import lqr_gain
+from .passive import Abort
+
+RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
+
+RECOURSE = ("in_view", "none")
+
+
+@dataclass(frozen=True, eq=False)
+class PoweredAbort:
+    """What S must be able to do from whatever instant of the schedule: reach an orbit, safely."""
+
+    goal: Goal | None = None  # the orbit; None for the schedule's own goal
+    tolerance: float | None = None  # what counts as reached [m], as `Problem.goal_tolerance`
+    within: float | None = None  # time that it may take [s]; needed with an orbit of its own
+    budget: float | None = None  # velocity change that S may spend on it [m/s]
+    required: bool = False  # whether a schedule with a step from which it is not proven is refused
+    velocity_tolerance: float | None = None  # as `Problem.goal_velocity_tolerance` [m/s]
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Input of Algorithm 1.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        What is controlled.
+    initial_set : Zonotope
+        Theta, in absolute coordinates (m, m/s).
+    unsafe : tuple of obstacles
+        Objects with ``timed_polytopes(system, delta, cells)`` (see `polaris.model.scene.obstacles`).
+    K : int
+        Number of steps.
+    delta : float
+        Step [s]; the horizon is ``T = K delta``.
+    Q, R : array_like
+        LQR weights of the tracker, matrices or diagonals.
+    goal : Goal
+        Where the reference must end.
+    goal_tolerance : float or None
+        Length [m], in the goal's own scaling, within which the goal counts as reached; None for what
+        `polaris.synthesis.schedule.arrival.Arrival` says.
+    goal_velocity_tolerance : float or None
+        Velocity [m/s] that counts as `goal_tolerance` does, which it needs; None for what `Arrival` says.
+    recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
+        Kind of recoverable set, from the widest to the printed one, which proves nothing.
+    recourse : {"none", "in_view"}
+        Whether `synthesize` may plan the reference with the experimental controllers in view; with ``none``
+        it is the one reference of the printed Algorithm 1.
+    period : float or None
+        Control period [s], in which commands are renewed once and held; None for a quarter of the fastest
+        closed-loop time constant, rounded to a whole part of the step.
+    bound : {"envelope", "lyapunov"}
+        Method of Lemma 1 (used by the balls).
+    weight : {"auto", "identity"} or array_like
+        Weight of the norm of Lemma 1.
+    objective : {"margin_then_fuel", "distance", "fuel"}
+        What the planner seeks: the extra margin and then least velocity change; most distance; least fuel.
+    extra_margin : float
+        Clearance [m] wanted beyond what S's own tube needs: the room left to U.
+    thrust_reserve : float
+        Share of the thrust limits, in [0, 1), that the reference leaves beyond what S's tube needs.
+    thrust_share : float, optional
+        Share of the thrust limits, in (0, 1], that S's feedback may demand when it takes over: errors of
+        thrusters are booked for so much, and for less and less from there on. Without it `synthesize` tries
+        some and keeps the best; `get_safety` takes the least of them.
+    planner : PlannerOptions
+        Solver, time limit, gap.
+    gains : tuple of ndarray
+        Gains of the experimental controllers, so that a period that is not given is short enough for them.
+    abort : Abort or None
+        What is asked of the drift should all thrust stop; None for nothing.
+    powered : PoweredAbort or None
+        What is asked of an abort with thrust; None for nothing.
+    tank : float or None
+        Velocity change [m/s] that there is propellant for, if that is known.
+    allocation : Allocation or None
+        Thrusters that make the inputs in every fault, where that is what their limits come from.
+    """
+
+    system: LinearSystem
+    initial_set: Zonotope
+    unsafe: tuple[Any, ...]
+    K: int
+    delta: float
+    Q: ArrayLike
+    R: ArrayLike
+    goal: Goal
+    goal_tolerance: float | None = None
+    goal_velocity_tolerance: float | None = None
+    recoverable: str = "polytope"
+    recourse: str = "none"
+    period: float | None = None
+    bound: str = "envelope"
+    weight: ArrayLike | str = "auto"
+    objective: Objective = "margin_then_fuel"
+    extra_margin: float = 0.0
+    thrust_reserve: float = 0.2
+    thrust_share: float | None = None
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
+    gains: tuple[Array, ...] = ()
+    abort: Abort | None = None
+    powered: PoweredAbort | None = None
+    tank: float | None = None
+    allocation: Allocation | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.initial_set, Zonotope):
+            raise ScenarioError("initial_set", type(self.initial_set).__name__, "must be a reach.Zonotope")
+        if self.initial_set.batch or self.initial_set.dim != self.system.n:
+            rule = f"must be one set of {self.system.n} states"
+            raise ScenarioError("initial_set", self.initial_set.c.shape, rule)
+        if whole("K", self.K, 1) > MAX_STEPS:
+            raise ScenarioError("K", self.K, f"must be at most {MAX_STEPS} steps")
+        positive("delta", self.delta, "s")
+        if self.period is not None:
+            positive("feedback.period_s", self.period, "s")
+        if not isinstance(self.goal, Goal):
+            raise ScenarioError("goal", type(self.goal).__name__, "must be one of polaris.planning's goals")
+        bodies = self.unsafe if isinstance(self.unsafe, (tuple, list)) else None
+        if bodies is None or not all(hasattr(body, "timed_polytopes") for body in bodies):
+            raise ScenarioError(
+                "unsafe", self.unsafe, "must be a tuple of obstacles (polaris.model.scene.obstacles)"
+            )
+        if not isinstance(self.planner, PlannerOptions):
+            raise ScenarioError("planner", type(self.planner).__name__, "must be PlannerOptions")
+        object.__setattr__(self, "goal", self.goal.of(self.system))
+        if self.goal_tolerance is not None:
+            positive("goal.tolerance_m", self.goal_tolerance, "m")
+        if self.goal_velocity_tolerance is not None:
+            positive("goal.velocity_tolerance_m_s", self.goal_velocity_tolerance, "m/s")
+            if self.goal_tolerance is None:
+                raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
+            require_velocities(self.system, self.goal, "goal", self.goal_velocity_tolerance)
+        if self.powered is not None and self.powered.velocity_tolerance is not None:
+            orbit = self.powered.goal or self.goal
+            require_velocities(self.system, orbit, "abort.orbit", self.powered.velocity_tolerance)
+        non_negative("extra_margin", self.extra_margin, "m")
+        if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
+            raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")
+        one_of("recoverable", self.recoverable, RECOVERABLE_KINDS)
+        if not replace(self.system, transients=()).ideal and self.recoverable != "polytope":
+            rule = "must be 'polytope' with [navigation], [thrusters] or [timing]"
+            raise ScenarioError("recoverable.kind", self.recoverable, rule)
+        share = self.thrust_share
+        if share is not None and not 0 < number("tracking.thrust_share", share) <= 1:
+            raise ScenarioError("tracking.thrust_share", share, "must be above 0 and at most 1")
+        one_of("recourse", self.recourse, RECOURSE)
+
+    @cached_property
+    def gain(self) -> Array:
+        """Gain of the safety controller, shape (m, n)."""
+        return lqr_gain(self.system, self.Q, self.R)
+
+    @cached_property
+    def feedback(self) -> Feedback:
+        """Nodes per step, at which commands are renewed."""
+        return choose_feedback(self.system, [self.gain, *self.gains], self.delta, self.period)
+
+
+def require_velocities(system: LinearSystem, goal: Goal, key: str, tolerance: float) -> None:
+    """Raise a ScenarioError unless a tolerance of velocities bounds some of every coordinate's."""
+    rates, asked = velocities(system.A, system.position), goal.of(system).conditions
+    if not rates.any(axis=1).all():
+        rule = "needs states that are velocities: a coordinate of the position has none among C A x"
+        raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
+    if not np.vstack([asked.E, asked.G])[:, rates.any(axis=0)].any():
+        rule = "needs a goal with conditions on velocities: all of them may take any value"
+        raise ScenarioError(f"{key}.velocity_tolerance_m_s", tolerance, rule)
+
+
+ARGUMENTS = ("initial_set", "K", "delta", "Q", "R", "goal")  # what a bare system needs besides
+
+
+def as_problem(asked: Any, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Problem:
+    """What `get_safety` is asked, in any of its forms, as a `Problem`.
+
+    `arguments` are the positional ones but the first, by name, which only a bare system reads; `options`
+    further fields of `Problem`.
+    """
+    if callable(getattr(asked, "problem", None)):
+        asked = asked.problem()
+    if isinstance(asked, Problem):
+        return replace(asked, **options) if options else asked
+    if not isinstance(asked, LinearSystem) and not all(hasattr(asked, name) for name in "ABC"):
+        rule = "must be a Scenario (polaris.load_scenario reads a file), a Problem, a LinearSystem or a"
+        given = asked if isinstance(asked, str) else type(asked).__name__
+        raise ScenarioError("problem", given, f"{rule} control.StateSpace")
+    known = {"goal": None, **arguments, **options}
+    missing = [name for name in ARGUMENTS if known[name] is None]
+    if missing:
+        raise TypeError(f"get_safety(system, ...) also needs {', '.join(missing)}")
+    if not isinstance(asked, LinearSystem):
+        if short := [name for name in ("u_max", "C") if name not in known]:
+            rule = "C is the position, in which unsafe sets lie: one row per axis"
+            raise TypeError(f"get_safety(control.StateSpace, ...) also needs {', '.join(short)}; {rule}")
+        extra = {name: known.pop(name) for name in ("u_max", "w_max", "D", "C", "mass") if name in known}
+        asked = LinearSystem.from_statespace(asked, **extra)
+    wrong = sorted(set(known) - {field.name for field in fields(Problem)})
+    if wrong:
+        raise TypeError(f"get_safety(LinearSystem, ...) does not take {', '.join(wrong)}")
+    if not isinstance(known["unsafe"], Iterable):
+        raise ScenarioError(
+            "unsafe", type(known["unsafe"]).__name__, "must be a tuple of obstacles, even of one"
+        )
+    return Problem(asked, **known | {"unsafe": tuple(known["unsafe"])})

@@ -1,0 +1,107 @@
+"""Recoverable sets (Definition 1): from which errors the safety controller stays safe to the end.
+
+Three kinds behind one interface, from the paper's to the least conservative. All include "S does
+not saturate from here to the end" (theory item 7), and all hold for the whole of every period.
+"""
+
+from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.system import Array
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How far a set of errors is inside a recoverable set, and what limits it.
+
+    Attributes
+    ----------
+    value : float
+        Share of the available room left over at the tightest place: 1 for the reference itself
+        undisturbed, 0 on the boundary, negative outside.
+    limit : str
+        Name of the unsafe set that limits it, or of the input (`LinearSystem.input_names`).
+    time : float
+        Time [s] at which the limit bites, under S; for a limit beyond the loop's memory, the start of
+        its step.
+    need, room : float
+        What the set needs there and what there is, disturbance included, in m or N.
+    """
+
+    value: float
+    limit: str
+    time: float
+    need: float
+    room: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the whole set is recoverable."""
+        return self.value >= 0
+
+    def __str__(self) -> str:
+        need, room = directed(self.need, ".4g", up=True), directed(self.room, ".4g")
+        return f"{self.limit} at t = {self.time:.6g} s: needs {need} of {room}"
+
+
+class RecoverableSet(Protocol):
+    """One recoverable set per node, in error coordinates ``e = x - xi(t)``."""
+
+    @property
+    def kind(self) -> str:
+        """``polytope``, ``time_varying_ball``, ``ball`` or ``paper_ball``."""
+        ...
+
+    @property
+    def guarantee(self) -> str:
+        """``proved``, or ``none`` for the option that is not sound."""
+        ...
+
+    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+        """Line 13 of Algorithm 2: whether the reach set over ``[t1, t2]`` is inside, pointwise in time.
+
+        The tube over cell k is given by the sets at its q+1 nodes, and the bow over the q parts between them.
+        """
+        ...
+
+    def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
+        """How far a tube over cell k is inside: at least 0 where `holds`."""
+        ...
+
+    def margin_at(self, k: int, start: Zonotope) -> Margin:
+        """Margin of one set at the start of cell k."""
+        ...
+
+    def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
+        """Whether each error (runs, n) at a node is recoverable."""
+        ...
+
+    def radius(self, node: int) -> float:
+        """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
+        ...
+
+
+def directed(value: float, form: str, up: bool = False) -> str:
+    """Text of a proven number in a form as ``.4g``: rounded up (what is needed) or down (what is left)."""
+    if not np.isfinite(value):
+        return f"{value:{form}}"
+    with localcontext() as context:
+        context.rounding = ROUND_CEILING if up else ROUND_FLOOR
+        text = format(Decimal(value), form)
+    return f"{float(text):{form}}" if form.endswith("g") else text  # the other way of writing exponents
+
+
+def left(need: Array, room: Array) -> Array:
+    """Share of the room that is left over, ``1 - need / room``; minus infinity where there is no room.
+
+    Rounded down: a need that is too small to show beside 1 still leaves less than everything.
+    """
+    some = room > 0
+    share = np.where(some, np.nextafter(1 - need / np.where(some, room, 1), -np.inf), -np.inf)
+    return np.asarray(np.where(np.isnan(share), -np.inf, share))  # what cannot be worked out is not met

@@ -1,0 +1,288 @@
+"""Recourse: a safe reference that is the flight itself, U's own path wherever U may fly it.
+
+The printed Algorithm 1 plans one reference before U is known; U is then pulled back as soon as S could no
+longer return to it. Here the reference is planned with U in view: it follows U's predicted path, leaves it
+only in a few windows in which S flies, and ends at the goal. U then stays beside the reference by its own
+tube alone, so that S, taking over at any node, starts where it wants to be. Which windows, and on which
+side of an obstacle they lead, is decided by what the schedule is worth. Nothing in the proof changes: any
+reference will do for Theorem 2, and each candidate passes both algorithms whole.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from itertools import pairwise
+from time import perf_counter
+
+import numpy as np
+
+from ...model.errors import NotCertified, PolarisError, ScenarioError
+from ...model.scene.distances import stretches
+from ...model.system import Array
+from ...planning.following import Followed, FollowingSearch
+from ...planning.problem import IN_VIEW, Plan
+from ...planning.recheck import certified
+from ...planning.rows import Key, Rows
+from ...planning.search import Candidate, Seen
+from ..controllers.controllers import AffineController
+from ..controllers.neural import NeuralController
+from ..safety.attempts import plan_problem
+from ..safety.clearance import error_tube
+from ..safety.demand import Scheduled
+from ..tracker.tracking import Tracking
+from .schedule import Schedule
+from .worth import Mask, Worth
+
+STICKING = (20.0, 3.0)
+"""Prices of a departure from U's path, in units of what its fuel costs, at which windows are looked for."""
+SOFT = 5.0  # the same where U's own command leaves S no room above it: the reference goes on with less
+DEPARTS = 1e-2  # share of full thrust from which on a departure from U's path is one
+SHORT = 1e4  # price of a lacking length, beside that of fuel
+PROGRAMS = 120  # most windows tried from each start
+STARTS, ATTEMPTS = 3, 4  # sets of windows that are improved, and attempts to prove each
+APART = tuple((i, j) for i in (3, 5, 7, 9) for j in (3, 5, 7, 9))  # steps left of a window that is split
+SETTLED = 12  # steps after which S has done with the initial set
+SIDES = 8  # sides of unsafe sets in U's way that are tried as starts: those that a path takes most cheaply
+SPARE = 2.0  # by how much more than was lacking the clearance is raised from one attempt to the next
+
+Prove = Callable[[Plan, tuple[int, ...]], Schedule | None]
+"""What both algorithms make of a plan and the modes intended along it; None if nothing is proven."""
+
+
+def in_windows(parts: list[tuple[int, int]], K: int) -> Mask:
+    """The steps within windows, shape (K,)."""
+    mask = np.zeros(K, dtype=bool)
+    for a, b in parts:
+        mask[max(a, 0) : min(b, K)] = True
+    return mask
+
+
+def neighbours(mask: Mask, apart: Iterable[tuple[int, int]] = ()) -> Iterator[Mask]:
+    """Windows a little shorter, longer, earlier, later, split or joined."""
+    parts, K = stretches(mask), len(mask)
+    for i, (a, b) in enumerate(parts):
+        before, after = parts[:i], parts[i + 1 :]
+        for size in (4, 2, 1):
+            for first, last in ((size, 0), (0, -size), (size, size), (-size, -size), (-size, 0), (0, size)):
+                moved = [(a + first, b + last)] if a + first < b + last else []
+                yield in_windows(before + moved + after, K)
+        for left in (4, 2):
+            if b - a > 2 * left:
+                yield in_windows([*before, (a, a + left), (b - left, b), *after], K)
+        for left, right in apart:
+            if b - a > left + right + 2:
+                yield in_windows([*before, (a, a + left), (b - right, b), *after], K)
+        if b - a >= 4:
+            middle = (a + b) // 2
+            yield in_windows([*before, (a, middle), (middle + 1, b), *after], K)
+    for i, ((a, _), (_, d)) in enumerate(pairwise(parts)):
+        yield in_windows([*parts[:i], (a, d), *parts[i + 2 :]], K)
+
+
+class Windows:
+    """Windows for S along the path of one law, and the least velocity change with each.
+
+    `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
+    U's tube is booked for a flight; with errors and sets to stay inside it counts since each window.
+    """
+
+    def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
+        safety = printed.safety
+        problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
+        self.worth, self.K, self.mode = worth, problem.K, mode
+        sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
+        self.renewed = renewed = not system.ideal and any(body.keep_in for body in sets)
+        asked = plan_problem(problem, tracking, sets)
+        demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
+        u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
+        own = Scheduled(u, law.own, law.own.cells) if u.varies else None
+        q, handed = tracking.feedback.nodes_per_cell, safety.start
+        for k in range(min(SETTLED, problem.K) if renewed else 0):
+            handed = safety.controller.fly(handed, k).end
+        self.left = tracking.decay[np.minimum(np.arange(problem.K) * q, tracking.memory)][:, None]
+        margins, self.tubes = [], []
+        for unsafe, margin in zip(sets, asked.margins, strict=True):
+            rows = -unsafe.normals @ system.position
+            tube, again = (error_tube(u, z, rows).over_cells(problem.K, q) for z in (safety.start, handed))
+            caused = np.zeros_like(tube) if own is None else own.along(rows).max(axis=1)[: problem.K]
+            margins.append(margin if renewed else margin + (tube + caused))
+            self.tubes.append((tube + caused, again, caused))
+        # Coasting after T that is proven safe along the printed reference shall stay so.
+        self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
+        self.rows = Rows(self.asked)
+        self.lacking = np.zeros((len(sets), self.asked.cells, 1))
+        followed = Followed.of(system, law.powers[-1], law.own)
+        self.search = FollowingSearch(self.rows, problem.planner.deadline, followed)
+        self.unit = float(self.rows.price.max())
+        self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
+        self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
+        self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
+        z = (safety.plan.nu / system.u_max).ravel()
+        self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
+        self.known: dict[bytes, tuple[float, Candidate | None]] = {}
+
+    def _priced(self, prices: Array, mask: Mask | None = None) -> None:
+        """Price departures from U's path, and book its tube beside S's windows, if there are any."""
+        if self.renewed:
+            self._book(np.zeros(self.K, dtype=bool) if mask is None else mask)
+        limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
+        self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
+
+    def _book(self, mask: Mask) -> None:
+        """Book U's own tube since each of S's windows, within which it fades."""
+        edges = [*np.flatnonzero(np.diff(mask)) + 1, self.K]
+        cells = np.minimum(np.arange(self.asked.cells), self.K - 1)
+        for booked, more, tubes in zip(self.rows.booking, self.lacking, self.tubes, strict=True):
+            need, (_, again, caused) = tubes[0].copy(), tubes
+            for a, b in pairwise(edges):
+                flown = again[: b - a] + caused[a:b]
+                need[a:b] = need[a - 1] * self.left[: b - a] if mask[a] else flown
+            booked[:] = need[cells] + more
+
+    def path(self, mask: Mask) -> tuple[float, Candidate | None]:
+        """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
+        key = mask.tobytes()
+        if key not in self.known and not self.worth.allows(mask):
+            return np.inf, None
+        if key not in self.known:
+            self._priced(np.where(mask, 0.0, np.inf), mask)
+            found, cost = self.search.best({}), np.inf
+            if found is not None:
+                switches, s = int(np.count_nonzero(np.diff(mask))), float(mask.mean())
+                cost = -self.worth.of({0: s, self.mode: 1.0 - s}, found.fuel, switches)
+            self.known[key] = cost, found
+        return self.known[key]
+
+    def starts(self) -> list[tuple[Mask, Seen | None]]:
+        """Where to begin: the windows of paths near U's own, past what is in its way on every side."""
+        self._priced(np.full(self.K, STICKING[0] * self.unit))
+        own = self.search.solve({})
+        if own is None:
+            return []
+        sides: list[tuple[dict[Key, int], Seen | None]] = [({}, None), ({}, self.planned)]
+        ways: list[tuple[float, int, dict[Key, int]]] = []
+        for i, surplus in enumerate(self.search.look(own).surplus):
+            cells = np.flatnonzero(surplus[: self.K].max(axis=1) < 0).tolist()
+            for f in range(surplus.shape[1]) if cells and surplus.shape[1] > 1 else ():
+                path = self.search.solve({(i, k): f for k in cells})
+                cost = np.inf if path is None else self.search.value(path)
+                ways.append((cost, len(ways), {(i, k): f for k in cells}))
+        nearest = sorted(sorted(ways, key=lambda way: way[:2])[:SIDES], key=lambda way: way[1])
+        sides += [(way, None) for _, _, way in nearest]
+        found: list[tuple[float, int, Mask, Seen]] = []
+        for choice, guide in sides:
+            self.search.guide = guide
+            for price in STICKING:
+                self._priced(np.full(self.K, price * self.unit))
+                path = self.search.improved(self.search.best(choice))
+                if path is None:
+                    continue
+                mask = (self.search.departures(path) > DEPARTS) & ~self.closing & ~self.limited
+                self.search.guide = self.search.look(path)
+                self.known = {}
+                found.append((self.path(mask)[0], len(found), mask, self.search.guide))
+                self.search.guide = guide
+        found.sort(key=lambda item: item[:2])
+        found.reverse()
+        distinct = {(mask.tobytes(), round(cost, 9)): (mask, guide) for cost, _, mask, guide in found}
+        kept = sorted(distinct.items(), key=lambda item: (item[0][1], item[0][0]))
+        return [start for (_, cost), start in kept[:STARTS] if np.isfinite(cost)]
+
+    def schedules(self, prove: Prove) -> Iterator[Schedule]:
+        """What is proven along the best path from every start.
+
+        Where U turns out to need more clearance than the path keeps, it is planned again with that much more;
+        where S had to fly all the same, with those steps free to it.
+        """
+        tried = set()
+        for mask, guide in self.starts():
+            self.search.guide, self.known = guide, {}
+            mask = self._descend(mask)
+            if mask.tobytes() in tried:
+                continue
+            tried.add(mask.tobytes())
+            for attempt in range(ATTEMPTS):
+                path = self.search.improved(self.path(mask)[1])
+                intended = tuple(np.where(mask, 0, self.mode).tolist())
+                plan = self._certified(path)
+                schedule = prove(plan, intended) if plan is not None else None
+                if schedule is None:
+                    break
+                yield schedule
+                if not self._booked(schedule, intended):
+                    break
+                self.known = {}
+                if attempt >= ATTEMPTS // 2:
+                    mask = mask | (schedule.modes == 0)
+
+    def _booked(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
+        """Book the clearance that U lacked where it was meant to fly; whether there was any to book."""
+        safety, reached, some = schedule.safety, schedule.safety.start, False
+        names = [unsafe.name for unsafe in self.asked.unsafe]
+        lacking = np.zeros((len(names), self.asked.cells, 1))
+        for k, step in enumerate(schedule.steps):
+            if step.mode == 0 and intended[k]:
+                tube = schedule.controllers[intended[k]].fly(reached, k)
+                margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
+                if not margin.inside and margin.limit in names:
+                    cell = min(int(margin.time / safety.problem.delta), self.asked.cells - 1)
+                    near = slice(max(cell - 1, 0), cell + 2)
+                    more = lacking[names.index(margin.limit)]
+                    more[near] = np.maximum(more[near], SPARE * (margin.need - margin.room))
+                    some = True
+            reached = step.tube.end
+        self.lacking = self.lacking + lacking
+        for booked, more in zip(self.rows.booking, lacking, strict=True):
+            booked[:] = np.maximum(booked, more)
+        return some
+
+    def _descend(self, mask: Mask) -> Mask:
+        cost = self.path(mask)[0]
+        better = True
+        while better and len(self.known) < PROGRAMS:
+            better = False
+            for other in neighbours(mask, APART if self.renewed else ()):
+                found = self.path(other)[0]
+                if found < cost - 1e-9:
+                    cost, mask, better = found, other, True
+                    break
+                if len(self.known) >= PROGRAMS:
+                    break
+        return mask
+
+    @property
+    def late(self) -> bool:
+        """Whether the wall clock has ended the search early: another machine may find something else."""
+        return perf_counter() > self.search.deadline
+
+    def _certified(self, path: Candidate | None) -> Plan | None:
+        if path is None:
+            return None
+        nu = path.z.reshape(self.K, -1) * self.asked.system.u_max
+        none = np.zeros((len(self.asked.unsafe), self.K))
+        try:
+            return certified(self.asked, nu, none, path.fuel, -np.inf, IN_VIEW)
+        except NotCertified:
+            return None
+
+
+def followable(printed: Schedule) -> Iterator[tuple[int, AffineController]]:
+    """Modes and laws with a path of their own that a reference can follow; a network's is that of its slope.
+
+    What is planned with a stand-in is proven with the law itself, or flown by S.
+    """
+    for mode, given in enumerate(printed.controllers[1:], start=1):
+        law = given.slope if isinstance(given, NeuralController) else given
+        if isinstance(law, AffineController) and law.own is not printed.safety.reference:
+            with suppress(PolarisError, ValueError, ArithmeticError):
+                law.flow.lyapunov  # noqa: B018  a law that is not stable has no path of its own
+                yield mode, law
+
+
+def views(printed: Schedule, worth: Worth) -> list[Windows]:
+    """The searches for windows along the paths of all laws that a reference can follow."""
+    found = []
+    for mode, law in followable(printed):
+        with suppress(ScenarioError):  # of the loop of a law that S's steps are too long for
+            found.append(Windows(printed, law, mode, worth))
+    return found

@@ -1,0 +1,170 @@
+"""Powered abort: from whatever instant of a step S flies to a named orbit, in time and within a budget.
+
+Where the orbit is not the schedule's own goal, S flies on along the reference until a branch leaves it, which
+was planned beforehand; one branch serves the steps before it for as long as all is proven of them.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.errors import NotCertified, OutOfTime, SynthesisInfeasible
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from ...planning.problem import PlanProblem
+from ...planning.reference import Reference
+from ...planning.solve import plan
+from ..controllers.controllers import TubeSegment
+from ..safety.attempts import perceive_unsafe, plan_problem
+from ..safety.clearance import Clearance, error_tube
+from ..safety.end_condition import coast, judge_end, tail_length
+from ..safety.get_safety import Safety, get_recover
+from ..safety.problem import PoweredAbort
+from ..tracker.intersample import at_nodes
+from .takeover import SPARE, Branch, Takeover, Way
+
+LATEST = 0.25
+"""Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
+PROGRAMS = 300  # most linear programs that the plan of one branch takes
+TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"
+"""What is told of an abort in a step, in the order of `PoweredSafety.told`."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoweredSafety:
+    """From which steps S reaches the orbit, aborting at any instant of them, and how."""
+
+    asked: PoweredAbort
+    delta: float  # step of the schedule [s]
+    branches: tuple[Branch, ...]
+    ways: tuple[Way, ...]
+
+    def require(self) -> None:
+        """`SynthesisInfeasible`, or `NotCertified` where only the budget is exceeded, if it is required."""
+        lost = [(k, way) for k, way in enumerate(self.ways) if way.branch is None]
+        if not (self.asked.required and lost):
+            return
+        k, way = max(lost, key=lambda each: (not each[1].budget, each[1].short))
+        told = f"powered abort is required, but in {len(lost)} of {len(self.ways)} steps it is not proven"
+        told += f"; in step {k} (from {k * self.delta:g} s) {way.why}"
+        if way.budget:
+            raise NotCertified(f"{told}; raise {way.budget} by {way.short:.4g}")
+        raise SynthesisInfeasible(f"{told}.", way.short, "raise abort.within_s, or widen the orbit.")
+
+    def told(self) -> dict[str, Any]:
+        """What a run claims of it."""
+        steps, delta = list[dict[str, Any]](), self.delta
+        for k, way in enumerate(self.ways):
+            found: tuple[float | None, ...] = (None,) * len(TOLD)
+            if way.branch is not None:
+                branch = self.branches[way.branch]
+                ends = until if np.isfinite(until := branch.safety.end.until) else None
+                found = branch.step * delta, way.cell * delta, way.delta_v, ends
+            steps.append({"step": k, **dict(zip(TOLD, found, strict=True)), "why": way.why or None})
+        return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
+
+
+def powered(safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array) -> PoweredSafety | None:
+    """What is proven of aborts with thrust in every step of a schedule, if anything is asked of them.
+
+    `flown` holds who flies each step (0 is S), and in which tube; `spent` the velocity change (K,) [m/s].
+    """
+    asked, delta = safety.problem.powered, safety.problem.delta
+    if asked is None:
+        return None
+    taken = Takeover.each(safety, flown, spent)
+    if asked.goal is None:
+        own = Branch(safety.problem.K, safety)
+        return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))
+    branches, ways = list[Branch](), list[Way]()
+    while len(ways) < len(taken):
+        served, lost = list[Way](), Way(None, why="there is no time for a branch")
+        for branch in _branches(safety, asked, taken, len(ways)):
+            if isinstance(branch, str):
+                lost = Way(None, why=branch)
+                continue
+            for each in taken[len(ways) : branch.step]:
+                way = branch.serve(each, asked, len(branches))
+                if way.branch is None:
+                    break
+                served.append(way)
+            if served:
+                branches.append(branch)
+                break
+            lost = way
+        ways += served or [lost]
+    return PoweredSafety(asked, delta, tuple(branches), tuple(ways))
+
+
+def _branches(
+    safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], k: int
+) -> Iterator[Branch | str]:
+    """Branches for aborts from step k on, those first that leave late; or why there is none."""
+    assert asked.within is not None
+    time = int(asked.within / safety.problem.delta * (1 + ROUNDING))
+    stride = max(1, round(LATEST * time))
+    for ahead in dict.fromkeys((stride, max(1, stride // 2), 1)):
+        b = min(k + ahead, len(taken))
+        if b < k + time:
+            yield _leave(safety, asked, taken[k:b], k + time - b)
+
+
+def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: int) -> Branch | str:
+    """A branch of n steps towards the orbit, after the last of some steps; or why there is none."""
+    b, goal, tracking = taken[-1].k + 1, asked.goal or safety.problem.goal, safety.tracking
+    aborted = replace(safety.problem, K=b + n, abort=None, powered=None)
+    near, slow = asked.tolerance, asked.velocity_tolerance
+    problem = replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
+    tail = tail_length(tracking)
+    unsafe = perceive_unsafe(problem, problem.K + tail)
+    most = min(problem.planner.max_linear_programs, PROGRAMS)
+    try:
+        wanted = _wanted(plan_problem(problem, tracking, unsafe), safety, taken, tail)
+        found = plan(wanted, replace(problem.planner, max_linear_programs=most, progress=None))
+    except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
+        return f"no branch is found: {error}"
+    nu = np.vstack([safety.reference.nu[:b], found.nu])
+    path = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, nu)
+    reference, jump = coast(path, tail)
+    facets = np.vstack([safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
+    clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
+    recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
+    end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
+    made = replace(safety, problem=problem, plan=replace(found, chi=path.chi, nu=nu), reference=reference)
+    made = replace(made, clearance=clearance, recoverable=recoverable, end=end)
+    return Branch(b, replace(made, start_margin=recoverable.margin_at(0, safety.start)))
+
+
+def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:
+    """The planning problem of a branch: from the reference on, with what S needs where it may take over."""
+    tracking, system, b = safety.tracking, asked.system, taken[-1].k + 1
+    chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]
+
+    def needed(rows: Array) -> Array:
+        parts = []
+        for each in taken:
+            bow = np.zeros((1, system.n)) if each.tube is None else at_nodes(each.tube.bow)
+            for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
+                one = Zonotope(each.sets.c[i], each.sets.G[i]).inflate(bow[i])
+                tube = error_tube(tracking, one, rows)
+                q, last = tracking.feedback.nodes_per_cell, len(tube.need) - 1
+                lags = np.arange(b * q, asked.K * q + 1) - each.first - i
+                at = tube.need[np.minimum(lags, last)]
+                parts.append(np.maximum(at[:-1].reshape(asked.K - b, q, -1).max(axis=1), at[q::q]))
+        most: Array = np.max(parts, axis=0) * (1 + SPARE)
+        return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
+
+    margins = [
+        np.maximum(known[b:], needed(-body.normals @ system.position))
+        for body, known in zip(asked.unsafe, asked.margins, strict=True)
+    ]
+    thrust = needed(np.vstack([tracking.gain, -tracking.gain])).reshape(asked.K - b, 2, -1).max(axis=1)
+    left = system.u_max * (1 - SPARE) - thrust - system.command_error(tracking.gain)
+    unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in asked.unsafe)
+    limit = np.maximum(np.minimum(asked.u_limit[b:], left), 0.0)
+    asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
+    return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)

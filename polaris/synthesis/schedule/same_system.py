@@ -1,0 +1,140 @@
+"""Whether everything a schedule is made from speaks of one system, one time grid and one reference.
+
+A tube says nothing about a flight under other limits, other disturbances or another period. What comes
+out of one `Problem` belongs together by construction; what is assembled by hand, or taken from another
+scenario, is looked at here before anything is proven with it.
+"""
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.errors import ScenarioError, SynthesisInfeasible
+from ...model.system import Array
+from ...model.tolerances import REFERENCE, ROUNDING
+from ..controllers.black_box import BlackBox
+from ..controllers.controllers import AffineController, AnyThrust, Controller, TubeSegment
+from ..controllers.neural import NeuralController
+from ..safety.get_safety import Safety, get_safety
+from ..safety.problem import Problem
+
+UNPROVEN = ("problem", "plan", "start_margin", "seconds", "cut_by_clock", "_relaxed", "_levels")
+"""Fields that no proof rests on: what was asked, how it was found, and what is only told or remembered."""
+
+
+def check_safety(safety: Safety, problem: Problem) -> None:
+    """Refuse a `Safety` that is not what Algorithm 1 makes of a problem along the same plan.
+
+    Its kind of recoverable set and its share of thrust may be others than the problem asks for.
+
+    Raises `ScenarioError`, naming the part, what it has, and what it must have.
+    """
+    _same("safety.plan.nu", np.shape(safety.plan.nu), (problem.K, problem.system.m), "shape of the inputs")
+    _same_parts("safety.tracking.system", safety.tracking.system, problem.system)
+    try:
+        kind, share = safety.recoverable.kind, safety.problem.thrust_share
+        made = get_safety(replace(problem, recoverable=kind, thrust_share=share), along=safety.plan)
+    except SynthesisInfeasible as error:
+        rule = "must hold the initial set at the start"
+        raise ScenarioError("safety.recoverable", str(error), rule) from error
+    _same_parts("safety", safety, made)
+
+
+def check_controller(controller: Controller, safety: Safety) -> None:
+    """Refuse an experimental controller over another system, time grid or safe reference.
+
+    Of a class of one's own only what it shows can be compared: `system`, `reference`, `tracking`, `own`.
+
+    Raises `ScenarioError`, naming the controller, what it has, and what it must have.
+    """
+    if not isinstance(getattr(controller, "name", None), str) or not callable(
+        getattr(controller, "fly", None)
+    ):
+        rule = "must be a Controller: a name in text, and fly and command (AnyThrust is one)"
+        raise ScenarioError("experimental", type(controller).__name__, rule)
+    name, problem = controller.name, safety.problem
+    reference = getattr(controller, "reference", safety.reference)
+    tracking = getattr(controller, "tracking", safety.tracking)
+    if reference is not safety.reference or tracking is not safety.tracking:
+        rule = "was built on the reference of another Safety; build it on this one's"
+        raise ScenarioError("experimental", name, rule)
+    _same_parts(f"{name}.system", getattr(controller, "system", problem.system), problem.system)
+    for fault in problem.system.transients:
+        within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
+        if isinstance(controller, NeuralController) and fault.networks is not None:
+            within = np.all(controller.policy.steepest(problem.system, problem.unsafe) <= fault.networks)
+        anything = isinstance(controller, AnyThrust) or (isinstance(controller, BlackBox) and fault.asked)
+        if not within and not anything:
+            rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
+            raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
+    own, K = getattr(controller, "own", reference), problem.K
+    _same_parts(f"{name}.own.system", own.system, problem.system)
+    _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
+    shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
+    _same(
+        f"{name}.own.chi and nu",
+        (np.shape(own.chi), np.shape(own.nu)),
+        shapes,
+        f"shapes of a path of {K} steps or more",
+    )
+    if not (np.all(np.isfinite(own.chi)) and np.all(np.isfinite(own.nu))):
+        raise ScenarioError(f"{name}.own", "nan or inf", "must be finite numbers")
+
+
+def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Safety) -> TubeSegment:
+    """What a controller of a class of one's own returns: sets of the right shapes that hold the start.
+
+    Raises `ScenarioError` if it is no tube from that start over one step.
+    """
+    if type(controller) in (AffineController, AnyThrust, NeuralController) and isinstance(tube, TubeSegment):
+        return tube
+    name, n, q = f"{controller.name}.fly", safety.problem.system.n, safety.tracking.feedback.nodes_per_cell
+    if not isinstance(tube, TubeSegment):
+        raise ScenarioError(name, type(tube).__name__, "must return a polaris.TubeSegment")
+    _same(f"{name}.nodes", tube.nodes.c.shape, (q + 1, n), "one set per node of the step")
+    _same(f"{name}.bow", np.shape(tube.bow), (q, n), "one row per part of the step")
+    _same(f"{name}.end", tube.end.c.shape, (n,), "one set of states")
+    if tube.refused:
+        return tube
+    if not np.all(tube.bow >= 0):
+        raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
+    rows = np.vstack([np.eye(n), -np.eye(n)])
+    for told, inner, outer in (("nodes", start, tube.nodes[0]), ("end", tube.nodes[-1], tube.end)):
+        size = inner.extent
+        short = inner.support(rows) - outer.support(rows) - ROUNDING * np.concatenate([size, size])
+        if not np.all(short <= 0):
+            rule = "must contain " + ("the set it starts from" if told == "nodes" else "its last node")
+            raise ScenarioError(f"{name}.{told}", f"{float(np.nanmax(short)):.3g} short", rule)
+    return tube
+
+
+def _same_parts(field: str, found: Any, wanted: Any) -> None:
+    """Refuse what is not of the same kind with the same parts, its arrays to rounding, as what is wanted."""
+    if found is wanted:
+        return
+    if is_dataclass(wanted):
+        if type(found) is not type(wanted):
+            raise ScenarioError(field, type(found).__name__, f"must be of the kind {type(wanted).__name__}")
+        for part in fields(wanted):
+            if part.name not in UNPROVEN:
+                _same_parts(f"{field}.{part.name}", getattr(found, part.name), getattr(wanted, part.name))
+    elif isinstance(wanted, tuple) and isinstance(found, tuple) and len(found) == len(wanted):
+        for i, (one, other) in enumerate(zip(found, wanted, strict=True)):
+            _same_parts(f"{field}[{i}]", one, other)
+    elif not (isinstance(wanted, np.ndarray) and _close(found, wanted)):
+        _same(field, found, wanted, "one that its problem and plan lead to")
+
+
+def _close(found: Any, wanted: Array) -> bool:
+    same = isinstance(found, np.ndarray) and found.shape == wanted.shape
+    return same and bool(np.all(np.abs(found - wanted) <= REFERENCE * np.max(np.abs(wanted), initial=0.0)))
+
+
+def _same(field: str, found: Any, wanted: Any, whose: str) -> None:
+    if np.array_equal(np.asarray(found, dtype=object), np.asarray(wanted, dtype=object)):
+        return
+    a, b = (np.asarray(value).tolist() if np.size(value) <= 12 else "an array" for value in (found, wanted))
+    raise ScenarioError(field, a, f"must be the {whose}, {b}" if a != b else f"must be the {whose}")

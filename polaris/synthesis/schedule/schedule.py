@@ -1,0 +1,282 @@
+"""The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, astuple, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.brief import brief
+from reach.numerics.linear import growth
+from reach.sets.zonotope import Zonotope
+
+from ...certificate.assumptions import Premises
+from ...model.errors import ScenarioError
+from ...model.scene.obstacle import chaser_radius
+from ...model.scene.satellite import SatelliteObstacle
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from ..controllers.black_box import FittedSegment, Statement
+from ..controllers.controllers import Controller, TubeSegment, construct_s
+from ..controllers.neural import NeuralController
+from ..safety.get_safety import Safety
+from ..safety.passive import Drift, PassiveSafety
+from ..safety.recoverable import Margin, RecoverableSet
+from .arrival import FLOWN, Arrival, Held, Upkeep, arrival, spare, upkeep
+from .powered import PoweredSafety, powered
+from .spending import Spell, spent
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of the schedule.
+
+    Attributes
+    ----------
+    mode : int
+        0 is S, 1, 2, ... the experimental controllers.
+    tube : TubeSegment
+        Reachable set over the step, in error coordinates.
+    k : int
+        Which step it is.
+    recoverable : RecoverableSet
+    """
+
+    mode: int
+    tube: TubeSegment
+    k: int
+    recoverable: RecoverableSet
+
+    @cached_property
+    def margin(self) -> Margin:
+        """How far the tube is inside the recoverable sets.
+
+        Steps under S need no margin: from a recoverable set S stays safe to the end.
+        """
+        return self.recoverable.margin(self.k, self.tube.nodes, self.tube.bow)
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A switching schedule L with everything its proof rests on.
+
+    Attributes
+    ----------
+    safety : Safety
+        What it was made from.
+    controllers : tuple of Controller
+        Indexed by mode.
+    steps : tuple of Step
+        One per planning step.
+    final : Zonotope
+        Set of errors at T.
+    seconds : mapping
+        Wall time of the synthesis by stage.
+    library : tuple of Schedule
+        Along other references, proven on the way to this one: as long safe, and they arrive if it does.
+    worth : callable, optional
+        What a flight is worth at the scenario's prices, by its shares of the time per mode, its velocity
+        change [m/s] and its number of switches; known where references were planned with U in view.
+    statement : Statement, optional
+        What sampled flights say of the steps that black boxes fly.
+    """
+
+    safety: Safety
+    controllers: tuple[Controller, ...]
+    steps: tuple[Step, ...]
+    final: Zonotope
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    library: tuple["Schedule", ...] = ()
+    worth: Callable[[Mapping[int, float], float, float], float] | None = None
+    statement: Statement | None = None
+
+    def _brief(self) -> Mapping[str, object]:
+        """Return what a session and a notebook show."""
+        arrival = self.arrival if self.guarantee == "proved" else None
+        return {
+            "guarantee": self.guarantee,
+            "controllers": tuple(controller.name for controller in self.controllers),
+            "share_of_U": f"{self.share():.1%}",
+            "switches": self.switches,
+            "steps": len(self.steps),
+            "duration_s": len(self.steps) * self.safety.problem.delta,
+            "goal_reached_by_s": arrival.by if arrival else None,
+        }
+
+    @property
+    def guarantee(self) -> str:
+        """``proved``, ``statistical`` or ``none``: whether safety is; until when says ``safety.end``.
+
+        A black box in any step makes all of it ``statistical``, and ``none`` without a `statement`.
+        """
+        if not self.sampled_steps or self.safety.guarantee == "none":
+            return self.safety.guarantee
+        return "none" if self.statement is None else "statistical"
+
+    @property
+    def sampled_steps(self) -> int:
+        """Number of steps whose sets come from samples."""
+        return sum(isinstance(step.tube, FittedSegment) for step in self.steps)
+
+    @cached_property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the guarantee rests on, for a mission to discharge."""
+        safety = self.safety
+        problem, cells, end = safety.problem, safety.reference.cells, safety.end
+        prompt, observer = problem.system.prompt, problem.system.observer
+        offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
+        premises = Premises(
+            problem.system.w_max,
+            problem.delta / safety.clearance.q,
+            resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
+            satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
+            horizon=end.horizon,
+            until=end.until if np.isfinite(end.until) else None,
+            estimate=prompt.navigation.tolist(),
+            by_step=problem.system.error_by_step is not None,
+            observer=() if observer is None else observer.noise.tolist(),
+            initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
+            timing=astuple(problem.system.timing)[:4],
+            thrusters=astuple(prompt.thrusters),
+            pulses=problem.system.timing.fired,
+            carried=problem.system.timing.carried,
+            chaser=chaser_radius(problem.unsafe),
+            allocated=problem.allocation is not None,
+            late=[(fault.name, fault.lasts) for fault in problem.system.transients],
+            sampled=None if self.statement is None else asdict(self.statement),
+            position=problem.system.position.tolist(),
+            networks=[
+                (law.name, law.policy.network.precision)
+                for law in self.controllers
+                if isinstance(law, NeuralController)
+            ],
+        )
+        return *premises.told(), "arithmetic: in double precision, its round-off covered by booked tolerances"
+
+    @cached_property
+    def modes(self) -> NDArray[np.int_]:
+        """Mode of every step, shape (K,)."""
+        return np.array([step.mode for step in self.steps], dtype=int)
+
+    @property
+    def times(self) -> Array:
+        """Start of every step, and T [s], shape (K+1,)."""
+        return np.asarray(np.arange(len(self.steps) + 1) * self.safety.problem.delta, dtype=float)
+
+    @property
+    def switches(self) -> int:
+        """Number of changes of mode inside the horizon."""
+        return int(np.count_nonzero(np.diff(self.modes)))
+
+    @cached_property
+    def _spells(self) -> list[Spell]:
+        return [Spell.of(self.controllers[step.mode], step.tube, step.k) for step in self.steps]
+
+    @cached_property
+    def delta_v_middle(self) -> float:
+        """Velocity change until T along the middle of the tubes [m/s]."""
+        h = self.safety.tracking.flow.h
+        return sum(float(spell.middle.sum()) * h for spell in self._spells) / self.safety.problem.system.mass
+
+    @cached_property
+    def delta_v(self) -> tuple[float, float]:
+        """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
+        scale = self.safety.tracking.flow.h / self.safety.problem.system.mass
+        return self.delta_v_middle, spent(self._spells) * scale * (1 + ROUNDING)
+
+    @cached_property
+    def _held(self) -> Held:
+        """Sets that hold all errors where S takes over for good, and at T."""
+        last = max((step.k + 1 for step in self.steps if step.mode), default=0)
+        handed = self.steps[last - 1].tube.end if last else self.safety.start
+        return (handed, (len(self.steps) - last) * self.safety.clearance.q), (self.final, 0)
+
+    @cached_property
+    def arrival(self) -> Arrival:
+        """Whether and by when the goal is proven reached."""
+        return arrival(self.safety, self._held, self.delta_v[1])
+
+    @cached_property
+    def upkeep(self) -> Upkeep | None:
+        """What S spends at most after T, for ever, and how long the tank lasts, as far as that is proven."""
+        return upkeep(self.safety, self._held, self.delta_v[1]) if self.guarantee != "none" else None
+
+    @cached_property
+    def passive(self) -> PassiveSafety | None:
+        """From which steps the drift stays clear if all thrust stops, where the problem asks."""
+        flight = self.safety.free_flight
+        if flight is None:
+            return None
+        return PassiveSafety(flight, tuple(drift_of(self.safety, step.tube, step.k) for step in self.steps))
+
+    @cached_property
+    def powered(self) -> PoweredSafety | None:
+        """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
+        flown = [(step.mode, step.tube) for step in self.steps]
+        most = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
+        return powered(self.safety, flown, most / self.safety.problem.system.mass)
+
+    def aborted(self, k: int) -> "Schedule":
+        """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.
+
+        Raises
+        ------
+        ScenarioError
+            If nothing is proven of an abort in that step.
+        """
+        way = None if self.powered is None else self.powered.ways[k]
+        if self.powered is None or way is None or way.branch is None:
+            raise ScenarioError("abort", k, "must be a step in which an abort with thrust is proven")
+        safety = self.powered.branches[way.branch].safety
+        s = construct_s(safety.tracking, safety.reference)
+        steps = [replace(step, recoverable=safety.recoverable) for step in self.steps[:k]]
+        reached = steps[-1].tube.end if steps else safety.start
+        for later in range(k, safety.problem.K):
+            steps.append(Step(0, s.fly(reached, later), later, safety.recoverable))
+            reached = steps[-1].tube.end
+        controllers = (s, *self.controllers[1:])
+        return Schedule(replace(safety, controller=s), controllers, tuple(steps), reached)
+
+    @property
+    def spent(self) -> float:
+        """Velocity change [m/s] that is proven never to be exceeded until the goal, or T if it is not proven.
+
+        This is what a budget, `SwitchingRules.delta_v_max`, is held against.
+        """
+        until_end = self.delta_v[1] * (1 + spare(self.safety.tracking, FLOWN))
+        return self.arrival.delta_v if self.arrival.reached is True else until_end
+
+    def share(self, mode: int | None = None) -> float:
+        """Share of time under one mode; without one, under any experimental controller."""
+        flying = self.modes > 0 if mode is None else self.modes == mode
+        return float(np.mean(flying))
+
+    def mode_at(self, t: float) -> int:
+        """The switching logic L(t): mode at a time t [s], at a switch the new one; S after T."""
+        k = int(np.floor(t / self.safety.problem.delta + 1e-12))
+        return int(self.modes[k]) if 0 <= k < len(self.modes) else 0
+
+    @property
+    def margins(self) -> Array:
+        """Containment margin of every step, shape (K,); see `polaris.synthesis.safety.recoverable.Margin`.
+
+        The proof needs it to be at least 0 under an experimental controller only. Under S it may be
+        negative: the set reached is enclosed afresh at every node, and S, once it has taken over from a
+        recoverable set, is safe whatever that enclosure says.
+        """
+        return np.array([step.margin.value for step in self.steps])
+
+
+def drift_of(safety: Safety, tube: TubeSegment, k: int) -> tuple[Drift, ...]:
+    """What becomes of the flights in a tube over step k if all thrust stops; none where nothing is asked."""
+    problem, q = safety.problem, safety.clearance.q
+    flight = safety.free_flight
+    if flight is None:
+        return ()
+    system, h, arc = problem.system, problem.delta / q, safety.clearance.nodes[k]
+    rate = np.abs(arc[:-1] @ system.A.T + safety.reference.nu[k] @ system.B.T)
+    bow = tube.bow + system.displaced + h**2 / 8 * rate @ (np.abs(system.A) @ growth(system.A, h)).T
+    return flight.after(k, tube.nodes + arc, bow)

@@ -1,0 +1,243 @@
+"""The choices that Algorithm 2 leaves: which controller comes first, how long it lasts, how many switches."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.checks import non_negative, of_kind, one_of, positive, whole
+from ...model.errors import ScenarioError
+from ..controllers.black_box import BlackBox
+from ..controllers.controllers import Controller, TubeSegment
+from ..safety.attempts import Clock
+from ..safety.get_safety import Safety
+from ..safety.passive import clear
+from ..safety.problem import Problem
+from .look_ahead import SAFETY, LookAhead
+from .same_system import check_controller, check_safety, check_segment
+from .schedule import Schedule, Step, drift_of
+
+
+@dataclass(frozen=True)
+class SwitchingRules:
+    """Options of Algorithm 2 beyond the paper.
+
+    Parameters
+    ----------
+    strategy : {"greedy", "look_ahead"}
+        ``greedy`` is Algorithm 2 as printed: U whenever it is contained. ``look_ahead`` searches for
+        the schedule with most (weighted) use of U. It is never worse than greedy, nor than itself under
+        stricter rules (dwell times above 8 steps: those of `polaris.synthesis.schedule.look_ahead.rungs`).
+    min_dwell : int
+        Steps a controller keeps, once switched to.
+    max_switches : int or None
+        Cap on the number of switches. One is always held back for the return to S, so a cap of 0
+        leaves S alone, and the last one may stay unused.
+    weights : tuple of float
+        Worth of one step under each experimental controller, in their order of preference.
+    beam : int
+        Schedules that ``look_ahead`` keeps at every step for each number of switches and controller.
+    delta_v_price : float
+        Share of the horizon that a velocity change as large as S's alone costs, where schedules are compared.
+    switch_price : float
+        Share of the horizon that a switch costs there.
+    delta_v_max : float or None
+        Budget [m/s] of velocity change (`Schedule.spent`): what is returned is proven to keep it.
+    """
+
+    strategy: str = "greedy"
+    min_dwell: int = 1
+    max_switches: int | None = None
+    weights: tuple[float, ...] = ()
+    beam: int = 1
+    delta_v_price: float = 0.06
+    switch_price: float = 0.005
+    delta_v_max: float | None = None
+
+    def __post_init__(self) -> None:
+        one_of("schedule.strategy", self.strategy, ("greedy", "look_ahead"))
+        whole("schedule.min_dwell_steps", self.min_dwell, 1)
+        whole("schedule.beam", self.beam, 1)
+        if self.max_switches is not None:
+            whole("schedule.max_switches", self.max_switches, 0)
+        non_negative("schedule.delta_v_price", self.delta_v_price, "-")
+        non_negative("schedule.switch_price", self.switch_price, "-")
+        if self.delta_v_max is not None:
+            positive("schedule.delta_v_max_m_s", self.delta_v_max, "m/s")
+        for weight in self.weights:
+            positive("schedule.weights", weight, "-")
+
+    def worths(self, modes: int) -> tuple[float, ...]:
+        """Worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
+        given = (0.0, *self.weights)[:modes]
+        return given + (1.0,) * (modes - len(given))
+
+    def affords(self, spent: float) -> bool:
+        """Whether the budget allows a velocity change [m/s]."""
+        return self.delta_v_max is None or spent <= self.delta_v_max
+
+    def allow(self, schedule: Schedule) -> bool:
+        """Whether a schedule keeps the budget, and what is required of the drift after all thrust stops."""
+        return self.affords(schedule.spent) and (schedule.passive is None or schedule.passive.kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A schedule under construction: the set reached at step k, and how it came about."""
+
+    reached: Zonotope
+    steps: tuple[Step, ...] = ()
+    held: int = 0
+    switches: int = 0
+
+    @property
+    def k(self) -> int:
+        """Number of steps decided."""
+        return len(self.steps)
+
+    @property
+    def mode(self) -> int:
+        """Mode of the last step; S before the first."""
+        return self.steps[-1].mode if self.steps else SAFETY
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Controllers over one `Safety`, and the rules by which they take turns.
+
+    `intended` holds the mode for which the reference was planned, step by step, if it was planned with U in
+    view; then no other experimental controller is tried. `came` holds where the step began that ends in a
+    set, and its mode.
+    """
+
+    safety: Safety
+    controllers: tuple[Controller, ...]
+    rules: SwitchingRules
+    progress: Callable[[int, int], None] | None = None
+    clock: Clock = field(
+        default_factory=Clock
+    )  # of the whole synthesis, which searches made from this one share
+    intended: tuple[int, ...] | None = None
+    came: WeakKeyDictionary[Zonotope, tuple[Zonotope, int]] = field(default_factory=WeakKeyDictionary)
+
+    @classmethod
+    def over(
+        cls,
+        scenario: Any,
+        safety: Safety,
+        experimental: Sequence[Controller] | None,
+        rules: SwitchingRules | None,
+        progress: Callable[[int, int], None] | None,
+        fits: bool = False,
+        clock: Clock | None = None,
+    ) -> "Search":
+        """Take controllers and rules from the scenario where they are not given; refuse what does not fit.
+
+        What does not belong together is refused because its tubes would mean nothing; a safety that has just
+        been made from the scenario `fits`.
+        """
+        of_kind("safety", safety, Safety, "polaris.get_safety")
+        if experimental is None:
+            experimental = scenario.controllers(safety) if hasattr(scenario, "controllers") else ()
+        if rules is None:
+            rules = scenario.switching_rules() if hasattr(scenario, "switching_rules") else SwitchingRules()
+        problem = scenario.problem() if callable(getattr(scenario, "problem", None)) else scenario
+        if not isinstance(experimental, Sequence) or isinstance(experimental, str):
+            rule = "must be a list of controllers, even of one"
+            raise ScenarioError("experimental", type(experimental).__name__, rule)
+        if not fits:
+            check_safety(safety, problem if isinstance(problem, Problem) else safety.problem)
+        for controller in experimental:
+            check_controller(controller, safety)
+        if len(rules.weights) > len(experimental):
+            rule = f"must be at most one per controller ({len(experimental)})"
+            raise ScenarioError("schedule.weights", f"{len(rules.weights)} weights", rule)
+        return cls(safety, (safety.controller, *experimental), rules, progress, clock or Clock())
+
+    def wanted(self, k: int) -> Sequence[int]:
+        """Experimental controllers to try in step k: in order of preference, or the one that is intended."""
+        if self.intended is None:
+            return range(1, len(self.controllers))
+        return [mode for mode in self.intended[k : k + 1] if mode != SAFETY]
+
+    def options(self, branch: Branch) -> Iterator[tuple[int, int]]:
+        """Modes to try from a branch, each with the steps it must last; S last, and always possible."""
+        k, K, cap = branch.k, self.safety.problem.K, self.rules.max_switches
+        if self.rules.strategy == "look_ahead" and self.intended is None:
+            yield self.planned[k], 1  # proven before; a law that answers otherwise now gives way to S
+            yield SAFETY, 1
+            return
+        if self.progress and k:
+            self.progress(k, K)
+        settled = k == 0 or branch.held >= self.rules.min_dwell
+        spent = branch.switches + (k > 0) + 1  # there, and back to S should it fail
+        for mode in self.wanted(k):
+            if mode == branch.mode:
+                yield mode, 1
+            elif settled and (cap is None or spent <= cap):
+                yield mode, self.rules.min_dwell
+        yield SAFETY, 1  # U has always flown its whole dwell, so S may take over
+
+    def fly(self, branch: Branch, mode: int, steps: int) -> Branch | None:
+        """Let one controller fly the next steps; None if it is not proven recoverable throughout."""
+        for _ in range(min(steps, self.safety.problem.K - branch.k)):
+            tube = self.tube(branch.reached, branch.k, mode)
+            if tube is None:
+                return None
+            step = Step(mode, tube, branch.k, self.safety.recoverable)
+            switched = branch.k > 0 and mode != branch.mode
+            held = 1 if switched or branch.k == 0 else branch.held + 1
+            branch = Branch(tube.end, (*branch.steps, step), held, branch.switches + switched)
+        return branch
+
+    def tube(self, start: Zonotope, k: int, mode: int) -> TubeSegment | None:
+        """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
+        controller = self.controllers[mode]
+        recalls = isinstance(controller, BlackBox) and controller.memory
+        flown = controller.fly(start, k, *([self._before(start)] if recalls else []))  # GetReach
+        tube = check_segment(controller, start, flown, self.safety)
+        self.came[tube.end] = start, mode
+        if mode == SAFETY:
+            return tube  # S stays safe from where it took over
+        if tube.refused or not self.safety.recoverable.holds(k, tube.nodes, tube.bow):
+            return None
+        abort = self.safety.problem.abort
+        if abort is not None and abort.required and not clear(drift_of(self.safety, tube, k)):
+            return None
+        return tube
+
+    def _before(self, reached: Zonotope) -> list[tuple[Zonotope, Controller]]:
+        """Where each of the steps began that lead to a set, and who flew it."""
+        found: list[tuple[Zonotope, Controller]] = []
+        while reached in self.came:
+            reached, mode = self.came[reached]
+            found.insert(0, (reached, self.controllers[mode]))
+        return found
+
+    @cached_property
+    def planned(self) -> tuple[int, ...]:
+        """Modes of the best of many schedules, each proven step by step as the greedy one (`look_ahead`)."""
+
+        def prove(start: Zonotope, k: int, mode: int) -> Zonotope | None:
+            tube = self.tube(start, k, mode)
+            return None if tube is None else tube.end
+
+        W = self.safety.tracking.W
+        search = LookAhead(
+            self.safety.start,
+            self.safety.problem.K,
+            prove,
+            lambda reached: float(reached.norm_bound(W)),
+            self.rules.worths(len(self.controllers)),
+            self.rules.beam,
+        )
+        return search.best(self.rules.min_dwell, self.rules.max_switches, self.progress)
+
+    def schedule(self, branch: Branch) -> Schedule:
+        """The schedule that a complete branch stands for, with what it rests on."""
+        if self.progress and self.rules.strategy == "greedy":
+            self.progress(branch.k, branch.k)
+        return Schedule(self.safety, self.controllers, branch.steps, branch.reached)

@@ -1,0 +1,231 @@
+"""Algorithm 2, Polaris: which controller flies when, decided before the flight."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...model.errors import ClockWarning, NotCertified, SynthesisInfeasible
+from ...planning.problem import Plan
+from ..controllers.controllers import AffineController, AnyThrust, Controller
+from ..controllers.neural import NeuralController
+from ..safety.attempts import Clock
+from ..safety.get_safety import LESSER, SHARES, Safety, find_safety, get_safety
+from ..safety.recoverable import directed
+from .in_view import views
+from .look_ahead import SAFETY
+from .schedule import Schedule
+from .search import Branch, Search, SwitchingRules
+from .worth import Worth
+
+LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
+DEARER = (0.0, 0.3, 3.0)
+"""What is added to the price of velocity change, in turn, while no schedule keeps the budget."""
+
+
+def synthesize(
+    scenario: Any,
+    safety: Safety | None = None,
+    experimental: Sequence[Controller] | None = None,
+    rules: SwitchingRules | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    recourse: bool | None = None,
+) -> Schedule:
+    """The switching schedule, proven before the flight: Algorithm 2, and the reference that makes most of it.
+
+    With recourse the reference may be planned with U in view; the printed algorithms' schedule is then one
+    candidate among others (see `with_recourse`).
+
+    Parameters
+    ----------
+    scenario : Scenario, Problem or Safety
+        A `Safety` stands for its own problem (then give the experimental controllers).
+    safety : Safety, optional
+        Result of `get_safety`; computed if not given.
+    experimental : sequence of Controller, optional
+        In order of preference; a scenario brings its own.
+    rules : SwitchingRules, optional
+        A scenario brings its own.
+    progress : callable, optional
+        Called with (step, steps), once per step.
+    recourse : bool, optional
+        Whether another reference than that of `safety` may be flown, if the problem asks for recourse; by
+        default where no `safety` is given.
+
+    Raises
+    ------
+    ScenarioError, SynthesisInfeasible, NotCertified
+        See `get_safety`. `NotCertified` also where no schedule is found that keeps the budget, and both where
+        an abort with thrust is required, but not proven from the one that is found.
+    """
+    if isinstance(scenario, Safety):
+        safety, scenario = scenario, scenario.problem
+    recourse = safety is None if recourse is None else recourse
+    fits, clock = safety is None, Clock()
+    if experimental is None and hasattr(scenario, "check_black_boxes"):
+        scenario.check_black_boxes(())
+    if safety is None:
+        safety = get_safety(scenario)
+        clock.lap("safety controller")
+        clock.laps["safety controller"] -= sum(safety.seconds.values())
+    search = Search.over(scenario, safety, experimental, rules, progress, fits, clock)
+    clock.lap("experimental controllers")
+    in_view = recourse and safety.problem.recourse != "none"
+    found = most_worthy(search, in_view)
+    free = recourse and safety.problem.thrust_share is None and safety.tracking.profile is not None
+    found = best_share(search, found, in_view) if free else found
+    if found.powered is not None:
+        found.powered.require()
+        clock.lap("powered abort")
+    return replace(found, seconds=clock.after(safety.seconds))
+
+
+def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
+    """The most worthy of a schedule and those with other shares of thrust that errors of S are booked for."""
+    found, problem = [first], search.safety.problem
+    known = AffineController, AnyThrust, NeuralController
+    laws = [law for law in search.controllers[1:] if isinstance(law, known)]
+    thrusters = problem.system.thrusters
+    shares = SHARES[1:] + (LESSER[:2] if thrusters.along + thrusters.across > LARGE else ())
+    for share in shares if len(laws) == len(search.controllers) - 1 else ():
+        with suppress(SynthesisInfeasible, NotCertified):
+            safety = find_safety(replace(problem, thrust_share=share))
+            search.clock.lap("thrust shares")
+            turns = [law.along(safety.reference, safety.tracking) for law in laws]
+            along = replace(search, safety=safety, controllers=(safety.controller, *turns))
+            found.append(most_worthy(along, recourse))
+    worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
+    best = max(found, key=lambda schedule: worth.alone(schedule, recourse))
+    search.clock.lap("thrust shares")
+    return best
+
+
+def most_worthy(search: Search, recourse: bool) -> Schedule:
+    """The schedule of one `Safety`, or with recourse the most worthy that it leads to."""
+    printed = switching_logic(search)
+    search.clock.lap("schedule")
+    found = printed
+    if recourse:
+        found = with_recourse(search, printed)
+        search.clock.lap("recourse")
+    if search.rules.allow(found):
+        return found
+    found = within_budget(search, [printed, found])
+    search.clock.lap("budget")
+    return found
+
+
+def switching_logic(search: Search) -> Schedule:
+    """Algorithm 2, for the controllers and by the rules of a search."""
+    safety = search.safety  # lines 1 and 2: K steps; GetSafety
+    branch = Branch(safety.start)  # lines 4 to 6: no mode decided; line 3, U's tube, is made step by step
+    while branch.k < safety.problem.K:  # line 7; t1 and t2 of lines 8 and 9 are the ends of step k
+        for mode, steps in search.options(branch):  # lines 10 and 16: U is tried first, else S
+            ahead = search.fly(branch, mode, steps)  # lines 12 and 18: GetReach from the set reached
+            if ahead is not None:  # line 13: inside C_S over all of [t1, t2]; S needs no such test
+                branch = ahead  # lines 11 and 17: Theta; 14 and 19: the mode; 20 and 21: the next step
+                break
+    return search.schedule(branch)  # lines 22 and 23: the switching logic, with S
+
+
+def with_recourse(search: Search, printed: Schedule) -> Schedule:
+    """The most worthy schedule: the printed one, or one along a reference planned with U in view.
+
+    Each candidate passes both algorithms whole. First come those that keep the budget of velocity change,
+    then those proven safe for as long as the printed one, then those that are proven to arrive (`Worth`).
+    While none keeps the budget, more are looked for at higher prices of velocity change.
+    """
+    problem = printed.safety.problem
+    known = AffineController, AnyThrust, NeuralController
+    laws = [law for law in printed.controllers[1:] if isinstance(law, known)]
+    if len(laws) < len(printed.controllers) - 1:
+        return printed  # nothing is known of how another kind of law flies beside another reference
+
+    def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
+        try:
+            safety = find_safety(problem, plan)
+        except SynthesisInfeasible:
+            return None
+        turns = [law.along(safety.reference, safety.tracking) for law in laws]
+        along = replace(search, safety=safety, controllers=(safety.controller, *turns), intended=intended)
+        return switching_logic(along)
+
+    worth, found, late = Worth.beside(printed, search.rules, printed.safety), [printed], False
+    for dearer in DEARER:
+        dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
+        searches = views(printed, replace(worth, rules=dear))
+        found += [each for view in searches for each in view.schedules(prove)]
+        late |= any(view.late for view in searches)
+        best = max(found, key=worth)
+        if search.rules.allow(best):
+            break
+    claims = np.array([(*worth(one)[:3], one.safety.end.until) for one in (*found, best)], dtype=float)
+    as_good = np.all(claims[:-1] >= claims[-1], axis=1)
+    library = tuple(one for one, good in zip(found, as_good, strict=True) if good and one is not best)
+    if late:
+        told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
+        warnings.warn(
+            f"{told}: another machine, or another run, may find another", ClockWarning, stacklevel=3
+        )
+        cut = (*printed.safety.cut_by_clock, "reference with U in view")
+        best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
+    return replace(best, library=library, worth=worth.plain)
+
+
+def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
+    """The longest beginning of a schedule after which S alone keeps what the rules allow.
+
+    Of several the most worthy: budget of velocity change, and what is required of the drift.
+    `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their
+    references; `NotCertified` if not even S alone keeps the budget along any of them.
+    """
+    kept, least, witness = [], min(schedule.spent for schedule in over), None
+    for schedule in over:
+        along = replace(search, safety=schedule.safety, controllers=schedule.controllers)
+        K, modes = len(schedule.steps), tuple(schedule.modes.tolist())
+        few, many, best = -1, K, None
+        while many - few > 1:
+            tried = (few + many) // 2 if best else 0  # S alone first
+            found = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
+            least = min(least, found.spent)
+            if search.rules.affords(found.spent) and found.passive is not None:
+                witness = witness or found.passive.witness()
+            if search.rules.allow(found):
+                few, best = tried, found
+            elif best is None:
+                break
+            else:
+                many = tried
+        kept += [best] if best else []
+    if not kept and witness is not None:
+        raise not_clear(witness)
+    if not kept:
+        told = directed(least, ".4g", up=True)
+        raise NotCertified(
+            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least that one"
+            f" is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
+        )
+    return max(kept, key=Worth.beside(over[0], search.rules, search.safety))
+
+
+def not_clear(witness: Mapping[str, Any]) -> SynthesisInfeasible:
+    """What is told of a flight whose drift must stay clear and is not shown to."""
+    return SynthesisInfeasible(
+        f"passive safety is required, but under S alone, if all thrust stops {in_words(witness)}.",
+        -witness["distance_m"],
+        "shorten abort.drift_orbits (drift_s), raise planner.extra_margin_m, or lower the disturbance bound.",
+    )
+
+
+def in_words(witness: Mapping[str, Any]) -> str:
+    """Where a drift that is not clear goes."""
+    enters = witness["middle_m"] <= 0
+    does = "enters what is perceived of" if enters else "is not shown to stay clear of"
+    left = directed(witness["middle_m"] if enters else witness["distance_m"], ".4g")
+    return (
+        f"in step {witness['step']} (from {witness['t_s']:g} s) the drift {does} {witness['unsafe_set']} by"
+        f" {witness['after_s']:.6g} s later ({left} m are left)"
+    )

@@ -1,0 +1,208 @@
+"""Whether an undisturbed flight can keep clear at all, with U's law in some steps and any thrust in others.
+
+What moves is a zonotope whose generators are shared by all instants: the thrust of free steps in parts, and
+what a clipped command may differ from its band. Where every choice of facets is refuted, no flight keeps
+clear (docs/theory.md, Proposition 20).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from reach.numerics.errors import ReachError
+from reach.sets.zonotope import Zonotope
+from reach.tubes.flow import LinearFlow
+
+from ...model.errors import NotCertified
+from ...model.system import Array
+from ...model.tolerances import REFERENCE, ROUNDING
+from ...planning.lp import GrowingLP
+from ..controllers.controllers import AffineController
+from ..safety.get_safety import Safety
+from ..tracker.affine_law import clipped_map
+
+FREE = 0  # a step in which any thrust within the limits is allowed, as under S
+PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)
+EACH = 60  # most linear programs for one question; left open, it counts as possible
+OPEN = 1e-6
+"""Share of the scene's size by which a path may miss a facet that its linear program does not state."""
+STRETCH = (8, 4, 2, 1)  # steps by which a window of an impossible flight is stretched, one after the other
+Held = tuple[int, ...]  # mode whose law every step obeys, or `FREE`
+
+
+class Flights:
+    """Undisturbed flights from the middle of the initial set, and whether one keeps clear.
+
+    Parameters
+    ----------
+    safety : Safety
+        Its problem, and the unsafe sets as its proof has them: over fewer steps others may be perceived.
+    laws : sequence of AffineController
+        Those of modes 1, 2, ...
+    """
+
+    def __init__(self, safety: Safety, laws: Sequence[AffineController]) -> None:
+        problem, sets = safety.problem, safety.clearance.unsafe
+        system, K = problem.system, problem.K
+        self.system, self.laws = system, laws
+        flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
+        push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
+        moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
+        self.moved, self.push = moved[PARTS], np.hstack([part @ push for part in moved[:PARTS]])
+        self.normals = [unsafe.normals for unsafe in sets]
+        ends = [unsafe.offsets[:K] for unsafe in sets]
+        # The set of both cells that meet at a node: less than either.
+        self.offsets = [np.minimum(b[:, 1], np.vstack([b[1:, 0], b[-1:, 1]])) for b in ends]
+        start = np.asarray(problem.initial_set.c)
+        self._first = start, np.zeros((system.n, 0)), np.abs(start), np.zeros(system.n)
+        self._held: Held = ()
+        self._found: list[tuple[Array, Array, Array, Array]] = []
+        self.programs = 0
+
+    def fly(self, held: Held) -> tuple[Array, Array, Array]:
+        """States at the ends of some steps: centres (k, n), generators (k, n, N), sizes met on the way.
+
+        Only as many as round-off is covered by `ROUNDING` of the sizes: an unstable law makes it grow.
+        """
+        same = 0
+        while same < min(len(held), len(self._held)) and held[same] == self._held[same]:
+            same += 1
+        found = self._found[:same]
+        c, G, size, error = found[-1] if found else self._first
+        for k in range(same, len(held)):
+            if held[k] == FREE:
+                c, G, growth = self.moved @ c, np.hstack([self.moved @ G, self.push]), np.abs(self.moved)
+            else:
+                law = self.laws[held[k] - 1]
+                own = law.own.chi[k : k + 2]
+                c, G, growth = self._under(law, k, Zonotope(c - own[0], G), ROUNDING * size)
+                c, size = c + own[1], np.maximum(size, np.abs(own).max(axis=0))
+            size = np.maximum(size, np.abs(c) + np.abs(G).sum(axis=1))
+            error = growth @ error + REFERENCE * size
+            found.append((c, G, size, error))
+        self._held, self._found = held, found
+        whole = np.zeros((len(held), self.system.n, G.shape[1]))
+        for k, (_, part, *_) in enumerate(found):
+            whole[k, :, : part.shape[1]] = part
+        centres, sizes, errors = (np.array([state[i] for state in found]) for i in (0, 2, 3))
+        lost = np.any(~(errors <= ROUNDING * sizes), axis=1)
+        known = int(np.argmax(lost)) if np.any(lost) else len(held)
+        return centres[:known], whole[:known], sizes[:known]
+
+    def _under(self, law: AffineController, k: int, d: Zonotope, error: Array) -> tuple[Array, Array, Array]:
+        """Deviation from the law's own reference after step k, and how errors grow in it.
+
+        `error`, shape (n,), is what round-off may have added to d.
+        """
+        mu, q = law.own.nu[k], law.feedback.nodes_per_cell
+        nodes = law.powers @ d
+        image = law.gain @ nodes[:-1]
+        command = np.abs(mu - image.c) + image.half_widths
+        if np.all(command * (1 + ROUNDING) + np.abs(law.gain) @ error <= self.system.u_max):
+            return nodes.c[-1], nodes.G[-1], np.abs(law.powers[-1])
+        moved = np.eye(self.system.n)
+        for _ in range(q):
+            phi, known, push, _ = clipped_map(law, Zonotope(d.c, np.hstack([d.G, np.diag(error)])), mu)
+            d, moved = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, push.G])), phi @ moved
+        return d.c, d.G, np.abs(moved)
+
+    def impossible(self, held: Held) -> bool:
+        """Whether it is proven that no flight keeps clear, as far as the steps are given."""
+        self.programs += 1
+        try:
+            flown = self.fly(held)
+            if not all(part.size and np.all(np.isfinite(part)) for part in (flown[0], flown[2])):
+                return False
+            asked = _Clear(self, *flown)
+            found = asked.impossible()
+        except (NotCertified, ReachError):  # no answer, or numbers beyond floating point
+            return False
+        self.programs += asked.programs
+        return found
+
+    def widened(self, held: Held) -> Held:
+        """An impossible flight, cut off as early and with as long windows of free steps as it stays so."""
+        short, long = 0, len(held)
+        while long - short > 1:
+            middle = (short + long) // 2
+            if self.impossible(held[:middle]):
+                long = middle
+            else:
+                short = middle
+        held = held[:long]
+        free = np.flatnonzero(np.array(held) == FREE).tolist()
+        for edge, way in [(k, way) for k in free for way in (1, -1) if k + way not in free]:
+            for size in STRETCH:
+                a, b = max(min(edge, edge + way * size), 0), max(edge, edge + way * size) + 1
+                longer = (*held[:a], *(FREE,) * (b - a), *held[b:])[: len(held)]
+                if longer != held and self.impossible(longer):
+                    held, edge = longer, edge + way * size
+        return held
+
+
+class _Clear:
+    """The facets beyond which a flight can be: rows ``a g >= need`` over the shares g of its generators."""
+
+    def __init__(self, flights: Flights, c: Array, G: Array, size: Array) -> None:
+        position = flights.system.position
+        centre, spread, reach = c @ position.T, position @ G, size @ np.abs(position).T
+        self.unit, self.programs, self.never = float(reach.max()), 0, False
+        self.ways: list[tuple[Array, Array]] = []
+        only = [(np.zeros((0, G.shape[2])), np.zeros(0))]
+        for normals, offsets in zip(flights.normals, flights.offsets, strict=True):
+            a, b = np.einsum("fd,kdg->kfg", normals, spread), offsets[: len(c)]
+            need, most = b - centre @ normals.T, np.abs(a).sum(axis=2)
+            need = need - ROUNDING * (reach @ np.abs(normals).T + np.abs(b) + most)
+            can, open_ = most >= need, np.all(-most < need, axis=1)
+            self.never |= bool(np.any(~np.any(can, axis=1)))
+            one = open_ & (np.sum(can, axis=1) == 1)
+            only.append((a[one][can[one]] / self.unit, need[one][can[one]] / self.unit))
+            for k in np.flatnonzero(open_ & (np.sum(can, axis=1) > 1)):
+                self.ways.append((a[k, can[k]] / self.unit, need[k, can[k]] / self.unit))
+        self.only = tuple(np.concatenate(parts) for parts in zip(*only, strict=True))
+        ones = np.ones(2 * G.shape[2])
+        self.lp = GrowingLP(ones, 0 * ones, ones)
+
+    def impossible(self) -> bool:
+        """Whether some node is inside a set whatever is flown, or every choice of facets is refuted."""
+        return self.never or bool(self.ways or len(self.only[1])) and self._refuted()
+
+    def _state(self, a: Array, need: Array) -> None:
+        self.lp.add(np.hstack([a, -a]), need, np.inf)
+
+    def _refuted(self) -> bool:
+        """Whether no path keeps the facets stated, and one of every other node's."""
+        if self.programs == EACH:
+            return False
+        self.programs += 1
+        answer = self.lp.solve(np.inf)
+        if answer is None:
+            return self._certain()
+        g, known = np.subtract(*np.split(answer[1], 2)), self.lp.rows
+        a, need = self.only
+        short = need - a @ g > OPEN
+        if np.any(short):
+            self._state(a[short], need[short])
+            return self._back(self._refuted(), known)
+        lack = [float(np.min(need - a @ g)) for a, need in self.ways]
+        if max(lack, default=0.0) <= OPEN:
+            return False
+        a, need = self.ways[int(np.argmax(lack))]
+        for f in np.argsort(need - a @ g):
+            self._state(a[f : f + 1], need[f : f + 1])
+            if not self._back(self._refuted(), known):
+                return False
+        return True
+
+    def _back(self, found: bool, rows: int) -> bool:
+        self.lp.take_back(rows)
+        return found
+
+    def _certain(self) -> bool:
+        """Whether a sum of rows, each weighed by what the solver answers, asks for more than there is."""
+        ray, rows, need = self.lp.ray(), *self.lp.stated()
+        for weights in (np.maximum(ray, 0.0), np.maximum(-ray, 0.0)):
+            most = np.abs(weights @ rows)[: rows.shape[1] // 2].sum()
+            if weights @ need - most > ROUNDING * (weights @ (np.abs(need) + np.abs(rows).sum(axis=1))):
+                return True
+        return False

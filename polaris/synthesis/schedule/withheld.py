@@ -1,0 +1,41 @@
+"""Which steps S flies because of faults that are isolated late, and which bound is short by how much."""
+
+from functools import lru_cache
+from typing import Any
+
+from ..safety.recoverable import Margin
+from .schedule import Schedule
+
+
+@lru_cache(maxsize=1)
+def withheld(schedule: Schedule) -> list[dict[str, Any]]:
+    """What each fault that is isolated late keeps from experimental controllers (Proposition 42), as data.
+
+    Of a step it is told who could fly it without such faults and cannot with them, and what is short with
+    this fault alone. What all of them need is the largest of what they need one by one, so one alone is in
+    the way; but where errors of thrusters grow with commands, that may be the one that leaves least.
+    """
+    safety, faults = schedule.safety, schedule.safety.problem.system.transients
+    told = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
+    starts = [safety.start, *(step.tube.end for step in schedule.steps)]
+    ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
+    for step in schedule.steps if faults else ():
+        for law in schedule.controllers[1:] if step.mode == 0 else ():
+            tube = law.fly(starts[step.k], step.k)
+            if tube.refused or not ideal.holds(step.k, tube.nodes, tube.bow):
+                continue
+            if not safety.recoverable.holds(step.k, tube.nodes, tube.bow):
+                margins = [sets.margin(step.k, tube.nodes, tube.bow) for sets in alone]
+                worst = min(margin.value for margin in margins)
+                for each, margin in zip(told, margins, strict=True):
+                    if not margin.inside or margin.value == worst:
+                        each["steps"].append(_row(margin, step.k, safety.problem.delta, law.name))
+            break
+    return told
+
+
+def _row(margin: Margin, k: int, delta: float, name: str) -> dict[str, Any]:
+    """What is told of step k, which this controller would fly; steps of delta [s]."""
+    at = {"limit": margin.limit, "limit_time_s": margin.time, "limit_step": int(margin.time / delta + 1e-9)}
+    size = {"need": margin.need, "room": margin.room, "short": margin.need - margin.room}
+    return {"step": k, "t_s": k * delta, "controller": name, **at, **size}

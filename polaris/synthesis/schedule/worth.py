@@ -1,0 +1,70 @@
+"""What a schedule is worth: what the search for references with U in view compares schedules by."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..safety.get_safety import Safety
+from .schedule import Schedule
+from .search import SwitchingRules
+
+Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
+WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
+
+    Less share or more velocity change than the printed algorithms' schedule is worth `WORSE` times as much
+    less: it is hardly ever preferred.
+    """
+
+    rules: SwitchingRules  # weights, prices and budget
+    scale: float  # velocity change of S alone [m/s], the unit of the price of velocity change
+    share: float  # time under U of the printed algorithms' schedule
+    delta_v: float  # its velocity change [m/s]
+    until: float  # instant [s] until which it is proven safe
+
+    @classmethod
+    def beside(cls, printed: Schedule, rules: SwitchingRules, alone: Safety) -> "Worth":
+        """Worth of the schedules of one scene, in units of what S `alone` would spend there."""
+        problem = alone.problem
+        most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
+        scale = max(alone.plan.delta_v, 1e-3 * most)
+        return cls(rules, scale, printed.share(), printed.delta_v_middle, printed.safety.end.until)
+
+    def plain(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:
+        """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
+        worths = self.rules.worths(max(shares) + 1)
+        time = sum(worths[mode] * share for mode, share in shares.items())
+        return time - self.rules.delta_v_price * delta_v / self.scale - self.rules.switch_price * switches
+
+    def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
+        """The same, less what is worse than with the printed algorithms' schedule."""
+        less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
+        more = max(delta_v - self.delta_v, 0.0) / self.scale
+        return self.plain(shares, delta_v, switches) - WORSE * (less + more)
+
+    def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
+        """Whether the rules allow it, it is as long safe as the printed one, and arrives; its worth."""
+        shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
+        value = self.of(shares, schedule.delta_v_middle, schedule.switches)
+        lasts = schedule.safety.end.until >= self.until
+        return self.rules.allow(schedule), lasts, schedule.arrival.reached is True, value
+
+    def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
+        """The same, nothing being the printed one; without prices as the printed algorithms choose."""
+        shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
+        spent = (schedule.delta_v_middle, schedule.switches) if priced else (0.0, 0)
+        return *self(schedule)[:3], self.plain(shares, *spent)
+
+    def allows(self, mask: Mask) -> bool:
+        """Whether S may fly just these steps, by the dwell time and the cap on switches."""
+        edges = np.r_[0, np.flatnonzero(np.diff(mask)) + 1, len(mask)]
+        switches = len(edges) - 2
+        cap = self.rules.max_switches
+        spent = switches + (not mask[-1] and switches > 0)
+        return bool(np.all(np.diff(edges)[:-1] >= self.rules.min_dwell)) and (cap is None or spent <= cap)

@@ -1,0 +1,45 @@
+"""A bound on what S's feedback commands after a hand-over, and the response to errors that vary by period."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.signal import oaconvolve
+
+from ...model.system import Array
+
+ROUNDS = 60  # most rounds of a bound that grows with the errors which it allows
+SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and what is added to it then
+SLOWER = 1.5
+"""By how much slower the demand of sets that an experimental controller leaves falls than that of a ball."""
+FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
+
+
+def summed(gains: Array, errors: Array) -> Array:
+    """``sum_{i<L} gains[L-1-i] errors[i]`` for L = 0 ... len(errors), shape (len(errors) + 1, r).
+
+    `gains` (a, r, m) belong to periods by their age, `errors` (L, m) to periods in their order.
+    """
+    sums = oaconvolve(gains, errors[:, None, :], axes=0)[: len(errors)].sum(axis=-1)
+    sums = np.maximum(sums, 0.0) + FFT * np.max(sums, axis=0, initial=0.0)
+    return np.vstack([np.zeros((1, gains.shape[1])), sums])
+
+
+def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]) -> Array:
+    """Bound on what S's feedback commands so many periods after a hand-over, shape (memory + 2, m) [N].
+
+    Any bound that does not grow would be sound, as long as the recoverable sets keep to it. This one falls as
+    what errors demand that start with `level`, to what disturbances and the errors of the commands themselves
+    demand for ever: each round allows for the errors of the one before. `norms` is what a ball of errors
+    demands, period by period; `left` is added to the level and still left of it beyond the memory; `pushed`
+    is `Tracking.pushed` of the gain's rows under a profile, errors of estimates included.
+    """
+    ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
+    shape = level * np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)
+    found = shape
+    for _ in range(ROUNDS):
+        more = pushed(found)
+        parts = np.maximum(shape + more[:-1], more[-1] + left)
+        before, found = found, np.maximum.accumulate(parts[::-1])[::-1]
+        if np.all(found - before <= SETTLED * before) or np.any(found[-1] > u_max):
+            break
+    return np.asarray(found * (1 + SPARE))

@@ -1,0 +1,1 @@
+"""Questions about two sets: distance, separation, containment."""
