@@ -29,7 +29,7 @@ from polaris.inspection.flights.simulation import Errors
 from polaris.inspection.inspection import Inspection
 from polaris.model.thrusters import Thrusters
 from polaris.rta.one_call import Decision, RunTimeFilter
-from polaris.scenario.filter_tables import (
+from polaris.scenario.tables.filters import (
     ExplicitFilter,
     ImplicitFilter,
     SimplexExplicitFilter,

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 
 from polaris.model.checks import exact
 from polaris.scenario.scenario import KINDS, InspectionScenario
-from polaris.scenario.tables import ScenarioModel
+from polaris.scenario.tables.schedule import ScenarioModel
 
 INSPECTIONS = {name: kind.MODEL for name, kind in KINDS.items() if issubclass(kind, InspectionScenario)}
 """Model of each kind of scenario of the inspection problem."""

@@ -23,7 +23,7 @@ from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array
 from ..model.timing import Transient
 from ..model.tolerances import ROUNDING
-from ..scenario.fields import python_name
+from ..scenario.tables.fields import python_name
 from ..simulation.metrics import finite
 from ..synthesis.controllers.black_box import BlackBox
 from ..synthesis.controllers.controllers import AffineController, Controller, TubeSegment

@@ -14,8 +14,8 @@ from reach.brief import brief
 
 from ..model.errors import ScenarioError
 from ..model.files import parse_toml
-from .fields import ScenarioPart
 from .reading import NOTHING, did_you_mean, join_path, printable, validate, write_toml
+from .tables.fields import ScenarioPart
 
 KINDS: dict[str, type["Scenario"]] = {}
 """Class of every kind, by the key ``kind`` at the top of the file; `polaris.scenario.scenario` fills it."""

@@ -24,11 +24,11 @@ from ..synthesis.controllers.policy import Policy, Senses
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.safety.problem import Problem
 from ..synthesis.tracker.lqr import lqr_gain
-from .goal_tables import hill_rate
-from .scene_tables import Affine, Experimental, Neural
-from .scene_tables import AnyThrust as AnyThrustTable
-from .scene_tables import BlackBox as BlackBoxTable
-from .tables import ScenarioModel
+from .tables.goals import hill_rate
+from .tables.scene import Affine, Experimental, Neural
+from .tables.scene import AnyThrust as AnyThrustTable
+from .tables.scene import BlackBox as BlackBoxTable
+from .tables.schedule import ScenarioModel
 
 
 def gain_of(spec: Affine, system: LinearSystem, path: str) -> Array:

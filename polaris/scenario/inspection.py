@@ -19,11 +19,11 @@ from ..model.checks import counted
 from ..model.errors import ScenarioError
 from ..model.prediction import prediction_error
 from ..model.system import Array
-from . import inspection_tables as models
 from .base import Scenario, kept
-from .fields import check_length, in_file_terms, whole_parts
-from .filter_tables import FAMILY_NAMES, Alpha, FlightFilter
 from .reading import did_you_mean
+from .tables import inspection as models
+from .tables.fields import check_length, in_file_terms, whole_parts
+from .tables.filters import FAMILY_NAMES, Alpha, FlightFilter
 
 
 class InspectionScenario(Scenario):

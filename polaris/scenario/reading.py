@@ -16,7 +16,7 @@ from reach.numerics.files import read_regular
 from ..model import files
 from ..model.checks import counted, exact
 from ..model.errors import ScenarioError, quoted
-from .fields import LARGEST, NAME_PATTERN
+from .tables.fields import LARGEST, NAME_PATTERN
 
 MAX_BYTES = 1_000_000  # largest scenario file read; the largest sensible one is a hundred times smaller
 

@@ -17,10 +17,10 @@ from ..model.scene.keep_in import KeepIn
 from ..model.scene.obstacle import Obstacle, directions
 from ..model.scene.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
-from . import scene_tables as scene
-from . import tables as models
-from .fields import MAX_STEPS, check_length, in_file_terms, whole_parts
-from .goal_tables import StationaryGoal, hill_rate
+from .tables import scene as scene
+from .tables import schedule as models
+from .tables.fields import MAX_STEPS, check_length, in_file_terms, whole_parts
+from .tables.goals import StationaryGoal, hill_rate
 
 MAX_SPEED_M_S = 100.0
 """Fastest relative motion [m/s] of an obstacle: beyond it this is conjunction screening, not

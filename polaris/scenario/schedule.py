@@ -19,11 +19,11 @@ from ..model.system import LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
-from .error_tables import Timing, allocation, transients
-from .fields import whole_parts
 from .reading import write_toml
-from .scene_tables import BlackBox, Neural
-from .tables import ScenarioModel, Simulation
+from .tables.errors import Timing, allocation, transients
+from .tables.fields import whole_parts
+from .tables.scene import BlackBox, Neural
+from .tables.schedule import ScenarioModel, Simulation
 
 if TYPE_CHECKING:
     from ..model.allocation import Allocation

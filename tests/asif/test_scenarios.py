@@ -19,7 +19,6 @@ from polaris.inspection.inspection import Inspection
 from polaris.model.errors import ScenarioError
 from polaris.runs.inspections.inspection import fly_flight
 from polaris.scenario.base import put
-from polaris.scenario.filter_tables import FAMILY_NAMES
 from polaris.scenario.scenario import (
     KINDS,
     FlightScenario,
@@ -30,6 +29,7 @@ from polaris.scenario.scenario import (
     load_scenario,
     scenario_folder,
 )
+from polaris.scenario.tables.filters import FAMILY_NAMES
 
 NAMES = ("fuel-limit", "inspection", "inspection-decentralized", "inspection-monte-carlo")
 BASE = {"fuel": "fuel-limit", "campaign": "inspection-monte-carlo", "flight": "inspection"}

@@ -27,7 +27,7 @@ def functions(path):
 def claims_of_the_checker():
     """First arguments of what confirms, refutes or leaves open a claim."""
     found = set()
-    for path in (ROOT / "polaris" / "certificate").glob("*.py"):
+    for path in (ROOT / "polaris" / "certificate").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
                 name = getattr(node.func, "attr", getattr(node.func, "id", ""))

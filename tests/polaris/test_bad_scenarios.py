@@ -11,9 +11,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
-from polaris.scenario import goal_tables, rules, scene_tables, tables
+from polaris.scenario import rules
 from polaris.scenario.reading import MAX_BYTES
 from polaris.scenario.scenario import Scenario, load_scenario
+from polaris.scenario.tables import goals as goal_tables
+from polaris.scenario.tables import scene as scene_tables
+from polaris.scenario.tables import schedule as tables
 
 NAN, INF = float("nan"), float("inf")
 BALL = {"kind": "ball", "name": "rock", "center_m": [125.0, 230.0, 0.0], "radius_m": 20.0}

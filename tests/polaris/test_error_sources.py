@@ -31,7 +31,7 @@ from polaris.runs.schedule import fly_schedule
 from polaris.runs.stages import Stages
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
-from polaris.scenario.tables import ScenarioModel
+from polaris.scenario.tables.schedule import ScenarioModel
 from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.safety.clearance import error_tube
 from polaris.synthesis.safety.demand import Scheduled

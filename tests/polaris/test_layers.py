@@ -111,6 +111,12 @@ def test_no_room_imports_upwards_and_no_files_import_in_a_circle():
     assert not broken, f"these imports go upwards or in a circle:\n{told(broken, found)}"
 
 
+def test_a_room_has_at_most_fifteen_files_at_one_level():
+    folders = [path for package in ("polaris", "reach") for path in (ROOT / package).rglob("*/")]
+    counts = {str(f.relative_to(ROOT)): len(set(f.glob("*.py")) - {f / "__init__.py"}) for f in folders}
+    assert len(counts) > 20 and not {name: count for name, count in counts.items() if count > 15}
+
+
 def test_there_are_at_most_twelve_rooms_and_nothing_lies_between_them():
     rooms = {path.name for path in (ROOT / "polaris").iterdir() if path.is_dir() and any(path.glob("*.py"))}
     assert {f"polaris.{name}" for name in rooms} == {name for name in RANKS if name.startswith("polaris.")}

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
-from polaris.scenario.fields import whole_parts
 from polaris.scenario.reading import parse_toml, write_toml
 from polaris.scenario.scenario import Scenario, bundled_scenarios, load_scenario, scenario_folder
+from polaris.scenario.tables.fields import whole_parts
 
 DATA = Path(__file__).parent / "data"
 SPACE, FLOOR = DATA / "space.toml", DATA / "floor.toml"

@@ -17,7 +17,7 @@ from polaris.certificate.model.perception import RIGID
 from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import read_document, validate
 from polaris.scenario.scenario import bundled_scenarios, load_scenario, locate
-from polaris.scenario.tables import ScenarioModel
+from polaris.scenario.tables.schedule import ScenarioModel
 
 from .forging import chosen, places, replaced
 from .tiny import TINY

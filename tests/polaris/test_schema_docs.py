@@ -10,10 +10,10 @@ import pytest
 
 import polaris
 from docs.generate.scenario_docs import inspection_schema, reference_text, schema, texts, write
-from polaris.scenario import goal_tables
-from polaris.scenario import scene_tables as scene
-from polaris.scenario import tables as scenario_model
 from polaris.scenario.scenario import bundled_scenarios, load_scenario
+from polaris.scenario.tables import goals as goal_tables
+from polaris.scenario.tables import scene as scene
+from polaris.scenario.tables import schedule as scenario_model
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

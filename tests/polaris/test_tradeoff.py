@@ -26,10 +26,10 @@ from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
 from polaris.runs.files.folder import RunFolder
 from polaris.runs.points import needed, non_dominated
 from polaris.runs.schedule import DATA_FILES
-from polaris.scenario.error_tables import Chaser, Thrusters, Timing
-from polaris.scenario.fault_tables import Loss, NavigationLost
-from polaris.scenario.navigation_tables import Estimate, Measurement, Phase
 from polaris.scenario.scenario import load_scenario
+from polaris.scenario.tables.errors import Chaser, Thrusters, Timing
+from polaris.scenario.tables.faults import Loss, NavigationLost
+from polaris.scenario.tables.navigation import Estimate, Measurement, Phase
 from tests.leftovers import left_by_a_dead_process
 
 from .tiny import TINY
@@ -272,7 +272,7 @@ def test_what_is_infeasible_is_not_asked_again(swept, tmp_path, monkeypatch):
         polaris.tradeoff(TINY, copied, {KEY: [0.05]}, overrides=["system.disturbance_max=0.01"])
 
 
-@pytest.mark.filterwarnings("error::UserWarning")
+@pytest.mark.filterwarnings("error:constrained_layout")
 def test_figures_of_fields_are_laid_out_with_infeasible_values_and_without(swept):
     rows = swept.summary["points"]
     other = [row | {"field": "other", "value": 0.1 * row["value"]} for row in rows[1:]]

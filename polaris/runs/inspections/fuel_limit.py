@@ -9,8 +9,8 @@ import numpy as np
 from ...inspection.enmt import semi_axes, velocity_error
 from ...inspection.filters.fuel import FuelLimit
 from ...inspection.flights.fuel_run import FuelRun, Prediction, fly_fuel_limit
-from ...scenario.inspection_tables import FuelLimitModel
 from ...scenario.scenario import FuelLimitScenario
+from ...scenario.tables.inspection import FuelLimitModel
 from ..files.arrays import held_by, read_finite, read_held
 from ..files.folder import SCENARIO, RunKind
 from ..stages import Stages

@@ -21,8 +21,8 @@ from ...inspection.constraints.constraint import KINDS
 from ...inspection.flights.judge import JudgedRun, Least, judge
 from ...inspection.flights.simulation import BACKUP, UNPROVEN, Flights, InspectionRun, fly_one, smoothness
 from ...rta.projection import DESIRED, FAILED, FILTERED, SHORT
-from ...scenario.filter_tables import AssuredFilter, BarrierFilter
 from ...scenario.scenario import FlightScenario
+from ...scenario.tables.filters import AssuredFilter, BarrierFilter
 from ..files.arrays import held_by, read_finite, read_held
 from ..files.folder import SCENARIO, RunKind
 from ..files.tables import write_csv

@@ -14,8 +14,8 @@ from ...model.checks import of_kind
 from ...model.system import Array
 from ...rta.one_call import RunTimeFilter
 from ...rta.projection import DESIRED
-from ...scenario.filter_tables import AssuredFilter, BarrierFilter, CentralizedFilter, ImplicitFilter
 from ...scenario.inspection import FlightScenario
+from ...scenario.tables.filters import AssuredFilter, BarrierFilter, CentralizedFilter, ImplicitFilter
 
 STATUSES = np.array(["desired", "filtered", "short", "backup"])
 """Names of the barrier filter's answers."""

@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..model.errors import ScenarioError
-from ..model.prediction import design, fading, observing
-from ..model.scene.keep_in import INSTANT, KeepInPolytope, during
-from ..model.system import Array, LinearSystem
+from ...model.errors import ScenarioError
+from ...model.prediction import design, fading, observing
+from ...model.scene.keep_in import INSTANT, KeepInPolytope, during
+from ...model.system import Array, LinearSystem
 from . import fields as f
-from .error_tables import Timing
+from .errors import Timing
 from .fields import ScenarioPart, unit
 
 MOST_MISSED = 20  # most periods without a measurement that an observer is designed for

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal
 
-from ..model.scene import keep_in, obstacles, satellite
-from ..model.scene.obstacle import Obstacle as Unsafe
+from ...model.scene import keep_in, obstacles, satellite
+from ...model.scene.obstacle import Obstacle as Unsafe
 from . import fields as f
 from .fields import ScenarioPart, in_file_terms, unit
 

@@ -14,17 +14,17 @@ import numpy as np
 from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
-from ..model.errors import ScenarioError
-from ..model.hill import clohessy_wiltshire
-from ..model.system import LinearSystem
+from ...model.errors import ScenarioError
+from ...model.hill import clohessy_wiltshire
+from ...model.system import LinearSystem
 from . import fields as f
-from .error_tables import Abort, Chaser, Tank, Thrusters, Timing
-from .fault_tables import Fault
+from .errors import Abort, Chaser, Tank, Thrusters, Timing
+from .faults import Fault
 from .fields import ScenarioPart, unit
-from .goal_tables import Goal
-from .method_tables import Planner, Recoverable, Schedule, Tracking
-from .navigation_tables import Navigation
-from .scene_tables import Experimental, KeepIn, Obstacle
+from .goals import Goal
+from .methods import Planner, Recoverable, Schedule, Tracking
+from .navigation import Navigation
+from .scene import Experimental, KeepIn, Obstacle
 
 
 class ClohessyWiltshire(ScenarioPart):

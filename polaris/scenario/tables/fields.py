@@ -20,11 +20,11 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from ..model.checks import MAX_STEPS as MAX_STEPS
-from ..model.checks import counted
-from ..model.errors import ScenarioError
-from ..model.system import Array
-from ..model.tolerances import TIME
+from ...model.checks import MAX_STEPS as MAX_STEPS
+from ...model.checks import counted
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...model.tolerances import TIME
 
 LARGEST = 1e12  # largest magnitude of any number in a scenario: beyond it, double precision loses millimetres
 

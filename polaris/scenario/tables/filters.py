@@ -5,16 +5,16 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
-from ..inspection.backup.brake import Brake
-from ..inspection.backup.tube import Uncertainty
-from ..inspection.constraints.families import Families
-from ..inspection.constraints.motion import SampledData
-from ..inspection.constraints.strengthening import Strengthening
-from ..inspection.filters.build import build_filter
-from ..inspection.filters.explicit import CENTRALIZED, make_filter
-from ..inspection.flights.simulation import BatchFilter, OneFlight
-from ..inspection.inspection import Inspection
-from ..rta.one_call import RunTimeFilter
+from ...inspection.backup.brake import Brake
+from ...inspection.backup.tube import Uncertainty
+from ...inspection.constraints.families import Families
+from ...inspection.constraints.motion import SampledData
+from ...inspection.constraints.strengthening import Strengthening
+from ...inspection.filters.build import build_filter
+from ...inspection.filters.explicit import CENTRALIZED, make_filter
+from ...inspection.flights.simulation import BatchFilter, OneFlight
+from ...inspection.inspection import Inspection
+from ...rta.one_call import RunTimeFilter
 from . import fields as f
 from .fields import ScenarioPart, unit
 

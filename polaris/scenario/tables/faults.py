@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from ..model.allocation import Fault as Failed
+from ...model.allocation import Fault as Failed
 from . import fields as f
 from .fields import ScenarioPart, unit
 

@@ -5,9 +5,9 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from ..model.errors import ScenarioError
-from ..model.system import LinearSystem
-from ..planning import goals
+from ...model.errors import ScenarioError
+from ...model.system import LinearSystem
+from ...planning import goals
 from . import fields as f
 from .fields import ScenarioPart, in_file_terms, unit
 

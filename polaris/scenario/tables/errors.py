@@ -6,20 +6,20 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ..model.allocation import Allocation, axis_pairs
-from ..model.checks import MAX_STEPS
-from ..model.errors import ScenarioError
-from ..model.prediction import predicting
-from ..model.system import Array, LinearSystem
-from ..model.thrusters import Thrusters as Errors
-from ..model.timing import Timing as Delays
-from ..model.timing import Transient
-from ..synthesis.safety.passive import Abort as AbortOptions
-from ..synthesis.safety.problem import PoweredAbort
+from ...model.allocation import Allocation, axis_pairs
+from ...model.checks import MAX_STEPS
+from ...model.errors import ScenarioError
+from ...model.prediction import predicting
+from ...model.system import Array, LinearSystem
+from ...model.thrusters import Thrusters as Errors
+from ...model.timing import Timing as Delays
+from ...model.timing import Transient
+from ...synthesis.safety.passive import Abort as AbortOptions
+from ...synthesis.safety.problem import PoweredAbort
 from . import fields as f
-from .fault_tables import Fault
+from .faults import Fault
 from .fields import ScenarioPart, unit
-from .goal_tables import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
+from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
 class Thrusters(ScenarioPart):

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from . import fields as f
-from .error_tables import Thrusters, Timing
+from .errors import Thrusters, Timing
 from .fields import ScenarioPart, unit
-from .filter_tables import Filter, FlightFilter, StrengtheningTable
-from .navigation_tables import Estimate
+from .filters import Filter, FlightFilter, StrengtheningTable
+from .navigation import Estimate
 
 MOST_PERIODS = 200_000  # most control periods of one flight
 
