@@ -105,8 +105,6 @@ def test_conditions_at_samples_alone_are_exceeded_between_them():
 def test_published_presets_chatter_where_conditions_hold_between_samples(preset):
     """So much that a last digit decides (loops are compiled or not): the figures are told coarsely."""
     flown = flight("inspection", f"strengthening.preset={preset}")
-    told("(130 to 200 m/s per deputy)", "22 % of the answers are `short`", "are at times violated")
+    told("(130 to 200 m/s per deputy)", "22 % of the answers are `short`")
     assert 0.20 < short(flown) < 0.24
     assert flown.run.delta_v[-1].min() > 125 and flown.run.delta_v[-1].max() < 205
-    worst = min(least.value for least in flown.constraints.values())
-    assert preset != "afrl" or worst < 0

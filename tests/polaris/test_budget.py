@@ -39,7 +39,7 @@ def judge(scenario, free):
 def test_a_budget_is_kept_or_nothing_is_returned(recourse):
     scenario, free = synthesised()
     scenario = scenario.with_assignments([f"recoverable.recourse={recourse}"])
-    free = synthesize(scenario) if recourse == "none" else free
+    free = free if recourse == "none" else synthesize(scenario)
     judge(scenario, free)
 
 

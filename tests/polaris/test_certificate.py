@@ -124,8 +124,9 @@ def test_the_printed_ball_is_rejected_because_the_thrusters_saturate(change, mon
     data = variant("recoverable.kind=paper_ball", "tracking.R=[1.5,1.5]")
     assert data["guarantee"] == "none" and 1 in data["schedule"]["modes"]
     verdict = verify_document(change(data))
-    assert (verdict.outcome, verdict.claim) == ("REJECTED", "recoverable")
-    assert "input" in verdict.witness and verdict.excess > 0.1  # m/s^2, of 1 m/s^2
+    claim, least = ("recoverable", 0.1) if change is relabelled else ("margins", 0.01)
+    assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
+    assert "input" in verdict.witness and verdict.excess > least  # m/s^2, of 1 m/s^2; shares of what is left
 
 
 def test_no_guarantee_is_not_verified_even_if_nothing_else_fails():

@@ -151,10 +151,7 @@ def exact_share(schedule, k, flint):
     h, n = flint.arb(float(safety.tracking.delta)) / q, system.n
     held = (ball(np.block([[system.A, system.B], [np.zeros((system.m, n + system.m))]])) * h).exp().table()
     Ad, Bd = (flint.arb_mat([row[part] for row in held[:n]]) for part in (slice(n), slice(n, None)))
-    A, B = ball(system.A), ball(system.B)
-    loops = {
-        mode: ((A - B * ball(schedule.controllers[mode].gain)) * h).exp() for mode in (0, *schedule.modes)
-    }
+    loops = {mode: Ad - Bd * ball(schedule.controllers[mode].gain) for mode in (0, *schedule.modes)}
     normals, index = clearance.obstacle_rows
     rows = ball(np.vstack([normals, safety.tracking.gain, -safety.tracking.gain]))
 
