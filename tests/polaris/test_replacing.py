@@ -357,7 +357,7 @@ def test_an_old_folder_is_put_back_if_the_run_was_killed_between(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from polaris.runs import atomic, ownership
+from polaris.runs.files import atomic, ownership
 
 step, word = int(sys.argv[2]), sys.argv[1]
 calls = 0

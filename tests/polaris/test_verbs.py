@@ -37,8 +37,8 @@ def refuse(tmp_path, monkeypatch):
         raise AssertionError("work has begun")
 
     for place in (
-        "synthesis.get_safety.get_safety",
-        "synthesis.synthesize.get_safety",
+        "synthesis.safety.get_safety.get_safety",
+        "synthesis.schedule.synthesize.get_safety",
         "simulation.sampled.get_safety",
     ):
         monkeypatch.setattr(f"polaris.{place}", work)

@@ -12,7 +12,7 @@ from typing import Any
 from ..claims.powered import told_aborts
 from ..kernel.verdict import Rejected
 from ..model.transients import check_withheld
-from .document import Document, canonical
+from .document import ROUNDED, Document, canonical
 from .file_keys import GAINS, SCHEDULE
 from .structure import conform, contents, shown, strict_json
 
@@ -137,9 +137,10 @@ def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] 
     if (None in drift.steps) == (stored["witness"] is None):
         raise Rejected("passive", "a witness belongs to a drift that is not clear from all steps")
     if (witness := stored["witness"]) is not None:
-        step, after, last = witness["step"], witness["after_s"], drift.horizon + document.delta
+        step, after, delta = witness["step"], witness["after_s"], document.delta
+        last = (math.ceil(drift.horizon / delta * (1 - ROUNDED)) + 1) * delta  # whole steps are followed
         there = step < document.steps and drift.steps[step] is None and witness["distance_m"] <= 0
-        if not (there and witness["t_s"] == step * document.delta and 0 < after <= last):
+        if not (there and witness["t_s"] == step * document.delta and 0 < after <= last * (1 + ROUNDED)):
             raise Rejected("passive", "the witness is not of a step from which the drift is not clear")
         if witness["unsafe_set"] not in {item.name for item in document.unsafe}:
             raise Rejected("passive", f"{shown(witness['unsafe_set'])} of the witness is no unsafe set")
