@@ -78,7 +78,8 @@ def kept(name, make):
 
     A safety that the wall clock had a part in is not kept: a slow moment must not leave it to quick ones.
     """
-    file = folder() / (re.sub(r"[^\w=.-]", "_", name) + ".pickle")
+    short = name if len(name) < 150 else name[:80] + hashlib.sha256(name.encode()).hexdigest()
+    file = folder() / (re.sub(r"[^\w=.-]", "_", short) + ".pickle")
     with alone(file.with_suffix(".lock")):
         if file.exists():
             return pickle.loads(file.read_bytes())

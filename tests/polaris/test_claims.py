@@ -1,6 +1,7 @@
 """What a run claims beside safety, against what its scenario demands and against the rest of its folder."""
 
 import json
+import math
 import tomllib
 
 import numpy as np
@@ -312,7 +313,7 @@ DEMANDING = (
     *(QUARTER, "schedule.min_dwell_steps=2", "schedule.max_switches=5", "schedule.delta_v_max_m_s=8.0"),
     *("schedule.bound_programs=0", "goal.tolerance_m=0.5", "goal.velocity_tolerance_m_s=0.2"),
     *("tank.delta_v_m_s=1000.0", "planner.thrust_reserve=0.2", "planner.gap=0.001"),
-    'abort={drift_s=6.0,orbit={kind="goal"},within_s=30.0,delta_v_max_m_s=20.0}',
+    'abort={drift_s=5.5,orbit={kind="goal"},within_s=30.0,delta_v_max_m_s=20.0}',
 )
 TIGHTER = {
     "schedule.delta_v_max_m_s": 0.1,
@@ -492,6 +493,18 @@ def test_runs_that_spend_more_than_is_claimed_are_refused(demanding):
     lie = Lie(demanding)
     lie.summary["polaris"]["delta_v_max_m_s"] = 1.01 * lie.summary["guarantee"]["goal"]["delta_v_max_m_s"]
     lie.judge({"summary"})
+
+
+def test_a_witness_may_lie_in_the_last_of_the_whole_steps_that_a_drift_is_followed_over(demanding):
+    lie = Lie(demanding)
+    abort, delta = lie.schedule["guarantee"]["abort"], lie.schedule["step_s"]
+    steps = math.ceil(abort["drift_s"] / delta) + 1
+    assert abort["drift_s"] % delta > 0
+    for after, claim in (((steps + 0.01) * delta, "passive"), (steps * delta, "")):
+        abort["witness"]["after_s"] = after
+        lie.summary["guarantee"] = lie.schedule["guarantee"]
+        verdict = lie.verdict()
+        assert verdict.claim == claim and (verdict.outcome == "VERIFIED") == (not claim), verdict.text()
 
 
 @pytest.mark.parametrize(
