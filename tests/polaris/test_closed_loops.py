@@ -179,7 +179,7 @@ def test_many_worst_cases_break_nothing():
         tight += [found.tight] * (schedule.safety.recoverable.kind == "polytope")
         near.append(arrives(seed, schedule).get("distance", 0.0))
     print(f"\n{scenes} scenes, {runs} trajectories, need flown over need claimed: {max(tight):.1%} at most")
-    assert scenes >= len(seeds) / 4 and runs >= 400 * len(seeds)
+    assert scenes >= fewer(46, len(seeds) / 4) and runs >= fewer(100_000, 400 * len(seeds))
     assert np.median(tight) > 0.8 and max(near) > 0.99
 
 
@@ -193,4 +193,4 @@ def test_many_monitors_hold_at_their_worst():
         found, _ = attack_monitor(monitor, 120, seed)
         judge(seed, found)
         scenes += 1
-    assert scenes >= len(seeds) / 3
+    assert scenes >= fewer(30, len(seeds) / 3)

@@ -141,7 +141,7 @@ def test_with_u_in_view_nothing_is_lost_in_many_scenes(folder):
         kept += schedule.share() >= before.share() and schedule.delta_v[0] <= before.delta_v[0] + 1e-12
         changed += not np.array_equal(schedule.safety.reference.chi, before.safety.reference.chi)
         assert schedule.safety.end.until >= before.safety.end.until
-    assert changed >= 0.04 * len(seeds) and proven >= 0.4 * len(seeds)
+    assert changed >= fewer(12, 0.04 * len(seeds)) and proven >= fewer(80, 0.4 * len(seeds))
     assert kept >= 0.7 * proven
 
 

@@ -119,7 +119,7 @@ def test_margins_of_random_scenes(tmp_path):
 def test_margins_of_many_random_scenes(tmp_path):
     seeds = range(fewer(100, 50), fewer(200, 80))
     found = list(examined(seeds, tmp_path))
-    assert len(found) > len(seeds) and len({kind for kind, *_ in found}) == 3
+    assert len(found) > fewer(150, len(seeds)) and len({kind for kind, *_ in found}) == 3
     judge(found)
 
 

@@ -247,7 +247,7 @@ def test_clipped_proofs_verify(tmp_path):
 def test_many_clipped_proofs_verify(tmp_path):
     seeds = range(fewer(250, 80))
     found = dict(clipped_verdicts(seeds, tmp_path))
-    assert len(found) >= 0.03 * len(seeds)
+    assert len(found) >= fewer(20, 0.03 * len(seeds))
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 
@@ -256,7 +256,7 @@ def test_many_random_proofs_verify(tmp_path):
     found = list(verdicts((*range(MANY), MERGED), tmp_path))
     judge(found)
     proved = [schedule for _, schedule, _ in found if schedule and schedule.guarantee == "proved"]
-    assert len(proved) >= MANY / 2
+    assert len(proved) >= fewer(100, MANY // 2)
     mixed = sum(0 < schedule.share() < 1 for schedule in proved)
     assert mixed >= len(proved) / 3, "U flies a part of the time in many of them"
     plants = Counter(schedule.safety.problem.system.n for schedule in proved)
