@@ -235,7 +235,10 @@ def test_command(tmp_path):
     options += ["--tune", "monitor.dwell=4"]
     done = runner.invoke(app, ["compare", str(TINY), *options])
     assert done.exit_code == 0, done.output
-    assert "viola-" in done.output and "proved" in done.output
+    assert "violations" in done.output and "proved" in done.output
+    words = done.output.split()
+    assert {"switches", "deviation", "median", "offline"} <= set(words)
+    assert not [word for word in words if len(word) > 1 and word.endswith("-")]
     again = runner.invoke(app, ["compare", str(TINY), *options, "--json"])
     assert again.exit_code == 0
     table = json.loads(again.stdout)

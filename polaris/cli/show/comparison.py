@@ -13,7 +13,7 @@ from ...synthesis.safety.recoverable import directed
 from . import say, show_table, table
 
 SAFETY = (
-    ("violations", "viola-\ntions"),
+    ("violations", "violations"),
     ("min_distance_m", "least\ndist. m"),
     ("mean_distance_m", "mean\ndist. m"),
     ("min_ttc_s", "least\nTTC s"),
@@ -21,10 +21,10 @@ SAFETY = (
 )
 COST = (
     ("experimental_share", "share\nof U"),
-    ("switches", "swit-\nches"),
+    ("switches", "switches"),
     ("delta_v_m_s", "delta-v\nm/s"),
-    ("deviation", "devia-\ntion"),
-    ("decision_median_us", "deci-\nsion µs"),
+    ("deviation", "deviation"),
+    ("decision_median_us", "median\nµs"),
     ("decision_p99_us", "p99\nµs"),
     ("synthesis_s", "offline\ns"),
 )
@@ -38,7 +38,8 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
     flown = [method for method in summary["methods"] if method["available"]]
     for columns in (SAFETY, COST):
         shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)
-        shown.add_column("method", min_width=20, max_width=22)
+        width = 22 if columns is SAFETY else 17
+        shown.add_column("method", min_width=width, max_width=width)
         if columns is SAFETY:
             shown.add_column("guarantee", no_wrap=True)
         for _, head in columns:
