@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta, binom
 
 from reach.brief import brief
 
@@ -66,11 +65,15 @@ class Sampled:
 
 def flights_needed(probability: float, doubt: float) -> int:
     """Least number of flights of which more than `SPARE` would leave a band, but for a chance of `doubt`."""
+    from scipy.stats import binom  # takes long to load
+
     return bisect_left(range(MOST), True, SPARE + 1, key=lambda n: binom.cdf(SPARE, n, probability) <= doubt)
 
 
 def at_most(outside: int, flights: int, doubt: float) -> float:
     """Upper bound on a probability (Clopper and Pearson 1934), wrong with one of at most `doubt`."""
+    from scipy.stats import beta  # takes long to load
+
     return 1.0 if outside >= flights else float(beta.ppf(1 - doubt, outside + 1, flights - outside))
 
 

@@ -10,6 +10,8 @@ from scipy.linalg import expm
 from .checks import Array, checked
 from .errors import ReachError
 
+FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
+
 
 def require_square(name: str, M: Array) -> None:
     """Refuse what is not one square matrix."""
@@ -68,3 +70,20 @@ def powers(M: Array, count: int) -> Array:
     for i in range(count):
         out[i + 1] = M @ out[i]
     return out
+
+
+def summed(gains: Array, sizes: Array) -> Array:
+    """Return ``sum_{i<L} gains[L-1-i] sizes[i]`` for L = 0 ... count, rounded upwards, shape (count + 1, r).
+
+    Parameters
+    ----------
+    gains : ndarray, shape (ages, r, k)
+        Not negative, by the age of a period.
+    sizes : ndarray, shape (count, k)
+        Not negative, period by period.
+    """
+    from scipy.signal import oaconvolve  # takes longer to load than all else that a synthesis needs
+
+    sums = oaconvolve(gains, sizes[:, None, :], axes=0)[: len(sizes)].sum(axis=-1)
+    sums = np.maximum(sums, 0.0) + FFT * np.max(sums, axis=0, initial=0.0)
+    return np.vstack([np.zeros((1, gains.shape[1])), sums])

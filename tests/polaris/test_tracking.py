@@ -1,5 +1,8 @@
 """The tracking controller: gains, refused by name where there are none, and the control period."""
 
+import subprocess
+import sys
+
 import control
 import numpy as np
 import pytest
@@ -47,7 +50,7 @@ def test_a_fault_in_the_library_is_not_taken_for_bad_weights(monkeypatch):
     def broken(*args, **options):
         raise RuntimeError("broken")
 
-    monkeypatch.setattr(control, "care", broken)
+    monkeypatch.setattr("polaris.synthesis.tracker.lqr.solve_continuous_are", broken)
     with pytest.raises(RuntimeError, match="broken"):
         solve_are(CHAIN, PUSH, np.eye(2), np.eye(1))
 
@@ -120,3 +123,24 @@ def test_a_period_that_is_chosen_is_told_and_serves_whatever_needs_one(more):
     assert any(line.startswith(told) for line in schedule.assumptions)
     assert schedule.guarantee == "proved" and schedule.share() > 0
     assert verify_document(certificate(schedule, scenario.name)).outcome == "VERIFIED"
+
+
+def test_the_riccati_equation_is_solved_as_the_control_library_solves_it():
+    rng = np.random.default_rng(3)
+    for n, m in ((1, 1), (2, 1), (4, 2), (6, 3)):
+        A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
+        Q, R = np.diag(rng.uniform(0.1, 2, n)), np.diag(rng.uniform(0.1, 2, m))
+        P, gain = solve_are(A, B, Q, R)
+        known, _, other = control.care(A, B, Q, R, method="scipy")
+        assert np.allclose(P, known, rtol=1e-12) and np.allclose(gain, other, rtol=1e-12)
+
+
+def test_a_synthesis_loads_what_it_uses():
+    """These take a second and more to load, and serve other verbs or other errors."""
+    code = (
+        "import sys; from polaris.scenario.scenario import load_scenario as load; import polaris\n"
+        "polaris.synthesize(load(sys.argv[1]))\n"
+        "print(sorted({'scipy.signal', 'scipy.stats', 'control', 'matplotlib', 'plotly'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(TINY)], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

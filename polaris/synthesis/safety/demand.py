@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from reach.numerics.linear import summed
+
 from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
-from ..tracker.profile import SETTLED, SPARE, summed
+from ..tracker.profile import SETTLED, SPARE
 from ..tracker.tracking import Tracking
 
 ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from scipy.signal import fftconvolve
+from scipy.fft import irfft, next_fast_len, rfft
 
 from reach.numerics.linear import powers
 
@@ -100,5 +100,8 @@ def peak(response: Array) -> float:
     """Bound on the largest amplification of any frequency by a response (k,): by a power of its spectrum."""
     power, root = np.convolve(response, response[::-1]), 2.0
     for _ in range(SQUARED):
-        power, root = fftconvolve(power, power), 2 * root
+        count = 2 * len(power) - 1
+        size = next_fast_len(count, real=True)
+        spectrum = rfft(power, size)
+        power, root = irfft(spectrum * spectrum, size)[:count], 2 * root
     return float(np.abs(power).sum() ** (1 / root))

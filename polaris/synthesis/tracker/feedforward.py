@@ -5,10 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
+from reach.numerics.linear import summed
+
 from ...model.errors import ScenarioError
 from ...model.tolerances import ROUNDING
 from .loop import Array, Channel
-from .tightening import Tightening, summed
+from .tightening import Tightening
 
 ROUNDS, SPARE = 500, 1e-6
 """Most rounds of the bound for ever, and what each adds to it."""

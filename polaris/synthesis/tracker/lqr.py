@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import solve_continuous_are
 
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem, as_finite
@@ -18,14 +19,11 @@ def solve_are(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
         If there is no stabilising solution: (A, B) is not stabilisable, or Q leaves a mode on or
         right of the imaginary axis unobserved.
     """
-    import control
-
     try:
-        # Always scipy's method: with the other one the result would depend on what is installed.
-        P, _, gain = control.care(A, B, Q, R, method="scipy")
-        gain = np.atleast_2d(np.asarray(gain, dtype=float))
+        P = solve_continuous_are(A, B, Q, R)
+        gain = np.linalg.solve(R, B.T @ P)
         worst = float(np.max(np.linalg.eigvals(A - B @ gain).real))
-    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+    except (ValueError, np.linalg.LinAlgError) as error:
         rule = f"the Riccati equation has no stabilising solution ({error})"
         raise ScenarioError("tracking.Q", np.diag(Q).tolist(), rule) from error
     if not worst < 0:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import oaconvolve
 
 from ...model.system import Array
 
@@ -11,17 +10,6 @@ ROUNDS = 60  # most rounds of a bound that grows with the errors which it allows
 SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and what is added to it then
 SLOWER = 1.5
 """By how much slower the demand of sets that an experimental controller leaves falls than that of a ball."""
-FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
-
-
-def summed(gains: Array, errors: Array) -> Array:
-    """``sum_{i<L} gains[L-1-i] errors[i]`` for L = 0 ... len(errors), shape (len(errors) + 1, r).
-
-    `gains` (a, r, m) belong to periods by their age, `errors` (L, m) to periods in their order.
-    """
-    sums = oaconvolve(gains, errors[:, None, :], axes=0)[: len(errors)].sum(axis=-1)
-    sums = np.maximum(sums, 0.0) + FFT * np.max(sums, axis=0, initial=0.0)
-    return np.vstack([np.zeros((1, gains.shape[1])), sums])
 
 
 def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]) -> Array:

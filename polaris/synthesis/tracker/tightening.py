@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import oaconvolve
 
-from reach.numerics.linear import growth, powers
+from reach.numerics.linear import growth, powers, summed
 
 from ...model.errors import ScenarioError
 from ...model.tolerances import ROUNDING
@@ -20,7 +19,6 @@ from .loop import Array, Channel, ClosedLoop
 LEFT_OVER = 1e-3
 """Share of a loop state that is left after the settling horizon; smaller: more rows, smaller tails."""
 LONGEST = 6000  # periods of a settling horizon, at most
-FFT = 1e-13  # round-off of sums of products by fast transforms, relative to the largest of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,13 +198,3 @@ class Tightening:
                 fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
         per_size = np.abs(moved) @ self.v @ bend.T
         return (fixed + bend @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
-
-
-def summed(gains: Array, sizes: Array) -> Array:
-    """Return ``sum_{i<L} gains[L-1-i] sizes[i]`` for L = 0 ... count, shape (count + 1, r).
-
-    `gains` (count, r, k) belong to periods by their age, `sizes` (count, k) to periods in their order.
-    """
-    sums = oaconvolve(gains, sizes[:, None, :], axes=0)[: len(sizes)].sum(axis=-1)
-    sums = np.maximum(sums, 0.0) + FFT * np.max(sums, axis=0, initial=0.0)
-    return np.vstack([np.zeros((1, gains.shape[1])), sums])

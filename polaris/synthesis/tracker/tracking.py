@@ -8,14 +8,14 @@ import numpy as np
 
 from reach.brief import brief
 from reach.numerics.errors import ReachError
-from reach.numerics.linear import powers
+from reach.numerics.linear import powers, summed
 from reach.tubes.flow import LinearFlow
 
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
 from .feedback import Feedback
-from .profile import profile, summed
+from .profile import profile
 from .transients import answered, lost, misled, moved
 
 LEFT_OVER = 1e-3

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import expm
 
-from reach.numerics.linear import powers
+from reach.numerics.linear import powers, summed
 from reach.tubes.flow import LinearFlow
 
 from ...model.prediction import IN_PERIOD, forgetting, prediction_error, unseen_by
 from ...model.system import Array, LinearSystem
 from ...model.timing import WHOLE, Transient
 from ...model.tolerances import ROUNDING
-from .profile import summed
 
 
 def moved(system: LinearSystem, fault: Transient, gain: Array, h: float, off: Array) -> Array:
