@@ -93,9 +93,6 @@ class Argument:
         self.record.holds("end", check_end(self.document, path))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
-        if self.document.guarantee == "none" or self.document.recoverable == "paper_ball":
-            told = f"recoverable kind {self.document.recoverable}, guarantee {self.document.guarantee}"
-            raise Rejected("guarantee", f"the certificate itself claims nothing ({told})")
         if self.document.statement:
             self.record.holds("samples", check_statement(self.document.statement))
             self.record.sampled = True
@@ -120,7 +117,7 @@ class Argument:
         if self.stated.norm_bounds is not None:
             check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(further, chosen, memory, sets, scheduled)
-        if self.stated.goal is not None and self.document.guarantee != "none":
+        if self.stated.goal is not None:
             taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))

@@ -93,7 +93,7 @@ CERTIFICATE = {
     "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},
     "thrust": {"peak": grid("K m"), "profile?": grid("* m")},
     "recoverable": {
-        "kind": Text(("polytope", "time_varying_ball", "ball", "paper_ball")),
+        "kind": Text(("polytope", "ball")),
         "weight": grid("n n"), "radius": grid("K+1", Either((HEX, None))),
     },
     "enclosures": {

@@ -173,7 +173,7 @@ def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
     need, room, margin = step["need"], step["room"], document.margins[k]
     if margin != -math.inf and None in (when, need, room):
         raise Rejected("margins", f"step {k} has a margin of {margin}, but no time, need and room of a limit")
-    if when is not None and document.recoverable != "ball" and when < k * document.delta * (1 - 1e-9):
+    if when is not None and when < k * document.delta * (1 - 1e-9):
         raise Rejected("schedule", f"step {k} is limited at {when} s, before it begins")
     if need is not None and room is not None:
         left = 1 - need / room if room > 0 else -math.inf
