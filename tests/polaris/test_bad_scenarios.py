@@ -189,11 +189,7 @@ BROKEN = {
     "weight of two": ({"tracking.weight": [1, 1]}, "tracking.weight", "must have 6"),
     "weight unknown": ({"tracking.weight": "best"}, "tracking.weight", "'auto' or 'identity'"),
     "bound unknown": ({"tracking.bound": "guess"}, "tracking.bound", "'envelope' or 'lyapunov'"),
-    "printed ball": (
-        {"recoverable.kind": "paper_ball"},
-        "recoverable.kind",
-        "got 'paper_ball'; must be 'polytope' or 'ball'",
-    ),
+    "printed ball": ({"recoverable.kind": "paper_ball"}, "recoverable.kind", "must be 'polytope' or 'ball'"),
     "time-varying ball": (
         {"recoverable.kind": "time_varying_ball"},
         "recoverable.kind",

@@ -187,17 +187,7 @@ SCHEDULE = {
 REPEATED = "system", "sampling", "controllers"
 """What ``gains.json`` repeats of the certificate, its numbers as decimals."""
 
-GAINS = {
-    "law": TEXT,
-    **every(object, " ".join(REPEATED)),
-    "error_bounds": {
-        "method": TEXT,
-        "weight": MATRIX,
-        "beta_1_s": OPTIONAL,
-        **every(BOUND, "gamma gain gamma_position gain_position"),
-        **every(Rows(BOUND), "gamma_input gain_input"),
-    },
-}
+GAINS = {"law": TEXT, **every(object, " ".join(REPEATED))}
 """``gains.json``."""
 
 FLOWN = {

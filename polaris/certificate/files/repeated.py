@@ -64,7 +64,7 @@ CLAIMS = {
     **dict.fromkeys(("law", "controller", "controllers"), "controllers"),
     "recoverable": "recoverable_sets",
     **dict.fromkeys(("horizon", "until_s", "reason"), "end"),
-    **{name: name for name in ("guarantee", "assumptions", "system", "error_bounds")},
+    **{name: name for name in ("guarantee", "assumptions", "system")},
     "sampling": "sampling",
 }
 """Claims under which fields of the schedule and of the gains are compared, if not under the file's own."""
@@ -259,21 +259,12 @@ def _same_table(claim: str, path: Path, rows: list[Iterable[Any]]) -> None:
 # -- gains ------------------------------------------------------------------------------------------
 
 
-def check_gains(document: Document, scenario: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Compare ``gains.json``; returns the bounds of Lemma 1, their norm and method compared."""
+def check_gains(document: Document, path: Path) -> None:
+    """Compare ``gains.json``."""
     stored = conform(strict_json(contents(path)), GAINS, "controllers", "gains.json")
-    spec, n = scenario["tracking"], len(document.A)
-    weight = spec.get("weight", "auto")
-    along = [1.0] * n if isinstance(weight, str) else weight
-    named = [[along[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
-    bounds = {
-        "method": spec.get("bound", "envelope"),
-        "weight": document.weight if weight == "auto" else named,
-    }
-    same("controllers", "gains.json", {"law": LAW, **document.repeated, "error_bounds": bounds}, stored)
+    same("controllers", "gains.json", {"law": LAW, **document.repeated}, stored)
     for key, said in document.repeated.items():
         if canonical(said) != canonical(stored[key]):
             raise Rejected(
                 CLAIMS[key], f"gains.json, {key}: more, or written otherwise than in the certificate"
             )
-    return dict(stored["error_bounds"])
