@@ -16,7 +16,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
 
-KINDS = ("ball", "time_varying_ball", "polytope")
+KINDS = ("ball", "polytope")
 SCENARIOS = ("static", "dynamic", "keep_out", "hold_point", "robot")
 
 

@@ -2,8 +2,7 @@
 
 Exit codes: 0 done, 1 fault of the program, 2 bad input, 3 no safe synthesis exists, 4 none certified
 in the time given, 5 a counterexample was found, or a declared bound does not hold. Results go to standard
-output, progress and errors to standard error. A run that proves nothing (only the option ``paper_ball``
-does) ends with 0 and a warning on standard error.
+output, progress and errors to standard error.
 """
 
 from . import run  # noqa: F401, I001

@@ -8,7 +8,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ClockWarning, ScenarioError
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, echo, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
 
 
 class _Compare(TyperCommand):
@@ -160,9 +160,6 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
             executor=None if boxes else local(options.workers),
             black_boxes=boxes,
         )
-    unproven = [point["folder"] for point in folder.summary["points"] if point["guarantee"] == "none"]
-    if unproven:  # even if asked to be quiet
-        echo(f"warning: NOTHING IS PROVEN by {', '.join(unproven)}", err=True)
     cut = [point["folder"] for point in folder.summary["points"] if point["cut_by_clock"]]
     if cut:
         told = f"the planner's wall clock ended its search early ({', '.join(cut)})"

@@ -29,8 +29,8 @@ def run(
     solver: Literal["facets", "highs", "gurobi"] | None = Option(
         None, help="Short for --set planner.solver=...; default facets."
     ),
-    recoverable: Literal["polytope", "time_varying_ball", "ball", "paper_ball"] | None = Option(
-        None, help="Short for --set recoverable.kind=...; with paper_ball nothing is proven."
+    recoverable: Literal["polytope", "ball"] | None = Option(
+        None, help="Short for --set recoverable.kind=...; default polytope."
     ),
     figures: Figures = True,
     as_json: Json = False,
@@ -57,13 +57,8 @@ def run(
     with asked.running() as boxes:
         flying: dict[str, Any] = {"draw": drawing(figures), "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
-    if folder.kind.name == "schedule":
-        claim, kind = folder.summary["guarantee"]["kind"], folder.summary["synthesis"]["recoverable"]
-        if claim == "statistical":
-            echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
-        if claim == "none":  # even if asked to be quiet
-            warning = "NOTHING IS PROVEN by this run, whatever its simulation shows"
-            echo(f"warning: {warning} (recoverable kind {kind}, guarantee {claim})", err=True)
+    if folder.kind.name == "schedule" and folder.summary["guarantee"]["kind"] == "statistical":
+        echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
     finish(folder, figures, as_json, quiet)
     return 0 if folder.summary.get("safe", True) else REFUTED
 

@@ -33,8 +33,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
     " 5 a counterexample, a bound or a certificate that does not hold, an inspection flight that violates"
     " a constraint, 6 a certificate not decided,"
-    " 7 one that rests on samples."
-    " Code 0 with a warning on standard error: done, but nothing is proven (recoverable kind paper_ball).",
+    " 7 one that rests on samples.",
     rich_markup_mode=None,  # markup swallows [m/s] or <scenario>
     no_args_is_help=True,
     pretty_exceptions_enable=False,

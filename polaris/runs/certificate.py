@@ -87,12 +87,8 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
 
 
 def write_gains(path: Path, schedule: Schedule) -> None:
-    """Write ``gains.json``: the law, the certificate's system and controllers, the bounds of Lemma 1."""
-    bounds = schedule.safety.bounds
-    parts = ("gamma", "gain", "gamma_position", "gain_position", "gamma_input", "gain_input")
-    lemma = {"method": bounds.method, "weight": bounds.W, "beta_1_s": bounds.beta}
-    lemma |= {name: getattr(bounds, name) for name in parts}
-    write_text(path, json_text({"law": LAW, **_flown(schedule), "error_bounds": lemma}))
+    """Write ``gains.json``: the law, and the certificate's system and controllers."""
+    write_text(path, json_text({"law": LAW, **_flown(schedule)}))
 
 
 def _flown(schedule: Schedule) -> dict[str, Any]:

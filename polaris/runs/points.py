@@ -32,7 +32,7 @@ COLUMNS = {
     "delta_v_most_m_s": "velocity change proven never to be exceeded until the goal is reached, or nearest",
     "delta_v_m_s": "velocity change, mean over simulated runs",
     "delta_v_max_m_s": "velocity change, largest over simulated runs",
-    "guarantee": "proved, statistical (black boxes) or none; infeasible: there is no schedule, see reason",
+    "guarantee": "proved, or statistical (black boxes); infeasible: there is no schedule, see reason",
     "non_dominated": "no other point is as good in weighted_share, delta_v_m_s, switches, the goal, the"
     " guarantee and until when it holds, and better in one of them; told of prices alone",
     "needed": "of every field: the last value with which at least the share asked is proven, from the better"

@@ -15,8 +15,10 @@ from polaris.synthesis.tracker.feedback import Feedback, choose_feedback
 from polaris.synthesis.tracker.lqr import lqr_gain
 from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import discretize, powers
+from reach.sets.zonotope import Zonotope
 
 from ..polaris.conftest import small_safety
+from .printed_ball import PrintedBall
 
 SYSTEM = clohessy_wiltshire(0.0012, 10.0, 1.0, 1e-5)
 GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)
@@ -102,18 +104,34 @@ def radii(kind):
     return np.array([sets.radius(i) for i in range(0, nodes, 5)])
 
 
-def test_item_5_printed_ball_is_constant_and_the_time_varying_one_is_no_smaller():
+def test_item_5_printed_ball_is_constant_and_ours_is_no_smaller():
     beta, t = 0.02, 100.0
     tau = np.linspace(t, 1000, 50)
     assert np.max(np.exp(-beta * (tau - t))) == 1.0, "the maximum in eq. 12 is always 1"
-    constant, varying = radii("ball"), radii("time_varying_ball")
-    assert np.ptp(constant) == 0
+    safety = small_safety()
+    sets = get_recover("ball", safety.clearance, safety.bounds)
+    constant = sets.limits.min()  # what eq. 12 makes of the same rooms
+    varying = np.array([sets.radius(node) for node in range(len(sets.limits))])
+    assert varying.min() == pytest.approx(constant, rel=1e-12), "its least value is the constant radius"
     assert np.all(varying >= constant * (1 - 1e-12))
-    assert varying.max() > 1.05 * constant.max()
+    assert varying.max() > 1.05 * constant
+
+
+def test_item_5_whatever_the_constant_ball_shows_recoverable_ours_does():
+    """Sets of any shape that just fit into the constant ball, in every cell, at its start and throughout."""
+    safety, rng = small_safety(), np.random.default_rng(5)
+    sets = get_recover("ball", safety.clearance, safety.bounds)
+    q, inverse = safety.clearance.q, np.linalg.inv(sets.bounds.W)
+    for k in range(safety.clearance.cells):
+        some = Zonotope(inverse @ rng.normal(size=6), inverse @ rng.normal(size=(6, 9)))
+        fitting = some * (0.999999 * sets.limits.min() / some.norm_bound(sets.bounds.W))
+        assert sets.margin_at(k, fitting).inside
+        nodes = Zonotope(np.tile(fitting.c, (q + 1, 1)), np.tile(fitting.G, (q + 1, 1, 1)))
+        assert sets.holds(k, nodes, np.zeros((q, 6)))
 
 
 def test_item_5_polytopes_are_no_smaller_than_the_balls_anywhere():
-    assert np.all(radii("polytope") >= radii("time_varying_ball") * (1 - 1e-9))
+    assert np.all(radii("polytope") >= radii("ball") * (1 - 1e-9))
 
 
 def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
@@ -133,7 +151,6 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
     )
     plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
     from polaris.synthesis.safety.clearance import error_tube
-    from reach.sets.zonotope import Zonotope
 
     theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
     need = error_tube(plain, theta, SYSTEM.position).need
@@ -144,11 +161,9 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
 
 def test_item_7_the_printed_ball_admits_states_from_which_the_thrusters_saturate():
     safety = small_safety()
-    printed = get_recover("paper_ball", safety.clearance, safety.bounds)
+    printed = PrintedBall(safety.clearance, safety.bounds)
     sound = get_recover("ball", safety.clearance, safety.bounds)
     system, gain = safety.problem.system, safety.tracking.gain
-    assert printed.guarantee == "none"
-    assert sound.guarantee == "proved"
     # along the direction of the gain, out to the edge of the printed ball
     direction = gain[0] / np.linalg.norm(printed.bounds.W @ gain[0])
     edge = direction * printed.radius(0) * 0.999

@@ -143,7 +143,6 @@ def inner(corrupt):
     yield "later end", change("end", "until", to=tenfold), {"end"}
     yield "no last instant", change("end", "until", to=None), {"end"}
     yield "no guarantee", change("guarantee", to="none"), {"guarantee"}
-    yield "printed balls", change("recoverable", "kind", to="paper_ball"), {"guarantee", "margins"}
 
 
 def against_files(corrupt):

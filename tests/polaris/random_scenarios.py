@@ -414,7 +414,7 @@ def _norm(rng: Random, n: int) -> Table:
 
 def _rules(rng: Random, document: Table, margin: float) -> None:
     """Recoverable sets, planner, schedule, simulation."""
-    kind = str(rng.choice(["polytope"] * 4 + ["time_varying_ball", "ball"]))
+    kind = str(rng.choice(["polytope"] * 4 + ["ball"] * 2))
     document["recoverable"] = {"kind": kind}
     document["planner"] = {
         "objective": str(rng.choice(["margin_then_fuel", "margin_then_fuel", "fuel", "distance"])),

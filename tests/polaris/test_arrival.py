@@ -30,7 +30,6 @@ from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.safety.problem import require_velocities
 from polaris.synthesis.schedule.arrival import _correcting, _needs, _settled, arrival
-from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
@@ -180,14 +179,6 @@ def cut(safety, after):
     """Fields of the reference with so many cells after T."""
     cells = safety.problem.K + after
     return {"chi": safety.reference.chi[: cells + 1], "nu": safety.reference.nu[:cells]}
-
-
-def test_nothing_is_reached_where_nothing_is_proved():
-    scenario, _ = synthesised()
-    problem = replace(scenario.problem(), recoverable="paper_ball", recourse="none")
-    schedule = synthesize(get_safety(problem), experimental=[])
-    assert schedule.guarantee == "none"
-    assert schedule.arrival.reached == "not_proven" and schedule.arrival.by is None
 
 
 def test_a_tail_that_does_not_coast_costs_what_it_commands(forgers):

@@ -189,6 +189,12 @@ BROKEN = {
     "weight of two": ({"tracking.weight": [1, 1]}, "tracking.weight", "must have 6"),
     "weight unknown": ({"tracking.weight": "best"}, "tracking.weight", "'auto' or 'identity'"),
     "bound unknown": ({"tracking.bound": "guess"}, "tracking.bound", "'envelope' or 'lyapunov'"),
+    "printed ball": ({"recoverable.kind": "paper_ball"}, "recoverable.kind", "must be 'polytope' or 'ball'"),
+    "time-varying ball": (
+        {"recoverable.kind": "time_varying_ball"},
+        "recoverable.kind",
+        "must be 'polytope' or 'ball'",
+    ),
     "recoverable unknown": ({"recoverable.kind": "cube"}, "recoverable.kind", "'polytope'"),
     "solver unknown": ({"planner.solver": "cplex"}, "planner.solver", "'facets', 'highs' or 'gurobi'"),
     "gap of one": ({"planner.gap": 1.0}, "planner.gap", "< 1"),

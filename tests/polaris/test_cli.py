@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,19 +116,6 @@ def test_python_runs_what_the_command_runs(invoke, tmp_path):
         if path.name not in ("summary.json", ".polaris.jsonl"):
             assert path.read_bytes() == (written.path / path.name).read_bytes(), path.name
     assert polaris.draw_run(polaris.read_run(written.path)) == [written.path / "figures" / "scene.pdf"]
-
-
-@pytest.mark.parametrize("options", [(), ("--quiet",), ("--json",)])
-def test_a_run_that_proves_nothing_says_so_on_standard_error(invoke, monkeypatch, options):
-    schedule = synthesised()[1]
-    sets = replace(schedule.safety.recoverable, guarantee="none")
-    unsound = replace(schedule, safety=replace(schedule.safety, recoverable=sets))
-    monkeypatch.setattr("polaris.synthesis.schedule.synthesize.synthesize", lambda *args, **given: unsound)
-    done = invoke("run", TINY, *options)
-    assert done.exit_code == 0
-    warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
-    assert len(warnings) == 1 and "NOTHING IS PROVEN" in warnings[0]
-    assert "Guarantee: none" in done.stdout or options
 
 
 def test_overrides_reach_the_scenario_and_are_noted(invoke, tmp_path):

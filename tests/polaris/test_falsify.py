@@ -28,6 +28,7 @@ from reach.networks.layers import Activation, Affine
 from reach.networks.network import Network
 
 from ..kept import CHOSEN, printed
+from ..paper.printed_ball import take_printed_balls
 from ..sizes import fewer
 from .conftest import synthesised
 from .tiny import TINY
@@ -35,8 +36,8 @@ from .tiny import flown as tiny_flown
 from .tiny import synthesised as tiny
 
 BUNDLED = ["static", "dynamic", "keep_out", "hold_point", "robot"]
-STIFF = {"recoverable.recourse": "none", "recoverable.kind": "paper_ball", "tracking.R": [400.0] * 3}
-"""The printed ball does not know the thrust limits; a stiff tracker runs into them."""
+STIFF = {"recoverable.recourse": "none", "tracking.R": [400.0] * 3}
+"""The printed balls do not know the thrust limits; a stiff tracker runs into them."""
 
 
 @cache
@@ -171,10 +172,10 @@ def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
 # -- what was broken on purpose -----------------------------------------------------------------------
 
 
-def test_printed_ball_without_thrust_limits_is_caught(tmp_path):
+def test_printed_ball_without_thrust_limits_is_caught(tmp_path, monkeypatch):
+    take_printed_balls(monkeypatch)
     scenario = load_scenario("static").with_overrides(STIFF)
     schedule = synthesize(scenario)
-    assert schedule.guarantee == "none"
     found = falsify(schedule, 3000)
     assert found.failure is not None and found.failure.kind == "saturation"
     assert found.failure.margin < 0 and found.runs < 3000
@@ -347,6 +348,7 @@ def test_command_reports_margins_and_saves_a_case(tmp_path, monkeypatch):
     assert done.exit_code == 0
     told = json.loads(done.stdout)
     assert told["runs"] == 200 and not told["violated"] and len(told["limits"]) >= 3
+    take_printed_balls(monkeypatch)
     scenario = load_scenario("static").with_overrides(STIFF)
     (tmp_path / "stiff.toml").write_text(scenario.to_toml(), encoding="utf-8")
     done = CliRunner().invoke(app, ["falsify", "stiff.toml", "--runs", "3000", "--out", "found.json"])

@@ -155,7 +155,7 @@ def test_limits_of_one_keep_in_set_are_one_name():
 
 
 def test_files_hold_no_dates_and_are_the_same_twice(picture, tmp_path, monkeypatch):
-    names = ("scene_3d", "margin")
+    names = ("scene", "margin")
     chosen = {name: FIGURES[name] for name in names}
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
@@ -192,8 +192,8 @@ def test_each_format_is_drawn_once_and_the_layout_solved_once(picture, tmp_path,
             return true(self, *args)
 
         monkeypatch.setattr(owner, name, counted)
-    draw_figures(picture, tmp_path, {name: FIGURES[name] for name in ("scene", "scene_3d")})
-    assert calls == ["execute", "draw", "draw", "draw", "draw"]
+    draw_figures(picture, tmp_path, {name: FIGURES[name] for name in ("scene", "modes")})
+    assert calls == ["execute", "draw", "draw"] * 2
 
 
 def test_the_users_settings_come_back(picture):
@@ -244,7 +244,6 @@ def test_scene_in_space_with_every_kind_of_set():
     texts = [text.get_text() for text in drawn("scene", picture).axes[0].texts]
     assert {"debris", "sight (stay inside)"} <= set(texts)
     assert all(any(text.startswith(name) for text in texts) for name in ("visitor, ", "ball, "))
-    assert len(drawn("scene_3d", picture).axes[0].collections) >= 3
 
 
 def test_scene_on_the_line_is_drawn_over_time(tmp_path):
@@ -329,7 +328,7 @@ def assert_well_drawn(figure):
     assert box.x0 >= -1 and box.y0 >= -1 and box.x1 <= figure.bbox.x1 + 1 and box.y1 <= figure.bbox.y1 + 1
     for ax in figure.axes:
         ticks = [text.get_window_extent() for text in ax.get_xticklabels() if text.get_text()]
-        assert ax.name == "3d" or all(a.x1 < b.x0 for a, b in itertools.pairwise(ticks))
+        assert all(a.x1 < b.x0 for a, b in itertools.pairwise(ticks))
         assert not ax.xaxis.get_offset_text().get_text() and not ax.yaxis.get_offset_text().get_text()
         for text in ax.texts:
             assert np.all(np.isfinite(text.get_position()))

@@ -117,9 +117,6 @@ SAFER = (
     "certificate.json: thrust.peak*",
     "certificate.json: recoverable.radius*",
     "certificate.json: unsafe_sets.*.offsets*",
-    "gains.json: error_bounds.beta_1_s down",
-    "gains.json: error_bounds.ga* up",
-    "gains.json: error_bounds.ga*_input *ed",
     "scenario.toml: obstacles.*.half_widths_m.* down",
     "scenario.toml: obstacles.*.radius_m down",
     "scenario.toml: obstacles.*.offsets_m.* down",
@@ -351,7 +348,7 @@ def test_every_field_forged_is_refused(forgers, kind):
     wrong, used = accepted(forger, cases, EXCUSED)
     assert not wrong, report(wrong)
     if CAMPAIGN and kind == "unaware":
-        assert {"gains.json: error_bounds.ga* up", "certificate.json: facets.*"} <= used
+        assert "certificate.json: facets.*" in used
 
 
 @pytest.mark.slow

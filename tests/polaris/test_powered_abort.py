@@ -11,8 +11,8 @@ import pytest
 
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
-from polaris.certificate.claims.lemma import Stated
 from polaris.certificate.claims.powered import branched
+from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.model.plants import precision_for

@@ -44,7 +44,7 @@ def load_strict(path):
 def test_all_files_are_there_and_nothing_else(folder):
     names = {path.name for path in folder.path.iterdir()}
     assert names == {*DATA_FILES, "certificate.json", "summary.json", "figures", ".polaris.jsonl"}
-    assert len(list((folder.path / "figures").glob("[!.]*"))) == 10
+    assert len(list((folder.path / "figures").glob("[!.]*"))) == 8
     assert [path.name for path in folder.path.parent.iterdir()] == ["tiny"]
 
 

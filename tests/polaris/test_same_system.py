@@ -145,10 +145,7 @@ def altered():
     )
     yield "end for ever", replace(safety, end=replace(end, horizon=_other(end.horizon)))
     bounds = replace(safety.bounds, gamma_position=safety.bounds.gamma_position / 50)
-    yield (
-        "kinder bounds",
-        replace(safety, bounds=bounds, recoverable=BallSets(safety.clearance, bounds, "ball")),
-    )
+    yield ("kinder bounds", replace(safety, bounds=bounds, recoverable=BallSets(safety.clearance, bounds)))
     chi, nu, K = safety.reference.chi, safety.reference.nu, problem.K
     shift = np.zeros_like(chi)
     shift[5:, 1] = 0.01
@@ -190,12 +187,8 @@ def test_a_safety_assembled_from_its_own_parts_is_taken():
     safety = small_safety()
     again = assembled(safety, replace(safety.reference))
     assert synthesize(again, experimental=[], rules=SwitchingRules()).guarantee == "proved"
-    for kind in ("ball", "time_varying_ball"):
-        sets = get_recover(kind, safety.clearance, safety.bounds)
-        assert (
-            proof(small_controllers()["coasting"], safety=replace(safety, recoverable=sets)).guarantee
-            == "proved"
-        )
+    balls = replace(safety, recoverable=get_recover("ball", safety.clearance, safety.bounds))
+    assert proof(small_controllers()["coasting"], safety=balls).guarantee == "proved"
 
 
 def test_safety_of_another_scenario_is_refused_and_that_of_the_same_is_not():

@@ -230,8 +230,6 @@ def test_a_law_without_a_path_of_its_own_bounds_nothing():
     for other in (free, sharing):
         both = replace(schedule, controllers=(*schedule.controllers, other))
         assert share_bound(both, scenario.switching_rules(), 400).share == 1
-    unproven = printed("recoverable.kind=paper_ball")[1]
-    assert share_bound(unproven, scenario.switching_rules(), 400).share == 1
 
 
 def test_the_unsafe_sets_are_those_that_the_proof_keeps_clear_of():

@@ -23,7 +23,6 @@ from polaris.report.figures.comparison import _front, _sensitivity
 from polaris.report.figures.style import printing
 from polaris.runs import tradeoff as module
 from polaris.runs.campaign.workers import InProcess, Interrupted, Workers, local
-from polaris.runs.files.folder import RunFolder
 from polaris.runs.points import needed, non_dominated
 from polaris.runs.schedule import DATA_FILES
 from polaris.scenario.scenario import load_scenario
@@ -352,17 +351,10 @@ def test_command(copied, computed):
     assert (invoke(*given, "-q").output, computed) == ("", [])
 
 
-def test_where_nothing_is_proven_that_is_said_and_no_bound_is_shown(folder, monkeypatch):
-    points = [row | {"guarantee": "none", "delta_v_most_m_s": 1.00001} for row in folder.summary["points"]]
-    told = folder.summary | {"points": points}
-    monkeypatch.setattr(RunFolder, "summary", property(lambda self: told))
-    monkeypatch.setattr(module, "tradeoff", lambda *_, **__: folder)
-    done = invoke("--no-figures")
-    assert done.stderr.count("NOTHING IS PROVEN by price-0, price-3, printed\n") == 1, done.output
-    assert done.stdout.count("not proven") >= 2 * len(points)
-    assert invoke("--no-figures", "-q").stderr == done.stderr
-    assert _row(points[0])[5:8:2] == ("not proven", "not proven")
-    assert _row(points[0] | {"guarantee": "proved"})[5] == "1.001", "a bound is rounded up"
+def test_a_proven_bound_is_rounded_up_and_one_from_samples_is_not_shown(folder):
+    point = folder.summary["points"][0] | {"delta_v_most_m_s": 1.00001}
+    assert _row(point)[5] == "1.001"
+    assert _row(point | {"guarantee": "statistical"})[5:8:2] == ("statistical", "statistical")
 
 
 @pytest.mark.parametrize(

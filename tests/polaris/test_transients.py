@@ -166,7 +166,7 @@ def test_balls_keep_what_faults_need_in_random_scenes():
         kind, scenario = ("loss", "navigation_lost")[seed % 2], exact(seed)
         late = [x for x in pulsing(scenario, kind) if not x.startswith("thrusters")]
         try:
-            schedule = synthesize(scenario.with_assignments([*late, "recoverable.kind=time_varying_ball"]))
+            schedule = synthesize(scenario.with_assignments([*late, "recoverable.kind=ball"]))
         except PolarisError:
             continue
         assert checked(schedule), seed

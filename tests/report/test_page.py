@@ -267,16 +267,11 @@ def test_horizon_is_said(run, tmp_path):
         assert told in words(report_of(folder, tmp_path))
 
 
-def test_paper_ball_says_aloud_that_nothing_is_proven(run, html, tmp_path):
+def test_a_run_that_claims_nothing_says_aloud_that_nothing_is_proven(run, html, tmp_path):
     folder = shutil.copytree(run, tmp_path / "run")
-
-    def unproven(data):
-        data["guarantee"]["kind"] = "none"
-        data["synthesis"]["recoverable"] = "paper_ball"
-
-    rewrite_json(folder / "summary.json", unproven)
+    rewrite_json(folder / "summary.json", lambda data: data["guarantee"].update(kind="none"))
     unsafe = report_of(folder, tmp_path)
-    assert words(unsafe).count("NOTHING IS PROVEN") == 2 and "paper_ball" in words(unsafe)
+    assert words(unsafe).count("NOTHING IS PROVEN") == 1 and "What is proven" not in words(unsafe)
     assert "NOTHING IS PROVEN" not in words(html)
     names = [one.get("name") for panel in data_of(unsafe)["panels"] for one in panel["series"]]
     assert not any(name and "proven" in name for name in names)

@@ -74,7 +74,7 @@ def texts_of(figure):
                 for text in (tick.label1, tick.label2)
                 if not low <= tick.get_loc() <= high or not tick.get_visible()
             }
-        hidden |= set() if getattr(ax, "_axis3don", ax.axison) else set(ax.findobj(Text))
+        hidden |= set() if ax.axison else set(ax.findobj(Text))
     return [(one, one.get_window_extent(renderer)) for one in found if one not in hidden]
 
 
@@ -235,8 +235,6 @@ def test_random_scenes_can_be_read(seed):
     picture = crowded(seed)
     assert len(picture.hand_overs) >= 5
     assert_can_be_read(draw(picture))
-    if picture.system.d > 1:
-        assert_texts_are_apart(draw(picture, "scene_3d"))
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -253,7 +251,7 @@ def test_bundled_scenes_can_be_read(scenario):
     picture = picture_of(scheduled(scenario)[1])
     assert_can_be_read(draw(picture))
     assert_u_alone_is_in_every_panel(picture)
-    for name in ("scene_3d", "modes", "margin"):
+    for name in ("modes", "margin"):
         assert_texts_are_apart(draw(picture, name))
 
 
@@ -300,7 +298,7 @@ def test_each_of_several_experimental_controllers_is_named_and_drawn_alone():
         "second": replace(one, controller="b"),
     }
     picture = replace(base, controllers=("safety", "a", "b"), flights=flights)
-    for name in ("scene", "scene_3d", "distance"):
+    for name in ("scene", "distance"):
         figure = draw(picture, name)
         names = [text.get_text() for text, _ in texts_of(figure)]
         assert {"U alone (a)", "U alone (b)"} <= set(names), name

@@ -5,6 +5,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
+from ..files.artefacts import Stated
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
@@ -21,7 +22,6 @@ from .arrival import Arrival
 from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path, prolonged
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
-from .lemma import Stated, check_norm_bounds
 from .powered import check_aborts
 from .recovery import Recovery
 from .spending import spent
@@ -93,9 +93,6 @@ class Argument:
         self.record.holds("end", check_end(self.document, path))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
-        if self.document.guarantee == "none" or self.document.recoverable == "paper_ball":
-            told = f"recoverable kind {self.document.recoverable}, guarantee {self.document.guarantee}"
-            raise Rejected("guarantee", f"the certificate itself claims nothing ({told})")
         if self.document.statement:
             self.record.holds("samples", check_statement(self.document.statement))
             self.record.sampled = True
@@ -117,10 +114,8 @@ class Argument:
         if profile or self.document.error_by_step:
             scheduled = Scheduled(self.document, self.loop, memory, further, self.gain)
         self.error_bounds(memory, sets[0], scheduled)
-        if self.stated.norm_bounds is not None:
-            check_norm_bounds(self.stated.norm_bounds, self.gain, self.loop, memory)
         self.recoverability(further, chosen, memory, sets, scheduled)
-        if self.stated.goal is not None and self.document.guarantee != "none":
+        if self.stated.goal is not None:
             taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))

@@ -38,7 +38,6 @@ CHECKED = {
         "experimental": "kind name Q R gain path inputs input_scale output_scale_N precision",
         "experimental.reference": "kind state semi_minor_m phase_rad cross_track_m cross_phase_rad",
     },
-    "error_bounds": {"tracking": "bound weight"},
     "samples": {"experimental": "probability confidence", "simulation": "seed"},
     "recoverable_sets": {"recoverable": "kind"},
     "goal": {
@@ -83,8 +82,9 @@ NO_DEMAND = {
     "planner": "solver max_linear_programs max_nodes time_limit_s",
     "recoverable": "recourse",
     "schedule": "beam bound_programs",
+    "tracking": "bound weight",
 }
-"""Words for readers, and how plan and schedule are looked for."""
+"""Words for readers, how plan and schedule are looked for, and the norm of the balls."""
 
 
 def listed(tables: Mapping[str, str]) -> list[str]:

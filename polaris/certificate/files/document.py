@@ -243,7 +243,7 @@ class Document:
         boxes = [self.laws[mode].kind == "black_box" for mode in self.modes]
         if boxes != [fit is not None for fit in self.fits] or any(boxes) != bool(self.statement):
             raise ValueError("black boxes, and they alone, must have been fitted to samples")
-        if self.guarantee != "none" and any(boxes) == (self.guarantee == "proved"):
+        if self.guarantee != ("statistical" if any(boxes) else "proved"):
             raise Rejected("guarantee", f"{self.guarantee} is claimed; black boxes fly {sum(boxes)} steps")
         if any(row[-1] < 0 for fit in self.fits for node in fit or () for row in node):
             raise ValueError("bands must not be negative")

@@ -93,7 +93,7 @@ CERTIFICATE = {
     "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},
     "thrust": {"peak": grid("K m"), "profile?": grid("* m")},
     "recoverable": {
-        "kind": Text(("polytope", "time_varying_ball", "ball", "paper_ball")),
+        "kind": Text(("polytope", "ball")),
         "weight": grid("n n"), "radius": grid("K+1", Either((HEX, None))),
     },
     "enclosures": {
@@ -187,17 +187,7 @@ SCHEDULE = {
 REPEATED = "system", "sampling", "controllers"
 """What ``gains.json`` repeats of the certificate, its numbers as decimals."""
 
-GAINS = {
-    "law": TEXT,
-    **every(object, " ".join(REPEATED)),
-    "error_bounds": {
-        "method": TEXT,
-        "weight": MATRIX,
-        "beta_1_s": OPTIONAL,
-        **every(BOUND, "gamma gain gamma_position gain_position"),
-        **every(Rows(BOUND), "gamma_input gain_input"),
-    },
-}
+GAINS = {"law": TEXT, **every(object, " ".join(REPEATED))}
 """``gains.json``."""
 
 FLOWN = {

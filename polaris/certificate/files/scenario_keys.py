@@ -111,7 +111,7 @@ SCENARIO = {
         "weight?": Either((Text(("auto", "identity")), LIMITS)),
     },
     "recoverable?": {
-        "kind?": Text(("polytope", "ball", "time_varying_ball", "paper_ball")),
+        "kind?": Text(("polytope", "ball")),
         "recourse?": Text(("in_view", "none")),
     },
     "goal": Kinds({**_ORBITS, "box": {**_GOAL, "center": VECTOR, "half_widths": OPEN_WIDTHS}}),

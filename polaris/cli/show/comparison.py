@@ -98,16 +98,15 @@ def _row(point: Mapping[str, Any]) -> tuple[str, ...]:
     if point["guarantee"] == "infeasible":
         return f"  {point['folder']}", "infeasible", *[""] * (len(HEADS) - 2)
     proved = point["guarantee"] == "proved"
-    doubt = "statistical" if point["guarantee"] == "statistical" else "not proven"
     until = "for all time" if point["until_s"] is None else f"{point['until_s']:.6g}"
     return (
         f"{'*' if point['non_dominated'] else ' '} {point['folder']}",
         f"{point['share']:.1%}",
         str(point["switches"]),
         *(f"{point[key]:.4g}" for key in ("delta_v_m_s", "delta_v_max_m_s")),
-        directed(point["delta_v_most_m_s"], ".4g", up=True) if proved else doubt,
+        directed(point["delta_v_most_m_s"], ".4g", up=True) if proved else "statistical",
         f"{point['goal_by_s']:.6g}" if point["goal_reached"] is True else "not proven",
-        until if proved else doubt,
+        until if proved else "statistical",
     )
 
 

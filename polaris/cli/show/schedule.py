@@ -85,8 +85,6 @@ def _worst(found: Mapping[str, Any] | None) -> str:
 
 
 def _claim(claim: Mapping[str, Any]) -> str:
-    if claim["kind"] == "none":
-        return "none; this option is not sound, and nothing is proven"
     reach = {
         "infinite": "for all time",
         "one_period": f"until {claim['until_s'] or 0:.6g} s",

@@ -12,7 +12,6 @@ from ...synthesis.safety.get_safety import Safety
 from ...synthesis.schedule.schedule import Schedule
 from ..scene.scene import describe
 from .scene import draw_scene, scene_figure
-from .scene3d import scene_3d_figure
 from .style import WIDTH, keep_ticks, save_all, style
 from .timelines import distance_figure, margin_figure, modes_figure
 
@@ -109,7 +108,6 @@ Figure = Callable[[Any], Any]
 
 FIGURES: Mapping[str, Figure] = {
     "scene": scene_figure,
-    "scene_3d": scene_3d_figure,
     "distance": distance_figure,
     "modes": modes_figure,
     "margin": margin_figure,

@@ -11,10 +11,9 @@ from ...inspection.constraints.allowable_set import allowable
 from ...inspection.flights.simulation import InspectionRun
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..scene.palette import BLACK, BLUE, GREY, LOOKS, RED, SKY, deputy_colour, tint
-from ..scene.unsafe import AXES, ORDER, surroundings
+from ..scene.palette import BLUE, RED, SKY, deputy_colour, tint
+from ..scene.unsafe import AXES
 from .inspection import SAFE, UNSAFE, Panel, draw_chief, shade, shade_thrust, stack, tell, without_legend
-from .scene3d import frame_axes
 from .style import ABOVE, WIDTH, new_figure, step_edges
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)))
@@ -46,29 +45,6 @@ def _passive_and_distance(run: InspectionRun) -> Any:
     upper, lower = figure.subplots(2, 1, height_ratios=(1.4, 1))
     _passive(upper, run)
     _free_distance(lower, run)
-    return figure
-
-
-def _paths_3d(run: InspectionRun) -> Any:
-    """All paths in space about the chief, with the sphere of the keep-in zone."""
-    figure, q = new_figure(3.3), run.inspection
-    figure.set_layout_engine(None)
-    ax = figure.add_axes((0.02, 0.05, 0.88, 0.86), projection="3d", computed_zorder=False)
-    for number, item in enumerate(item for item in surroundings(q) if item.role == "keep"):
-        label = None if number else "keep-in zone"
-        ax.plot(*item.points.T, color=GREY, lw=0.5, ls=(0, (3, 2)), zorder=1, label=label)
-    for i in range(q.deputies):
-        path = run.x[:, i, ORDER].T
-        ax.plot(*path, color=deputy_colour(i), lw=1.0, label=f"deputy {i}", zorder=3)
-        _ends(path, ax, i)
-    ax.plot([0], [0], [0], "*", color=BLACK, ms=5, zorder=4, label=LOOKS["chief"].legend)
-    limit = np.full(3, 0.8 * q.distance_max)
-    frame_axes(ax, [f"{AXES[k]} (m)" for k in ORDER], -limit, limit)
-    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-        axis.set_ticks([-0.5 * q.distance_max, 0, 0.5 * q.distance_max])
-    ax.set_box_aspect((1, 1, 1))
-    ax.view_init(elev=22, azim=-52)
-    figure.legend(*ax.get_legend_handles_labels(), loc="upper left", ncols=3)
     return figure
 
 
@@ -236,6 +212,5 @@ FIGURES: dict[str, Callable[[InspectionRun], Any]] = {
     "passive": _passive_and_distance,
     "thrust": stack(3.9, *(partial(_thrust, k) for k in range(3))),
     "delta_v": stack(2.4, _spent),
-    "paths_3d": _paths_3d,
 }
 """Figures of a flight."""

@@ -30,15 +30,14 @@ CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; e
 
 
 def name(ax: Any, text: str, points: Any, colour: Any) -> None:
-    """Write a name at what has these points (N, dim), in the units of the axes."""
+    """Write a name at what has these points (N, 2), in the units of the axes."""
     labels = next((one for one in ax.artists if isinstance(one, Labels)), None)
     if labels is None:
         labels = ax.add_artist(Labels(zorder=7.9))
         labels.set_in_layout(False)
         labels.set_clip_on(False)
     where, look = (0.5, 0.5), {"ha": "center", "va": "center", "fontsize": 7, "zorder": 8}
-    write = ax.text2D if ax.name == "3d" else ax.text
-    drawn = write(*where, text, color=colour, transform=ax.transAxes, **look)
+    drawn = ax.text(*where, text, color=colour, transform=ax.transAxes, **look)
     drawn.set_in_layout(False)
     drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
     labels.known.append(_Label(drawn, np.atleast_2d(np.asarray(points, dtype=float))))
@@ -46,7 +45,7 @@ def name(ax: Any, text: str, points: Any, colour: Any) -> None:
 
 @dataclass(eq=False)
 class _Label:
-    """A text and the points (N, dim) that it names."""
+    """A text and the points (N, 2) that it names."""
 
     text: Any
     points: Array
@@ -115,7 +114,7 @@ class Labels(Artist):
         texts = [one.text.get_text() for one in self.known]
         size = np.round(ax.bbox.size / ax.figure.dpi, 4).tolist()
         key = (size, ax.get_xlim(), ax.get_ylim(), texts)  # the same places in each format
-        if ax.name == "3d" or key != self._placed:
+        if key != self._placed:
             self._place(renderer)
             self._placed = key
         lines, colours = [line for line, _ in self._leaders], [colour for _, colour in self._leaders]
@@ -126,8 +125,7 @@ class Labels(Artist):
     def _place(self, renderer: Any) -> None:
         ax: Any = self.axes
         point = renderer.points_to_pixels(1.0)
-        frame = ax.figure.bbox if ax.name == "3d" else ax.bbox
-        low, high = np.array([frame.x0, frame.y0]) + point, np.array([frame.x1, frame.y1]) - point
+        low, high = ax.bbox.min + point, ax.bbox.max - point
         room = _Map.of(low, high, CELL * point, _drawn(ax, CELL * point, point))
         room.taken += [
             np.array(one.extents) for one in _texts(ax, renderer, {label.text for label in self.known})
@@ -187,12 +185,7 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
 
 
 def _display(ax: Any, points: Array) -> Array:
-    """Points (N, dim) of axes in pixels, points along the outline that they make in the plane."""
-    if ax.name == "3d":
-        from mpl_toolkits.mplot3d import proj3d
-
-        found = np.column_stack(proj3d.proj_transform(*points.T, ax.get_proj())[:2])
-        return np.asarray(ax.transData.transform(found[np.isfinite(found).all(axis=1)]))
+    """Return points [px] along the outline that points (N, 2) of axes make."""
     points = ax.transData.transform(points)
     s = np.linspace(0, 1, max(2, 200 // len(points)))[:-1, None, None]
     return np.asarray(((1 - s) * points + s * np.roll(points, -1, axis=0)).transpose(1, 0, 2).reshape(-1, 2))
@@ -240,10 +233,6 @@ def _parts(path: Path) -> list[Array]:
 
 
 def _texts(ax: Any, renderer: Any, own: set[Any]) -> list[Any]:
-    """Extents [px] of the texts that others have written in axes; in space also of ticks and labels."""
-    texts = [text for text in ax.texts if text not in own]
-    if ax.name == "3d":
-        axes = (ax.xaxis, ax.yaxis, ax.zaxis)
-        texts += [text for axis in axes for text in (axis.label, *(tick.label1 for tick in axis.majorTicks))]
-    found = [text.get_window_extent(renderer) for text in texts if text.get_visible() and text.get_text()]
-    return found + [legend.get_window_extent(renderer) for legend in ax.figure.legends if ax.name == "3d"]
+    """Extents [px] of the texts that others have written in axes."""
+    texts = [text for text in ax.texts if text not in own and text.get_visible() and text.get_text()]
+    return [text.get_window_extent(renderer) for text in texts]

@@ -57,19 +57,19 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
     The legend also has the handles of others, each name once.
     """
     view = View(scene)
-    if scene.time_axis is None:
+    if not scene.over_time:
         ax.set_aspect("equal")
     ax.set(xlim=view.span[0], ylim=view.span[1], xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
     found = [handle for draw in drawers for handle in draw(ax, scene, view)]
     for item in scene.of("initial"):
-        if scene.time_axis is None:
+        if not scene.over_time:
             _outline(ax, item.points, 0.6, "-", BLACK, 5)
         else:
             ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
     found += draw_unsafe(ax, scene, view, lettered)
-    slices = scene.picture.printed_slices() if scene.time_axis is None else ()
+    slices = scene.picture.printed_slices() if not scene.over_time else ()
     for one in sorted(
         slices, key=lambda one: float(np.prod(np.ptp(one.outline, axis=0)))
     ):  # least room first
@@ -90,7 +90,7 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
 def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
     """Recoverable sets at the hand-overs, with the chaser in them, rimmed in the colour of who takes over."""
     look, slices, printed = LOOKS["slice"], scene.picture.slices, list(scene.picture.printed_slices())
-    if slices is not None and scene.time_axis == 0:
+    if slices is not None and scene.over_time:
         ends = slices.outlines[:, 0, :, 0]
         low, high = ends.min(axis=1), ends.max(axis=1)
         colour, edge = tint(look.colour, 0.6), tint(look.colour, 0.6)
@@ -104,7 +104,7 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
     for one in printed:
         rim, when = edge if one.mode is None else mode_colour(one.mode), np.array([one.time])
         outline = one.outline
-        if scene.time_axis == 0:
+        if scene.over_time:
             outline = np.column_stack([np.repeat(when, len(outline)), outline])
         _outline(ax, outline, 0.35 if one.mode is None else 0.7, "-", rim, 1.1)
         at = scene.placed(one.place[None], when)
@@ -130,7 +130,7 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
             patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
             ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
             size = np.ptp(chosen, axis=1) / view.inch(ax)
-            wide = int(np.sum((size[:, 1] if scene.time_axis == 0 else size.min(axis=1)) > 4 / 72))
+            wide = int(np.sum((size[:, 1] if scene.over_time else size.min(axis=1)) > 4 / 72))
             if wide:  # else hidden under the path
                 seen[wide] = Patch(facecolor=colour, label=LOOKS["tube"].legend)
     return [seen[max(seen)]] if seen else []
@@ -138,7 +138,7 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
 
 def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
     """The goal as far as it is in view, on the line if it all is; a handle if it is."""
-    over = scene.time_axis == 0
+    over = scene.over_time
     handles: list[Any] = []
     line: dict[str, Any] = {"color": GREEN, "lw": 3 if over else 0.7, "ls": "-" if over else GOAL_DASHES}
     star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
@@ -187,7 +187,7 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     for mode in draw_safe_path(ax, picture, flown):
         name = f"under {picture.mode_name(mode)}"
         handles.append(Line2D([], [], color=mode_colour(mode), lw=1.5, label=name))
-    if scene.time_axis is None:
+    if not scene.over_time:
         for text, marker, place in (("start", "o", flown[0]), ("end", "s", flown[-1])):
             ax.plot(*place, marker=marker, color=BLACK, ms=2.6, zorder=6)
             view.label(ax, text, place[None], BLACK)
@@ -198,7 +198,7 @@ def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> li
     """Draw every unsafe set and keep-in set with its name; a handle of covers, if there are any."""
     cover = False
     for item in scene.items:
-        if item.role == "unsafe" and scene.time_axis == 0:
+        if item.role == "unsafe" and scene.over_time:
             _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
             for mark in item.marks:
                 view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)

@@ -29,7 +29,7 @@ from .page import (
     table,
     text_cell,
 )
-from .run_report import NOTE, guarantee, loud
+from .run_report import NOTE, guarantee
 from .timelines import Flown, flight_data
 
 FIRST = 4  # methods that are shown at first; the others can be chosen
@@ -43,11 +43,8 @@ def comparison_page(folder: RunFolder) -> Page:
     picture: ComparisonPicture = folder.picture()
     found, summary = picture.table, picture.run.summary
     methods, claim = found["methods"], summary["guarantee"]
-    recoverable, scenario = str(summary["synthesis"]["recoverable"]), found["scenario"]
     lead = Markup("<p>{} methods flown under the same conditions. Scenario <code>{}</code>.</p>")
-    lead = lead.format(len(methods), scenario)
-    if claim["kind"] != "proved":
-        lead += loud(recoverable)
+    lead = lead.format(len(methods), found["scenario"])
     names = {method["key"]: str(method["name"]) for method in methods}
     return Page(
         f"{found['title']}: comparison",
@@ -57,7 +54,7 @@ def comparison_page(folder: RunFolder) -> Page:
             ("claims", "What each method claims", _claims(methods)),
             ("paired", "Differences, run by run", _paired(found["paired"], names)),
             ("decisions", "Decisions of the run shown", _decisions(folder.path / "decisions.jsonl", names)),
-            ("guarantee", "The guarantee of the schedule", guarantee(claim, recoverable)),
+            ("guarantee", "The guarantee of the schedule", guarantee(claim)),
             reading(found, NOTE),
         ),
         comparison_data(picture, claim["kind"] == "proved"),

@@ -33,7 +33,7 @@ SLICE = (
 def run_page(folder: RunFolder) -> Page:
     """The report of a run folder."""
     summary = folder.summary
-    claim, recoverable = summary["guarantee"], str(summary["synthesis"]["recoverable"])
+    claim = summary["guarantee"]
     proved = claim["kind"] == "proved"
     picture = folder.picture()
     flown = [
@@ -47,10 +47,10 @@ def run_page(folder: RunFolder) -> Page:
     ]
     return Page(
         str(summary["title"]),
-        (loud(recoverable) if claim["kind"] == "none" else Markup()) + answers(summary, picture),
+        answers(summary, picture),
         (
             ("numbers", "Metrics", metrics(summary)),
-            ("guarantee", "The guarantee", guarantee(claim, recoverable) + aborts(claim)),
+            ("guarantee", "The guarantee", guarantee(claim) + aborts(claim)),
             ("synthesis", "Synthesis", synthesis(summary)),
             reading(summary, f"{NOTE} {SLICE}"),
         ),
@@ -146,13 +146,13 @@ def reach(claim: Mapping[str, Any]) -> str:
     return "up to the end of the schedule only"
 
 
-def guarantee(claim: Mapping[str, Any], recoverable: str) -> Markup:
+def guarantee(claim: Mapping[str, Any]) -> Markup:
     """The section of an ordinary run folder, from ``summary.json``."""
     goal, arrives = claim["goal"], None
     if goal["reached"] is True:
         arrives = {"distance": _most(goal, "distance_m"), "delta_v": _most(goal, "delta_v_max_m_s")}
         arrives["by"] = _time(goal["by_s"])
-    told = claim, recoverable, badge(claim["kind"]), reach(claim), arrives, besides(claim)
+    told = claim, badge(claim["kind"]), reach(claim), arrives, besides(claim)
     return Markup(macros("run.html").guarantee(*told))
 
 
@@ -171,8 +171,3 @@ def aborts(claim: Mapping[str, Any]) -> Markup:
         rows.append([Cell(text) for text in (*cells, told)])
     heads = ["in steps", "leaves the reference", "on the orbit by", "velocity change at most, or why not"]
     return table("Abort with thrust", heads, rows) if rows else Markup()
-
-
-def loud(recoverable: str) -> Markup:
-    """Return the warning that nothing is proven."""
-    return Markup(macros("run.html").loud(recoverable))

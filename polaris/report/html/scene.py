@@ -55,7 +55,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
     """A scene: ``space`` (2 or 3 axes), ``equal`` (one scale serves all), ``axes``, ``range``, ``layers``."""
     return {
         "space": len(scene.labels),
-        "equal": scene.time_axis is None,
+        "equal": not scene.over_time,
         "axes": list(scene.labels),
         "range": plain(np.stack([scene.low, scene.high], axis=1)),
         "layers": [*_slices(scene), *(layer(item) for item in scene.items if item.shape is not None)],
@@ -97,7 +97,7 @@ def _slices(scene: Scene) -> list[Layer]:
     if slices is None or "polaris" not in scene.picture.flights:
         return []
     outlines, places = slices.outlines, slices.places[..., scene.axes]
-    if scene.time_axis == 0:
+    if scene.over_time:
         along = np.broadcast_to(slices.times[:, None, None, None], outlines.shape)
         outlines = np.concatenate([along, outlines], axis=-1)
         places = np.concatenate([along[:, :, 0], places], axis=-1)

@@ -69,9 +69,9 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Drawing of a picture in two or three axes, from `low` to `high` (dim,) [m], along time [s].
+    """Drawing of a picture in two or three axes, from `low` to `high` (dim,) [m].
 
-    `time_axis` is the first axis for motion on a line, the last one for a plane seen in space.
+    Motion on a line is drawn `over_time`: the first axis is time [s].
     """
 
     picture: Picture
@@ -80,17 +80,16 @@ class Scene:
     low: Array
     high: Array
     items: tuple[Item, ...] = ()
-    time_axis: int | None = None
+    over_time: bool = False
     closeups: tuple[CloseUp, ...] = ()
 
     def placed(self, positions: Array, times: Array) -> Array:
         """Positions (..., N, d) at times (N,) in the axes of the scene, shape (..., N, dim)."""
         shown = positions[..., self.axes]
-        if self.time_axis is None:
+        if not self.over_time:
             return shown
         along = np.broadcast_to(times[:, None], (*shown.shape[:-1], 1))
-        parts = [along, shown] if self.time_axis == 0 else [shown, along]
-        return np.concatenate(parts, axis=-1)
+        return np.concatenate([along, shown], axis=-1)
 
     def flown(self, key: str) -> Array | None:
         """The first run of a pilot, shape (N, dim); None if there is none."""

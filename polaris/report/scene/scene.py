@@ -17,7 +17,7 @@ from . import geometry
 from .geometry import Shape, flat_outline
 from .items import Item, Mark, Scene, closeups, is_flat
 from .space import Space
-from .unsafe import prisms, unsafe_items
+from .unsafe import unsafe_items
 
 MOST_FRAMES = (1, 960, 240)
 """Most sets of a tube that are drawn on the line (one per step), in the plane and in space."""
@@ -53,21 +53,11 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
     return Scene(picture, axes, labels, low, high, tuple(items), closeups=tuple(found))
 
 
-def over_time(picture: Picture) -> Scene:
-    """The scene of motion in the plane with time as the third axis."""
-    axes, space, end = picture.frame.flat, Space.of(picture), picture.duration
-    low, high = np.append(space.low[axes], 0.0), np.append(space.high[axes], end)
-    scene = Scene(picture, axes, (*picture.frame.labels, "Time (s)"), low, high, time_axis=2)
-    goal = [Item("goal", (_part(part, axes, end),)) for part in space.goal()]
-    way = scene.placed(picture.path()[0], picture.path_times())
-    return replace(scene, items=(*goal, _line("reference", way), *prisms(space)))
-
-
 def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
     """The scene of a system that moves on a line: position over time."""
     space, end = Stretch.of(picture, paths), picture.duration
     low, high = np.array([0.0, space.low]), np.array([end, space.high])
-    scene = Scene(picture, [0], ("Time (s)", picture.frame.labels[0]), low, high, time_axis=0)
+    scene = Scene(picture, [0], ("Time (s)", picture.frame.labels[0]), low, high, over_time=True)
     start = picture.initial_positions
     reach = float(np.abs(start.G).sum())
     goal = np.array([[end, value] for value in space.goal()])
@@ -110,16 +100,15 @@ def _goal(space: Space, axes: list[int]) -> list[Item]:
     return found
 
 
-def _part(part: Shape, axes: list[int], at: float | None = None) -> Shape | None:
-    """One part of the goal; in the plane perhaps at some height, the time."""
+def _part(part: Shape, axes: list[int]) -> Shape | None:
+    """Return one part of the goal in the axes of a scene."""
     points = part.points[:, axes]
     kind = part.kind
     if np.all(np.ptp(points, axis=0) == 0):  # a line seen end on, too
         kind, points = "points", points[:1]
     if kind == "area" and len(axes) == 3:
         return geometry.hull(points)
-    points = flat_outline(points) if kind == "area" else points
-    return Shape(kind, points if at is None else np.column_stack([points, np.full(len(points), at)]))
+    return Shape(kind, flat_outline(points) if kind == "area" else points)
 
 
 def _tube(picture: Picture, axes: list[int]) -> list[Item]:

@@ -1,4 +1,4 @@
-"""Unsafe and keep-in sets in a scene: in the plane, in space, in the plane over time, and about a chief."""
+"""Unsafe and keep-in sets in a scene: in the plane, in space, and about a chief."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,8 +24,6 @@ PATH = 121  # instants between which a moving set is carried evenly
 APART = 2.2
 """A moving set is marked before and after the closest approach where it has moved so many times its width."""
 
-PRISMS = 5  # instants between which a set that moves in the plane is a prism along the axis of time
-
 
 def unsafe_items(space: Space, axes: list[int], found: Sequence[CloseUp]) -> list[Item]:
     """All unsafe sets of a scene by its axes and close-ups; unbounded ones are cut."""
@@ -46,8 +44,10 @@ def _body(obstacle: Obstacle, space: Space, axes: list[int], found: Sequence[Clo
     shown = space.wider(1.0) if len(axes) == 2 else space
     passages = tuple(i for i, one in enumerate(found) if one.obstacle is obstacle)
     moving, cut = moves(obstacle, space.picture), not obstacle.drawn.bounded
-    chosen = [found[i].time for i in passages] or instants(obstacle, space)
-    marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
+    marks: tuple[Mark, ...] = ()
+    if len(axes) == 2:
+        chosen = [found[i].time for i in passages] or instants(obstacle, space)
+        marks = _marks(obstacle, shown, axes, chosen if moving else chosen[:1], moving)
     shapes: tuple[Shape | None, ...] = (_at(obstacle, shown, axes, 0.0),)
     motion: dict[str, Any] = {}
     if moving:
@@ -75,14 +75,14 @@ def _at(obstacle: Obstacle, space: Space, axes: list[int], t: float) -> Shape | 
 def _marks(
     obstacle: Obstacle, space: Space, axes: list[int], times: list[float], moving: bool
 ) -> tuple[Mark, ...]:
-    """The set at some instants, the most important one first, and where the chaser then is."""
+    """Return the set in the plane at some instants, the most important one first, and the chaser then."""
     known, path = space.picture.safe_path()
     found = []
     for order, t in enumerate(times):
         shape = _at(obstacle, space, axes, t)
         if shape is None:
             continue
-        cover = space.cover(obstacle, t) if order == 0 and len(axes) == 2 else None
+        cover = space.cover(obstacle, t) if order == 0 else None
         rim = None if cover is None else flat_outline(cover[:, axes])
         place = path[int(np.argmin(np.abs(known - t)))][axes]
         place = place if moving and t not in space.picture.hand_overs else None  # a slice has it
@@ -132,13 +132,10 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
     found = [Item("keep_in", (surface.along(axes),), name)] if surface else []
     within = boxed(inside.H, inside.b, space.low, space.high)
     lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
-    return found + _sides(obstacle, lines[~on_box(lines, space.low, space.high)][..., axes])
-
-
-def _sides(obstacle: KeepIn, lines: Array) -> list[Item]:
-    """Lines (L, 2, 3) along what the chaser must stay inside, if there are any."""
-    shape = Shape("line", gapped(lines, 3))
-    return [Item("sides", (shape,), f"{obstacle.name}: its sides")] if len(lines) else []
+    lines = lines[~on_box(lines, space.low, space.high)][..., axes]
+    if len(lines):
+        found.append(Item("sides", (Shape("line", gapped(lines, 3)),), f"{obstacle.name}: its sides"))
+    return found
 
 
 def _edges(corners: Array) -> Array:
@@ -171,29 +168,6 @@ def _cover(normals: Array, support: Array, axes: list[int]) -> Shape | None:
     if solid is None or len(axes) == 3:
         return solid and solid.along(axes)
     return Shape("area", flat_outline(solid.points[:, axes]))
-
-
-def prisms(space: Space) -> list[Item]:
-    """Return the prisms that sets in the plane sweep between instants, with time as third axis."""
-    picture, axes = space.picture, space.picture.frame.flat
-    low, high = space.low[axes], space.high[axes]
-    found: list[Item] = []
-    for obstacle in picture.obstacles:
-        ends = np.linspace(0, picture.duration, PRISMS if moves(obstacle, picture) else 2)
-        outlines = [space.wider(1.0).outline(obstacle, float(t), axes) for t in ends]
-        levels = [
-            np.column_stack([np.clip(one, low, high), np.full(len(one), t)])
-            for one, t in zip(outlines, ends, strict=True)
-        ]
-        pairs = [np.vstack(pair) for pair in zip(levels[:-1], levels[1:], strict=True)]
-        if isinstance(obstacle, KeepIn):
-            found += _sides(obstacle, _edges(pairs[0]))
-            continue
-        marks = [Mark(one) for one in map(hull, pairs) if one]
-        if marks:
-            cut = not obstacle.drawn.bounded
-            found.append(Item("unsafe", (marks[-1].shape,), obstacle.name, marks=tuple(marks[::-1]), cut=cut))
-    return found
 
 
 def surroundings(q: Inspection) -> list[Item]:

@@ -28,10 +28,9 @@ class Tracking(ScenarioPart):
 class Recoverable(ScenarioPart):
     """From where the safety controller still saves the day (Definition 1)."""
 
-    kind: Literal["polytope", "ball", "time_varying_ball", "paper_ball"] = unit("-", default="polytope")
-    """`polytope`: facets of the plan carried back in time, exact for them. `time_varying_ball`: eq. 12 with
-    the clearance still ahead. `ball`: eqs. 11-12 in the weighted norm, thrust limits included. `paper_ball`:
-    as printed, without thrust limits; UNSOUND, for comparison only, never a guarantee."""
+    kind: Literal["polytope", "ball"] = unit("-", default="polytope")
+    """`polytope`: facets of the plan carried back in time, exact for them. `ball`: eqs. 11-12 in the weighted
+    norm with the clearance still ahead, thrust limits included."""
     recourse: Literal["in_view", "none"] = unit("-", default="in_view")
     """`in_view`: the safe reference may be planned along the path of an experimental controller, so that the
     safety controller acts only where it must. `none`: the one of the printed Algorithm 1."""

@@ -147,8 +147,8 @@ class Attempts:
         return self.end.proven
 
     def require_start(self, recoverable: RecoverableSet) -> None:
-        """Refuse an initial set that is not inside the first recoverable set, unless nothing is claimed."""
-        if not self.margin.inside and recoverable.guarantee == "proved":
+        """Refuse an initial set that is not inside the first recoverable set."""
+        if not self.margin.inside:
             raise SynthesisInfeasible(
                 f"the initial set is not inside the first recoverable set ({recoverable.kind}): "
                 f"{self.margin}.",

@@ -1,4 +1,4 @@
-"""Recoverable balls, constant and time-varying (section III-B, corrected)."""
+"""Recoverable balls, time-varying (section III-B, corrected)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,19 +20,13 @@ from .recoverable import Margin, left
 class BallSets:
     """Balls ``norm(W e) <= r`` about the reference (eqs. 11 and 12; theory items 2, 5, 6, 7).
 
-    `ball` has one radius, from the smallest room over all time; `time_varying_ball` weighs the
-    room at every later time by what is left of the error by then; `paper_ball` is eq. 12 as
-    printed, without the thrust limits: it is not sound and carries no guarantee.
+    The radius weighs the room at every later time by what is left of the error by then. The least radius is
+    that of the constant ball, from the smallest room over all time.
     """
 
     clearance: Clearance
     bounds: ErrorBounds
-    kind: str
-
-    @property
-    def guarantee(self) -> str:
-        """``proved`` for the two sound kinds."""
-        return "none" if self.kind == "paper_ball" else "proved"
+    kind: str = "ball"
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array, Array, list[str]]:
@@ -46,12 +40,11 @@ class BallSets:
         names = [u.name for u in c.unsafe]
         rows, index = c.obstacle_rows
         round_off = (c.round_off(rows) + c.tracking.upset(rows)[-1])[index]
-        if self.kind != "paper_ball":
-            room = np.hstack([room, np.repeat(np.minimum(*c.thrust), c.q, axis=0)])
-            gamma, gain = np.append(gamma, b.gamma_input), np.append(gain, b.gain_input)
-            names += c.tracking.system.input_names
-            inputs = c.round_off(c.tracking.gain) + c.tracking.upset(c.tracking.gain)[-1]
-            round_off = np.hstack([round_off, np.broadcast_to(inputs, (c.cells, len(inputs)))])
+        room = np.hstack([room, np.repeat(np.minimum(*c.thrust), c.q, axis=0)])
+        gamma, gain = np.append(gamma, b.gamma_input), np.append(gain, b.gain_input)
+        names += c.tracking.system.input_names
+        inputs = c.round_off(c.tracking.gain) + c.tracking.upset(c.tracking.gain)[-1]
+        round_off = np.hstack([round_off, np.broadcast_to(inputs, (c.cells, len(inputs)))])
         return room, gamma, gain * w + np.repeat(round_off, c.q, axis=0), names
 
     @cached_property
@@ -73,8 +66,6 @@ class BallSets:
         """Radius for every period."""
         least = self.limits.min(axis=1)
         count = len(least)
-        if self.kind != "time_varying_ball":
-            return np.full(count, least.min())
         decayed = self._decayed(count)
         later = (least[i:] * np.where(least[i:] > 0, decayed[: count - i], 1.0) for i in range(count))
         return np.array([each.min() for each in later])
@@ -90,16 +81,13 @@ class BallSets:
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
         room, gamma, disturbance, names = self._rooms
-        first = period if self.kind == "time_varying_ball" else 0  # the others know one ball for all time
-        jump = np.repeat(np.hstack(self.clearance.jumps), self.clearance.q, axis=0)[first:, : len(names)]
-        room = room[first:] + jump
-        size = np.full(len(room), norm)
-        if self.kind == "time_varying_ball":
-            size /= self._decayed(len(room))
-        need = (gamma * size[:, None] + disturbance[first:]) * (1 + 2 * ROUNDING) + jump
+        jump = np.repeat(np.hstack(self.clearance.jumps), self.clearance.q, axis=0)[period:]
+        room = room[period:] + jump
+        size = norm / self._decayed(len(room))
+        need = (gamma * size[:, None] + disturbance[period:]) * (1 + 2 * ROUNDING) + jump
         share = left(need, room)
         j, limit = np.unravel_index(int(np.argmin(share)), share.shape)
-        time = float((first + j) * self.clearance.tracking.flow.h)
+        time = float((period + j) * self.clearance.tracking.flow.h)
         return Margin(
             float(share[j, limit]), names[limit], time, float(need[j, limit]), float(room[j, limit])
         )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from reach.brief import brief
 from reach.sets.zonotope import Zonotope
 
-from ...model.errors import NotCertified, ScenarioError, SynthesisInfeasible
+from ...model.errors import NotCertified, SynthesisInfeasible
 from ...model.timing import Transient
 from ...planning.problem import Plan
 from ...planning.reference import Reference
@@ -88,11 +88,6 @@ class Safety:
         if problem.abort is None:
             return None
         return FreeFlight(problem.abort, problem.system, sets, problem.delta)
-
-    @property
-    def guarantee(self) -> str:
-        """``proved``, or ``none`` for an option labelled unsound."""
-        return self.recoverable.guarantee
 
     def under(self, faults: tuple[Transient, ...]) -> RecoverableSet:
         """The recoverable sets along the same reference if these faults alone were isolated late."""
@@ -217,11 +212,8 @@ def _proven(problem: Problem, tracking: Tracking, bounds: ErrorBounds, attempts:
 
 def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> RecoverableSet:
     """Build the recoverable sets of one kind (the paper's GetRecover, line 9)."""
-    if not clearance.unsafe and kind == "paper_ball":
-        rule = "has nothing to keep clear of: there are no unsafe sets"
-        raise ScenarioError("recoverable.kind", kind, rule)
     if kind == "polytope":
         return PolytopeSets(clearance)
-    if kind in ("ball", "time_varying_ball", "paper_ball"):
-        return BallSets(clearance, bounds, kind)
+    if kind == "ball":
+        return BallSets(clearance, bounds)
     raise ValueError(f"unknown kind of recoverable set: {kind}")

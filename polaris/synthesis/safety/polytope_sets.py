@@ -29,7 +29,6 @@ class PolytopeSets:
 
     clearance: Clearance
     kind: str = "polytope"
-    guarantee: str = "proved"
 
     @cached_property
     def carried(self) -> tuple[Array, Array, Array, Array]:

@@ -22,7 +22,7 @@ from ..tracker.feedback import Feedback, choose_feedback
 from ..tracker.lqr import lqr_gain
 from .passive import Abort
 
-RECOVERABLE_KINDS = ("polytope", "time_varying_ball", "ball", "paper_ball")
+RECOVERABLE_KINDS = ("polytope", "ball")
 
 RECOURSE = ("in_view", "none")
 
@@ -65,7 +65,7 @@ class Problem:
         `polaris.synthesis.schedule.arrival.Arrival` says.
     goal_velocity_tolerance : float or None
         Velocity [m/s] that counts as `goal_tolerance` does, which it needs; None for what `Arrival` says.
-    recoverable : {"polytope", "time_varying_ball", "ball", "paper_ball"}
+    recoverable : {"polytope", "ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
     recourse : {"none", "in_view"}
         Whether `synthesize` may plan the reference with the experimental controllers in view; with ``none``

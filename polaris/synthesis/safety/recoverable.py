@@ -1,7 +1,7 @@
 """Recoverable sets (Definition 1): from which errors the safety controller stays safe to the end.
 
-Three kinds behind one interface, from the paper's to the least conservative. All include "S does
-not saturate from here to the end" (theory item 7), and all hold for the whole of every period.
+Two kinds behind one interface: the paper's balls, corrected, and the less conservative polytopes. Both
+include "S does not saturate from here to the end" (theory item 7) and hold for the whole of every period.
 """
 
 from dataclasses import dataclass
@@ -55,12 +55,7 @@ class RecoverableSet(Protocol):
 
     @property
     def kind(self) -> str:
-        """``polytope``, ``time_varying_ball``, ``ball`` or ``paper_ball``."""
-        ...
-
-    @property
-    def guarantee(self) -> str:
-        """``proved``, or ``none`` for the option that is not sound."""
+        """``polytope`` or ``ball``."""
         ...
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:

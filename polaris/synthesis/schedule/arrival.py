@@ -115,7 +115,7 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
     size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
     most = distance(goal, beyond + need + size)
     tolerance = tolerated(safety, rows)
-    within = np.flatnonzero(most <= tolerance) if safety.guarantee == "proved" else np.zeros(0, dtype=int)
+    within = np.flatnonzero(most <= tolerance)
     best = int(within[0]) if len(within) else int(np.argmin(most))
     near = bool(np.min(distance(goal, beyond + centre)) <= tolerance)
     return Arrival(

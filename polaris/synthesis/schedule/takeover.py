@@ -137,7 +137,7 @@ class Branch:
         last = reference.cells
         if within is not None:
             last = min(last, taken.k + int(within / safety.problem.delta * (1 + ROUNDING)))
-        if last < K or safety.guarantee != "proved":
+        if last < K:
             return None, np.inf
         states = reference.chi[K : last + 1]
         need, q = taken.over(tracking, rows, last + 1)[1][K:], safety.clearance.q
