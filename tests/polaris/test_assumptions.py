@@ -80,7 +80,7 @@ def test_screen_and_report_say_all_of_them(capsys):
         **SCHEDULE.tell(scenario, FlownSchedule(schedule, flown()), {"total": 1.0}),
     }
     show_summary(result, "folder")
-    screen, page = capsys.readouterr().out, told_in_report(result["guarantee"], "polytope")
+    screen, page = capsys.readouterr().out, told_in_report(result["guarantee"])
     for line in schedule.assumptions:
         assert f"  - {line}\n" in screen
         assert line.replace("'", "&#39;").replace("<", "&lt;") in page or line in page
