@@ -1,6 +1,6 @@
 """Write the scenario formats' JSON Schemas, and the tables of their reference page, from the models.
 
-Run ``python -m docs.generate.scenario_docs`` after a change to the models; a test compares the files.
+The page is committed, and a test compares it with the models; the schemas are made when pages are built.
 """
 
 from __future__ import annotations
