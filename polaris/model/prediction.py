@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from reach.numerics.errors import ReachError
-from reach.numerics.linear import discretize, powers
+from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
 from .errors import ScenarioError
@@ -254,9 +254,7 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     h, exact = period or 0.0, system.thrusters
     bit, moved = jitter_error(system, timing.jitter, h)
     if timing.carried:
-        held = discretize(np.abs(system.A), np.abs(system.B), h)[1].sum(axis=1) / h
-        held = held + exact.along * np.abs(system.B).sum(axis=1)
-        moved = moved + held * timing.carried * (1 + ROUNDED)
+        moved = moved + replace(system, timing=replace(timing, period=h)).carried_away
     away = moved
     if timing.fired:
         bit, within = pulse_error(system, np.array(timing.fired), h)

@@ -185,6 +185,15 @@ class LinearSystem:
         wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
         return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
 
+    @cached_property
+    def carried_away(self) -> Array:
+        """How far impulses that are carried, and errors of them, displace states at most, shape (n,)."""
+        if not self.timing.carried:
+            return np.zeros(self.n)
+        held = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period
+        away = held.sum(axis=1) + self.thrusters.along * np.abs(self.B).sum(axis=1)
+        return np.asarray(away * self.timing.carried * (1 + 1e-9))
+
     @property
     def prompt(self) -> LinearSystem:
         """The same system if commands took effect at once: with the errors of measurements."""

@@ -29,7 +29,7 @@ from ..synthesis.controllers.black_box import BlackBox
 from ..synthesis.controllers.controllers import AffineController, Controller, TubeSegment
 from ..synthesis.controllers.neural import NeuralController
 from ..synthesis.safety.clearance import error_tube
-from ..synthesis.safety.demand import command_errors
+from ..synthesis.safety.demand import command_noise
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.safety.passive import Drift, clear
 from ..synthesis.schedule.schedule import Schedule
@@ -245,14 +245,14 @@ def _bounds(safety: Safety) -> dict[str, Any]:
     """S's error from the initial set along positions and gain rows, and its largest command."""
     tracking, K, q = safety.tracking, safety.problem.K, safety.clearance.q
     profile = tracking.profile
-    C, gain = tracking.system.position, tracking.gain
-    rows = np.vstack([C, -C, gain, -gain])
+    C = tracking.system.position
+    rows = np.vstack([tracking.whole(np.vstack([C, -C])), tracking.commands])
     scheduled = safety.clearance.scheduled(rows).max(axis=1)
-    scheduled[:, : 2 * len(C)] += np.abs(rows[: 2 * len(C)]) @ tracking.system.displaced  # commands are not
+    scheduled[:, : 2 * len(C)] += np.abs(np.vstack([C, C])) @ tracking.system.displaced  # commands are not
     tube = error_tube(tracking, safety.start, rows).over_cells(K, q) + scheduled[:K]
     below, above = np.split(tube[:, 2 * len(C) :], 2, axis=1)
     nu = safety.reference.nu[:K]
-    peak = np.maximum(above + nu, below - nu) + command_errors(tracking.system, gain, K, K)
+    peak = np.maximum(above + nu, below - nu) + command_noise(tracking, K, K)
     return {
         "error_bounds": {"per_step": tube, "settled": tracking.disturbance(rows)[-1] + scheduled[-1]},
         "thrust": {"peak": peak * (1 + ROUNDING)} | ({} if profile is None else {"profile": profile}),

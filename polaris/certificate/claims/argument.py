@@ -12,11 +12,11 @@ from ..kernel.balls import above, absolute, column, identity, largest, magnitude
 from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import Merging, Zonotope, widest
 from ..model.bodies import Whereabouts
+from ..model.craft_states import craft_of
 from ..model.limits import Barrier, Limits
 from ..model.loop import Memory, Needs
 from ..model.plants import plant_of, within_limits
 from ..model.scheduled import Scheduled
-from ..model.timing import measured_error
 from ..model.transients import lost, misled, moved, upset
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path, prolonged
@@ -64,11 +64,7 @@ class Argument:
         given = self.plant, document.slopes, document.fits
         self.pilots = [Pilot(law, *given, Whereabouts.of(document, law, self.plant)) for law in document.laws]
         self.gain = self.pilots[0].gain
-        known = replace(self.plant, estimate=tuple(document.calmest))
-        self.noise = known.command_error(self.gain)
-        # Where there is a profile, what commands cause is booked with it.
-        always = measured_error(known, self.gain) if document.profile else self.noise
-        self.loop = self.plant.loop(self.gain, [x + self.plant.bit for x in always])
+        self.craft = craft_of(document, self.plant, self.gain)
         networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
         self.upsets = moved(document, self.plant, networks)
 
@@ -108,18 +104,18 @@ class Argument:
         self.flown = flown
         self.enclosures(sets, flown)
         profile = [[arb(x) for x in most] for most in self.document.profile]
-        memory = Memory.of(self.loop, widest(sets, self.upsets), self.document.q, profile)
+        memory = Memory.of(self.craft, widest(sets, self.upsets), self.document.q, profile)
         further, chosen = prolonged(self.document, path, memory)
         scheduled = None
         if profile or self.document.error_by_step:
-            scheduled = Scheduled(self.document, self.loop, memory, further, self.gain)
+            scheduled = Scheduled(self.document, self.craft, memory, further)
         self.error_bounds(memory, sets[0], scheduled)
         self.recoverability(further, chosen, memory, sets, scheduled)
         if self.stated.goal is not None:
             taken = spent(flown) / self.document.mass
             last = max((k + 1 for k, mode in enumerate(self.document.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * self.document.q), (sets[-1], 0))
-            given = self.document, path, self.loop, memory, held, taken, scheduled
+            given = self.document, path, self.craft, memory, held, taken, scheduled
             arrival = Arrival(*given, self.pilots[0], merging)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.budget is not None:
@@ -128,17 +124,17 @@ class Argument:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if self.document.powered is not None:
             asked, late = (self.stated.orbit, self.stated.tank), (self.upsets, self._needs)
-            known = self.loop, self.gain, self.noise, sets, flown, asked, late
+            known = self.craft, sets, flown, asked, late
             self.record.holds("powered_abort", check_aborts(self.document, *known))
 
     def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
         """What errors need along rows, a fault that is isolated late included."""
-        needs = Needs(self.loop, memory, rows)
-        boxes, doc = [*self.upsets, *lost(self.document, self.loop, memory)], self.document
+        needs = Needs(self.craft, memory, rows)
+        boxes, doc = [*self.upsets, *lost(self.document, self.craft, memory)], self.document
         if not boxes or doc.observer is None:
             return replace(needs, upset=upset(needs, boxes)) if boxes else needs
         off = misled(doc, self.plant, len(memory.powers))
-        return replace(needs, upset=upset(needs, boxes, self.gain, off))
+        return replace(needs, upset=upset(needs, boxes, off))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
@@ -201,13 +197,14 @@ class Argument:
         Beyond the memory of the loop what is derived is the disturbance's share alone.
         """
         doc, q, C = self.document, self.document.q, self.plant.C
-        needs = self._needs(memory, above(C, -C, self.gain, -self.gain))
+        K = self.craft.commands
+        needs = self._needs(memory, above(self.craft.whole(above(C, -C)), K, -K))
         disturbed = needs.disturbed
         tube = needs.tube(start)
         names = [f"position {i}" for i in range(C.nrows())] * 2 + doc.input_names * 2
         d = 2 * C.nrows()
         apart = (absolute(above(C, -C)) * column(doc.displaced)).entries() + [arb(0)] * 2 * len(doc.u_max)
-        taken = scheduled.along(needs.rows) if scheduled else []
+        taken = scheduled.along(needs.given) if scheduled else []
         more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in taken]
         for k in range(self.K):
             lags = range(k * q, (k + 1) * q + 1)
@@ -218,7 +215,7 @@ class Argument:
             need = sums(need, apart, *more[k : k + 1])
             for j, name in enumerate(names):
                 self._no_smaller("error_bounds", f"{name} in step {k}", doc.tube[k][j], need[j])
-            error = self.pilots[0].knowing(doc.known_to(k)).noise
+            error = self.craft.noise_in(doc, k)
             for i, top in enumerate(self.plant.u_max):
                 below, over, u = need[d + i], need[d + len(doc.u_max) + i], doc.inputs[k][i]
                 where = f"{doc.input_names[i]} in step {k}"
@@ -246,9 +243,9 @@ class Argument:
     ) -> None:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
-        limits = Limits.of(doc, path, self.gain, chosen)
+        limits = Limits.of(doc, path, self.craft, chosen)
         needs = self._needs(memory, limits.rows)
-        recovery = Recovery.of(doc, path, limits, needs, self.noise, scheduled)
+        recovery = Recovery.of(doc, path, limits, needs, scheduled)
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 or doc.margins[k] > 0 else ():

@@ -1,7 +1,7 @@
 """What a run claims of the goal and of the velocity change, derived again from the sets of the argument."""
 
 from bisect import bisect_right
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -11,9 +11,9 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
-from ..kernel.motion import Motion
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Merging, Zonotope
+from ..model.craft import Craft
 from ..model.loop import Memory, Needs
 from ..model.scheduled import Scheduled
 from .flights import Flown, Pilot, fly
@@ -39,7 +39,7 @@ class Arrival:
 
     document: Document
     path: Path
-    loop: Motion
+    craft: Craft
     memory: Memory
     held: tuple[tuple[Zonotope, int], ...]
     spent: arb
@@ -64,7 +64,7 @@ class Arrival:
                 "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
             )
         rows = Weighted.of(spec, self.soon, self.document)
-        needs = Needs(self.loop, self.memory, rows.rows)
+        needs = Needs(self.craft, self.memory, rows.rows)
         self.tolerated(claim, spec, rows.scale, self.holding(needs))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
@@ -110,7 +110,7 @@ class Arrival:
         """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
         most = sums(needs.settled, off, *needs.upset[-1:])
-        return largest(sums(most, self.from_thrust(needs.rows, self._last)) if self.scheduled else most)
+        return largest(sums(most, self.from_thrust(needs.given, self._last)) if self.scheduled else most)
 
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
@@ -188,7 +188,7 @@ class Arrival:
                 parts += [needs.booked(z, lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
-        least = sums(least, self.from_thrust(needs.rows, node)) if self.scheduled else least
+        least = sums(least, self.from_thrust(needs.given, node)) if self.scheduled else least
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
@@ -247,11 +247,11 @@ class Arrival:
     @cached_property
     def _drifting(self) -> Needs:
         row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
-        return Needs(self.loop, self.memory, above(matrix([row]), -matrix([row])))
+        return Needs(self.craft, self.memory, above(matrix([row]), -matrix([row])))
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant = self.document, self.loop.plant
+        doc, plant = self.document, self.craft.plant
         for node in range(len(self._summed) - 1, nodes):
             most = self.tops(node, doc.inputs[doc.steps + node // doc.q])
             tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
@@ -264,8 +264,7 @@ class Arrival:
         """What S commands at most in the period after a node, about inputs u of the reference."""
         m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
         doc = self.document
-        known = replace(self.loop.plant, estimate=tuple(doc.known_to(doc.steps)))
-        error = known.command_error(matrix(doc.laws[0].gain or []))
+        error = self.craft.noise_in(doc, doc.steps)
         ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
         return [
             (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
@@ -273,8 +272,8 @@ class Arrival:
 
     @cached_property
     def _commands(self) -> Needs:
-        gain = matrix(self.document.laws[0].gain or [])
-        return Needs(self.loop, self.memory, above(gain, -gain))
+        K = self.craft.commands
+        return Needs(self.craft, self.memory, above(K, -K))
 
     def _thrust(self, node: int) -> list[arb]:
         """What S commands for errors, of both signs, in the periods on both sides of a node."""

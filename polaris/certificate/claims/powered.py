@@ -6,7 +6,7 @@ shown along each branch, too, from the sets that the schedule reaches in the ste
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -16,9 +16,9 @@ from ..files.document import Document
 from ..files.parts import Branch, Way
 from ..kernel.arcs import Path
 from ..kernel.balls import above, absolute, column, largest, magnitude, plain, require, smallest, sums
-from ..kernel.motion import Motion
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope, widest
+from ..model.craft import Craft
 from ..model.limits import Limits
 from ..model.loop import Memory, Needs
 from ..model.plants import within_limits
@@ -35,9 +35,7 @@ CLAIM = "powered_abort"
 
 def check_aborts(
     document: Document,
-    loop: Motion,
-    gain: arb_mat,
-    noise: list[arb],
+    craft: Craft,
     sets: list[Zonotope],
     flown: list[Flown],
     asked: tuple[dict[str, Any] | None, float | None],
@@ -63,9 +61,9 @@ def check_aborts(
         since = k + 1 if mode else since
     if every := [z for taken in takeovers.values() for z in taken.sets]:
         profile = [[arb(x) for x in most] for most in document.profile]
-        memory = Memory.of(loop, widest([*sets, *every], late[0]), document.q, profile)
+        memory = Memory.of(craft, widest([*sets, *every], late[0]), document.q, profile)
         facets = [row for branch in powered.branches for row in branch.facets]
-        common = Common(loop, gain, noise, memory, facets, orbit, late[1])
+        common = Common(craft, memory, facets, orbit, late[1])
         for place, branch in enumerate(powered.branches):
             along = Along(branched(document, branch), branch, common)
             served = [taken for taken in takeovers.values() if taken.way.branch == place]
@@ -99,9 +97,7 @@ class Takeover:
 class Common:
     """What all branches have in common."""
 
-    loop: Motion  # of S
-    gain: arb_mat
-    noise: list[arb]
+    craft: Craft
     memory: Memory
     facets: list[list[int]]  # of all branches, so that they have the same rows of limits
     orbit: dict[str, Any] | None
@@ -126,7 +122,7 @@ class Along:
     @cached_property
     def path(self) -> Path:
         """The exact motion under the inputs, which are within the limits, and it may coast."""
-        doc, plant = self.document, self.common.loop.plant
+        doc, plant = self.document, self.common.craft.plant
         path = flown_path(doc, plant, self.branch.tail)
         size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
         off = largest(magnitude(path.jump).entries())
@@ -144,9 +140,9 @@ class Along:
         """S keeps to every limit to the end, whenever it takes over."""
         common, (path, chosen) = self.common, self.further
         chosen = [*chosen, *common.facets]
-        limits = Limits.of(self.document, path, common.gain, chosen)
+        limits = Limits.of(self.document, path, common.craft, chosen)
         needs = common.needs(frozenset(pair for row in chosen for pair in enumerate(row)), limits.rows)
-        recovery = Recovery.of(self.document, path, limits, needs, common.noise, self.scheduled)
+        recovery = Recovery.of(self.document, path, limits, needs, self.scheduled)
         reached = {taken.first + i: z for taken in served for i, z in enumerate(taken.sets)}
         recovery.check_sets(reached, {})
         recovery.check_far()
@@ -157,12 +153,13 @@ class Along:
         if not (self.document.profile or self.document.error_by_step):
             return None
         common = self.common
-        return Scheduled(self.document, common.loop, common.memory, self.further[0], common.gain)
+        return Scheduled(self.document, common.craft, common.memory, self.further[0])
 
     @cached_property
     def _commands(self) -> tuple[Needs, list[arb]]:
         """What errors need of commands, and what the jump into the tail does."""
-        needs = self.common.needs("commands", above(self.common.gain, -self.common.gain))
+        K = self.common.craft.commands
+        needs = self.common.needs("commands", above(K, -K))
         return needs, needs.ever(magnitude(self.path.jump))
 
     @cached_property
@@ -170,7 +167,7 @@ class Along:
         """What errors by the time of the flight need of commands in every cell; empty without any."""
         if self.scheduled is None:
             return []
-        every = self.scheduled.along(self._commands[0].rows)
+        every = self.scheduled.along(self._commands[0].given)
         return [[largest(each) for each in zip(*nodes, strict=True)] for nodes in every]
 
     @cached_property
@@ -178,7 +175,7 @@ class Along:
         """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
         doc, common, spec = self.document, self.common, self.common.orbit
         assert spec is not None
-        arrival = Arrival(doc, self.path, common.loop, common.memory, (), arb(0), self.scheduled)
+        arrival = Arrival(doc, self.path, common.craft, common.memory, (), arb(0), self.scheduled)
         rows = Weighted.of(spec, arrival.soon, doc)
         needs = common.needs(("orbit", doc.steps), rows.rows)
         claim = {"tolerance_m": self.branch.tolerance, "reached": False}
@@ -209,10 +206,10 @@ class Along:
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
-        doc, plant, m = self.document, self.common.loop.plant, len(self.document.u_max)
+        doc, plant, m = self.document, self.common.craft.plant, len(self.document.u_max)
         (needs, jump), total, unasked = self._commands, owed(plant), [arb(0)]
         for c in range(taken.k, cell):
-            known = replace(plant, estimate=tuple(doc.known_to(c))).command_error(self.common.gain)
+            known = self.common.craft.noise_in(doc, c)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
             need = sums(*parts)
             both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)

@@ -30,19 +30,13 @@ class Recovery:
 
     @classmethod
     def of(
-        cls,
-        document: Document,
-        path: Path,
-        limits: Limits,
-        needs: Needs,
-        noise: list[arb],
-        scheduled: Scheduled | None,
+        cls, document: Document, path: Path, limits: Limits, needs: Needs, scheduled: Scheduled | None
     ) -> "Recovery":
         """Against what the jump, and errors by the time of the flight, leave of limits around a path."""
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
             limits = limits.less(scheduled.along(limits.rows))
-        return cls(document, limits, needs, levels_of(document, noise, needs, path))
+        return cls(document, limits, needs, levels_of(document, needs, path))
 
     @property
     def nodes(self) -> int:

@@ -19,11 +19,11 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
         raise Rejected("upkeep", "the tail does not coast")
     later = range(node, max(node, arrival.memory.periods + 1) + 1)
     most = list(map(largest, zip(*(arrival.tops(at, [0.0] * len(doc.u_max)) for at in later), strict=True)))
-    for top, x in zip(arrival.loop.plant.u_max, most, strict=True):
+    for top, x in zip(arrival.craft.plant.u_max, most, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
-    rate = arrival.loop.plant.spent(most) / arrival.loop.plant.h / doc.mass
+    rate = arrival.craft.plant.spent(most) / arrival.craft.plant.h / doc.mass
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
-    ahead = rate * arrival.loop.plant.h if doc.fired else arb(0)  # a pulse ends before its period does
+    ahead = rate * arrival.craft.plant.h if doc.fired else arb(0)  # a pulse ends before its period does
     until = arrival.spent + arrival.correcting(node) + ahead
     arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
@@ -31,7 +31,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
         if doc.system_kind != "clohessy_wiltshire":
             raise Rejected("upkeep", "a velocity change per orbit needs Hill's frame")
         turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
-        before = owed(arrival.loop.plant) / doc.mass  # what an orbit may find left
+        before = owed(arrival.craft.plant) / doc.mass  # what an orbit may find left
         arrival.no_less("velocity change per orbit", orbit, rate * turn + ahead + before)
     if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
         raise Rejected("upkeep", "the tank is not that of the scenario")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from flint import arb, arb_mat
@@ -10,6 +10,7 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import TINY, above, magnitude, matrix, sums
+from .craft import Craft
 from .loop import Needs
 from .scheduled import Along
 
@@ -69,7 +70,7 @@ class Limits:
     targets: list[list[list[Target]]]  # [cell][node]; one that need not be met at a node is missing there
 
     @classmethod
-    def of(cls, document: Document, path: Path, gain: arb_mat, chosen: list[list[int]]) -> Limits:
+    def of(cls, document: Document, path: Path, craft: Craft, chosen: list[list[int]]) -> Limits:
         """Limits around a path, with one facet per cell and unsafe set."""
         plant = path.plant
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
@@ -78,7 +79,7 @@ class Limits:
         targets = []
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell])
-            error = replace(plant, estimate=tuple(document.known_to(cell))).command_error(gain) * 2
+            error = craft.noise_in(document, cell) * 2
             thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
             inputs = [
                 Target(len(pairs) + j, room, name, room)
@@ -93,7 +94,7 @@ class Limits:
                 # A held input is renewed at the end of its period.
                 nodes.append(met + inputs if i < plant.q else met)
             targets.append(nodes)
-        return cls(above(facets, gain, -gain), targets)
+        return cls(above(craft.whole(facets), craft.commands, -craft.commands), targets)
 
     def less_jump(self, needs: Needs, path: Path) -> Limits:
         """The same limits, the tail's reduced by what the jump at its start needs."""
@@ -127,8 +128,9 @@ class Limits:
         return met
 
 
-def levels_of(document: Document, noise: list[arb], needs: Needs, path: Path) -> list[list[Target]]:
+def levels_of(document: Document, needs: Needs, path: Path) -> list[list[Target]]:
     """The profile of commands as limits l periods after a hand-over, whatever is left of their room."""
+    noise = needs.craft.noise
     first = needs.rows.nrows() - 2 * len(noise)
     jumps = needs.ever(magnitude(path.jump))[first:]
     names = [f"{name} that errors are booked for" for name in document.input_names * 2]

@@ -58,9 +58,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     late, moved = _jitter(plant) if jitter else none
     more, within = _pulses(plant, document.fired) if pulsed else none
     require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
-    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
-    along = plant.thrusters[0] if plant.thrusters else 0.0
-    moved = sums(moved, row_sums((held + absolute(plant.B) * along) * plant.carried))
+    moved = sums(moved, carried_away(plant))
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
@@ -84,6 +82,22 @@ def displaced(document: Document, delay: float) -> list[arb]:
     near = abs(periods - (periods + arb(0.5)).mid().floor()) <= NEAR
     share = (AT_NODES if delay else arb(0)) if near else arb(1)  # measurements are those of nodes
     return [x + share * y for x, y in zip(document.at_nodes, document.pulsed, strict=True)]
+
+
+def carried_away(plant: Plant) -> list[arb]:
+    """Bounds on how far impulses that are carried, and errors of them, displace states."""
+    held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
+    along = plant.thrusters[0] if plant.thrusters else 0.0
+    return row_sums((held + absolute(plant.B) * along) * plant.carried)
+
+
+def least_predicted(document: Document, plant: Plant, measured: list[arb]) -> list[arb]:
+    """Bounds on errors of predictions from estimates that are off by `measured`; no period is missed."""
+    delay = document.timing.get("delay", 0.0)
+    over, more = _carried(plant, arb(delay), [arb(0)] * plant.B.ncols())
+    known = column(sums(measured, displaced(document, delay)))
+    unseen = (plant.unseen * column(plant.thruster_part(plant.u_max))).entries()
+    return sums((over * known).entries(), more, unseen)
 
 
 def owed(plant: Plant) -> arb:

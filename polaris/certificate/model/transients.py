@@ -22,8 +22,9 @@ from ..kernel.balls import (
     smallest,
     sums,
 )
-from ..kernel.motion import Motion, Plant, Push
+from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected, Undecided
+from .craft import Craft
 from .loop import Memory, Needs
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
@@ -202,9 +203,9 @@ def _seen(document: Document, n: int) -> list[arb]:
     return [arb(x) + y for x, y in measured]
 
 
-def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
+def lost(document: Document, craft: Craft, memory: Memory) -> list[arb_mat]:
     """The same while navigation is lost: errors of predictions, and what is left of the first estimate's."""
-    plant, n = loop.plant, loop.plant.A.nrows()
+    plant, n = craft.plant, craft.plant.A.nrows()
     found = []
     for each in document.transients:
         if not each.get("pushes"):
@@ -212,41 +213,38 @@ def lost(document: Document, loop: Motion, memory: Memory) -> list[arb_mat]:
             age += plant.h * (2 * document.timing.get("missed", 0) + 1)
             estimate = column(document.estimate or [0.0] * n)
             carried = zip(estimate.entries(), (magnitude(plant.open.phi) * estimate).entries(), strict=True)
-            first = upset(Needs(loop, memory, identity(n)), [column([largest(pair) for pair in carried])])[-1]
+            first = upset(Needs(craft, memory, identity(n)), [column([largest(pair) for pair in carried])])[
+                -1
+            ]
             found.append(column(predicted(plant, _seen(document, n), age)) + column(first))
     return found
 
 
 def upset(
-    needs: Needs, boxes: list[arb_mat], gain: arb_mat | None = None, off: Iterable[list[list[arb]]] = ()
+    needs: Needs, boxes: list[arb_mat], off: Iterable[list[list[arb]]] | None = None
 ) -> list[list[arb]]:
     """What errors in any of some boxes need along rows by the end of the period after node l + 1.
 
     With what S makes of estimates that are `off`, for every box, where an observer has been misled.
     """
-    found, off = [], iter(off)
+    found, misleading = [], None if off is None else iter(off)
     for box in boxes:
         most, steps = _peak([[arb(0)] * needs.rows.nrows(), needs.still(box)]), []
         for lag in range(len(needs.carried)):
             most = _peak([most, needs.boxed(box, lag)])
             steps.append(most)
-        if gain is not None:
-            steps = [sums(*pair) for pair in zip(steps, _answered(needs, gain, next(off)), strict=True)]
+        if misleading is not None:
+            steps = [sums(*pair) for pair in zip(steps, _answered(needs, next(misleading)), strict=True)]
         found.append(steps)
     steps = [_peak(list(each)) for each in zip(*found, strict=True)]
     last = len(steps) - 1
     return [steps[min(lag + 2, last)] for lag in range(last + 1)]
 
 
-def _answered(needs: Needs, gain: arb_mat, off: list[list[arb]]) -> list[list[arb]]:
+def _answered(needs: Needs, off: list[list[arb]]) -> list[list[arb]]:
     """What errors of estimates, by period, need along rows, and what they do to what is commanded itself."""
-    motion, errors = needs.motion, [(absolute(gain) * column(each)).entries() for each in off]
-    box = motion.box_of(Push.in_box(motion.plant.B, errors[0]))
-    rates = (magnitude(column(sums(rate.always(errors[0]), rate.late(box)))) for rate in needs.rates)
-    booked = sums(needs.late(box), motion.lesser_bow(needs.rows, *rates))
-    booked = sums(booked, (absolute(needs.rows) * column(off[0])).entries())
-    at, found = needs.summed(errors[: len(needs.carried) - 1]), [[arb(0)] * needs.rows.nrows()]
-    for lag in range(len(needs.carried)):
-        within = sums(at[lag], needs.within(errors[lag]))
-        found.append(_peak([found[-1], within, at[min(lag + 1, len(at) - 1)]]))
-    return [sums(each, booked) for each in found[1:]]
+    at, older, bent = needs.caused(needs.noise, off[: len(needs.carried)], True)
+    own, found = (absolute(needs.rows) * column(off[0])).entries(), list[list[arb]]()
+    for each in at[1:]:
+        found.append(_peak([*found[-1:], each]))
+    return [sums(each, older, bent, own) for each in found]

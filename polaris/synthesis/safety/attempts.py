@@ -174,9 +174,9 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
     largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
-    tube = error_tube(tracking, start, np.vstack([tracking.gain, -tracking.gain]))
+    tube = error_tube(tracking, start, tracking.commands)
     thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
-    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + system.command_error(tracking.gain)
+    needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + tracking.worst_noise
     limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
@@ -216,10 +216,9 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
 
 def errors_alone(tracking: Tracking, axis: int, other: LinearSystem) -> float:
     """What S demands of an input, once settled, beyond what it would in a system with fewer errors."""
-    row, better = tracking.gain[axis : axis + 1], replace(tracking, system=other)
-    beyond = tracking.disturbance(row)[-1] - better.disturbance(row)[-1]
-    noise = tracking.system.command_error(tracking.gain) - other.command_error(tracking.gain)
-    return float(beyond[0] + noise[axis])
+    better = replace(tracking, system=other)
+    most = (each.disturbance(each.commands)[-1][axis] + each.worst_noise[axis] for each in (tracking, better))
+    return float(next(most) - next(most))
 
 
 def find_plan(asked: PlanProblem, options: PlannerOptions) -> Plan:

@@ -15,7 +15,7 @@ from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.intersample import at_nodes
 from ..tracker.tracking import Tracking
-from .demand import Scheduled, command_errors
+from .demand import Scheduled, command_noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,10 +24,10 @@ class Tube:
 
     Attributes
     ----------
-    rows : ndarray, shape (r, n)
+    rows : ndarray, shape (r, n) or (r, N)
     need : ndarray, shape (memory + 3, r)
         Entry l belongs to node l after the start. Over the period between two nodes ``row e(t)`` is
-        at most the larger of their entries; the last entry holds for every later time.
+        at most the chord of their entries; the last entry holds for every later time.
     """
 
     rows: Array
@@ -43,25 +43,27 @@ class Tube:
 
     def left_over(self, tracking: Tracking, radius: float) -> Array:
         """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        return np.asarray(tracking.forgotten(self.rows, radius) + tracking.disturbance(self.rows)[-1])
+        plant = self.rows[:, : tracking.system.n]
+        return np.asarray(tracking.forgotten(plant, radius) + tracking.disturbance(self.rows)[-1])
 
 
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
     """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
 
-    `start` holds the errors ``x - xi`` at time 0, `rows` (r, n) directions. With `failing` a fault that is
-    isolated late may occur, where any is declared.
+    `start` holds the errors ``x - xi`` at time 0, `rows` directions of the error, (r, n), or of the loop
+    state (`Tracking.disturbance`). With `failing` a fault that is isolated late may occur, where any is
+    declared.
     """
     radius = float(start.norm_bound(tracking.W))
+    whole, disturbance, rows = rows, tracking.disturbance(rows, failing), rows[:, : tracking.system.n]
     curvature = tracking.curvature(rows)
     centre = rows @ tracking.transitions @ start.c
     spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
     support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-    disturbance = tracking.disturbance(rows, failing)
     booked = curvature * tracking.decay_before[:, None] * radius
     within = support + booked + disturbance[: len(support)]
     need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])
-    return Tube(rows, need + ROUNDING * np.abs(need))
+    return Tube(whole, need + ROUNDING * np.abs(need))
 
 
 @brief
@@ -146,7 +148,7 @@ class Clearance:
         return Scheduled(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array) -> Array:
-        """What errors add along rows by the time of the flight, (cells, q + 1, r)."""
+        """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Scheduled`)."""
         if self._scheduled is None:
             return np.zeros((self.cells, self.q + 1, len(rows)))
         return self._scheduled.along(rows)
@@ -154,8 +156,8 @@ class Clearance:
     @cached_property
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
-        system, gain = self.tracking.system, self.tracking.gain
-        limit = system.u_max * (1 - ROUNDING) - command_errors(system, gain, self.cells, self.planned)
+        noise = command_noise(self.tracking, self.cells, self.planned)
+        limit = self.tracking.system.u_max * (1 - ROUNDING) - noise
         cost = self.jumps[1]
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 
@@ -185,7 +187,8 @@ class Clearance:
         nodes = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
         nodes[self.q :: self.q] = np.maximum(nodes[self.q :: self.q], found[:, -1])
         later = np.maximum.accumulate(nodes[::-1])[::-1]
-        return np.asarray(later + self.jump_need(rows) + self.round_off(rows))
+        plant = rows[:, : self.tracking.system.n]
+        return np.asarray(later + self.jump_need(plant) + self.round_off(plant))
 
     def _need_of(self, rows: Array, step: Array) -> Array:
         weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)

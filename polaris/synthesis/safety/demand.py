@@ -1,25 +1,30 @@
 """Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
-import numpy as np
+from functools import cached_property
 
-from reach.numerics.linear import summed
+import numpy as np
 
 from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
+from ..tracker.loop import Channel
 from ..tracker.profile import SETTLED, SPARE
+from ..tracker.tightening import Response
 from ..tracker.tracking import Tracking
 
 ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long
 LONGER = 3
 """For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
 
+Effects = list[tuple[Channel, Response]]
+"""Channels, and what each adds along some rows."""
+
 
 class Scheduled:
-    """What errors add by the time of the flight: because of the reference's own input, and of its steps.
+    """Needs by the time of the flight: of the reference's own commands, and of estimates in some steps.
 
-    The former are errors of thrusters; the latter are by how much estimates may be off more than in the best
-    known step.
+    The former cause errors of thrusters. The latter are by how much estimates may be off more than in the
+    best known step.
 
     Parameters
     ----------
@@ -31,22 +36,21 @@ class Scheduled:
 
     def __init__(self, tracking: Tracking, reference: Reference, planned: int) -> None:
         self.tracking, self.planned = tracking, planned
-        system, gain = tracking.system, tracking.gain
-        known = command_errors(system, gain, reference.cells, planned)
-        self.noise = known - system.calmest.command_error(gain)
-        self.nu = np.abs(reference.nu) + self.noise
-        self.commanded = self._commanded()
+        self.off = errors_by_cell(tracking.step_errors, reference.cells, planned)
+        self.nu = np.abs(reference.nu) + self.off @ np.abs(tracking.gain).T
 
-    def _commanded(self) -> Array:
+    @cached_property
+    def commanded(self) -> Array:
         """Bound on the scheduled part of each command, shape (cells, m) [N]; beyond limits if none is found.
 
         It does not grow over the tail, and is constant over the end of it that later turns remember.
         """
         found, tracking, u_max = self.nu, self.tracking, self.tracking.system.u_max
-        remembered = LONGER * (tracking.memory + 2)
+        remembered = LONGER * (tracking.tightening.horizon + 2)
         end = max(len(found) + -remembered // tracking.feedback.nodes_per_cell, self.planned)
+        effects = self._effects(tracking.commands[: len(u_max)])
         for _ in range(ROUNDS):
-            more = self._along(self.tracking.gain, found).max(axis=1)
+            more = self._along(effects, found, len(u_max)).max(axis=1)
             more[end:] = more[end:].max(axis=0, initial=0.0)
             more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
             before, found = found, self.nu + more * (1 + SPARE)
@@ -55,45 +59,66 @@ class Scheduled:
         return np.asarray(found + u_max / SPARE)
 
     def along(self, rows: Array) -> Array:
-        """What they add along rows (r, n) in the periods next to a node, shape (cells, q + 1, r)."""
-        return self._along(rows, self.commanded)
+        """Return what they add along rows at every node of every cell, shape (cells, q + 1, r).
 
-    def _along(self, rows: Array, commanded: Array) -> Array:
-        tracking, cells = self.tracking, len(commanded)
-        q, errors = tracking.feedback.nodes_per_cell, self.noise
+        Rows are those of the error, (r, n), or of the loop state, (r, N). Between two nodes a row is at most
+        the chord of their entries.
+        """
+        return self._along(self._effects(rows), self.commanded, len(rows))
+
+    def _effects(self, rows: Array) -> Effects:
+        tracking, n = self.tracking, self.tracking.system.n
+        channels = [Channel("steps", np.zeros(n), noise=np.eye(n))] * bool(np.any(self.off))
         if tracking.profile is not None:
-            errors = errors + tracking.system.thrusters.part(commanded) + self._unseen(commanded)
-        gains = tracking.flow.input_gains(rows, tracking.system.B, tracking.memory + 2)
-        sums, within = summed(gains, np.repeat(errors, q, axis=0)), errors @ gains[0].T
-        now = sums[:-1].reshape(cells, q, -1) + within[:, None]
-        between = np.maximum(now, sums[1:].reshape(cells, q, -1))
-        if cells > self.planned:  # the tail is flown again and again: as if its last commands had always been
-            for_ever = gains.sum(axis=0) @ errors[-1] + within[-1]
-            between[self.planned :] = np.maximum(between[self.planned :], for_ever)
-        late, curved = tracking.late(rows, errors.max(axis=0))
-        found = np.concatenate([between[:, :1], between], axis=1)
-        found[:, 1:-1] = np.maximum(between[:, :-1], between[:, 1:])
-        return np.asarray((found + late + curved) * (1 + ROUNDING))
+            channels += [channel for channel in tracking.tightening.closed.loop.channels if channel.share]
+        return [(channel, tracking.response(channel, rows)) for channel in channels]
 
-    def _unseen(self, commanded: Array) -> Array:
-        """What errors of scheduled commands add to those after them until they are measured, (cells, m)."""
-        system, gain = self.tracking.system, self.tracking.gain
+    def _along(self, effects: Effects, commanded: Array, count: int) -> Array:
+        cells, q = len(commanded), self.tracking.feedback.nodes_per_cell
+        at, for_ever, between = np.zeros((cells * q + 1, count)), np.zeros(count), np.zeros(count)
+        for channel, effect in effects:
+            sizes = np.repeat(self._sizes(channel, commanded), q, axis=0)
+            at += effect.at(sizes)
+            for_ever += effect.ever(sizes[-1])
+            between += effect.between @ sizes.max(axis=0)
+        # The tail is flown again and again: as if its last commands had always been.
+        at[self.planned * q + 1 :] = np.maximum(at[self.planned * q + 1 :], for_ever)
+        found = np.concatenate([at[:-1].reshape(cells, q, -1), at[q::q, None]], axis=1)
+        found[self.planned :] = np.maximum(found[self.planned :], for_ever)
+        return np.asarray((found + between) * (1 + ROUNDING))
+
+    def _sizes(self, channel: Channel, commanded: Array) -> Array:
+        """Sizes of a channel in every cell, under commands of as many periods as it remembers."""
+        if channel.share is None:
+            return self.off
         before = commanded.copy()
-        for i in range(1, -(-system.timing.hidden // self.tracking.feedback.nodes_per_cell) + 1):
+        for i in range(1, -(-channel.lag // self.tracking.feedback.nodes_per_cell) + 1):
             before[i:] = np.maximum(before[i:], commanded[:-i])
-        return system.command_error(gain, before) - system.command_error(gain, 0 * before)
+        return channel.share(np.minimum(before, self.tracking.system.u_max))
+
+
+def errors_by_cell(by_step: Array, cells: int, planned: int) -> Array:
+    """Bounds (K + 1, n) in each step and ever after, as bounds in each cell, shape (cells, n).
+
+    In the tail, after the `planned` cells, as much as ever from then on: it is flown again and again.
+    """
+    at, last = np.minimum(np.arange(cells), len(by_step) - 1), len(by_step) - 1
+    if last:
+        at[planned:] = last + 1
+        by_step = np.vstack([by_step, by_step[min(planned, last) :].max(axis=0)])
+    return np.asarray(by_step[at])
 
 
 def command_errors(system: LinearSystem, gain: Array, cells: int, planned: int) -> Array:
-    """By how much commands may differ in each cell from those on the exact state, shape (cells, m).
-
-    In the tail, after the `planned` cells, by as much as ever from then on: it is flown again and again.
-    """
+    """By how much commands may differ in each cell from those on the exact state, shape (cells, m)."""
     rows = system.navigation[None] if system.error_by_step is None else system.error_by_step
-    at, last = np.minimum(np.arange(cells), len(rows) - 1), len(rows) - 1
-    if last:
-        rows, at[planned:] = np.vstack([rows, rows[min(planned, last) :].max(axis=0)]), last + 1
-    return (rows @ np.abs(gain).T)[at]
+    return errors_by_cell(rows, cells, planned) @ np.abs(gain).T
+
+
+def command_noise(tracking: Tracking, cells: int, planned: int) -> Array:
+    """Bound on what `Tracking.commands` do not hold of a command in each cell, shape (cells, m)."""
+    off = errors_by_cell(tracking.step_errors, cells, planned)
+    return np.asarray(tracking.noise + off @ np.abs(tracking.gain).T)
 
 
 def taken_over(tracking: Tracking, reference: Reference) -> Array:

@@ -35,13 +35,14 @@ class PolytopeSets:
         """Carried back ``row phi^l`` (L, r, n); disturbance and round-off (L + 1, r); curvature; rows."""
         tracking = self.clearance.tracking
         obstacle, _ = self.clearance.obstacle_rows
-        thrust = np.vstack([tracking.gain, -tracking.gain])
-        rows = np.vstack([obstacle, *[thrust] * self._times])
-        disturbance = tracking.disturbance(rows) + self.clearance.round_off(rows)
+        thrust = tracking.commands
+        whole = np.vstack([tracking.whole(obstacle), *[thrust] * self._times])
+        rows = whole[:, : tracking.system.n]
+        disturbance = tracking.disturbance(whole) + self.clearance.round_off(rows)
         if tracking.profile is not None:  # a bound that falls is the first one, of which more is taken
             falls = tracking.profile[0] - np.vstack([tracking.profile, tracking.profile[-1:]])
             disturbance[:, -len(thrust) :] += np.hstack([falls, falls])
-        return rows @ tracking.transitions, disturbance, tracking.curvature(rows), rows
+        return rows @ tracking.transitions, disturbance, tracking.curvature(rows), whole
 
     @property
     def _times(self) -> int:
@@ -66,9 +67,7 @@ class PolytopeSets:
         above, below = clearance.thrust
         thrust = np.hstack([below, above])
         if tracking.profile is not None:
-            level = tracking.profile[0] * (1 - ROUNDING) - tracking.system.calmest.command_error(
-                tracking.gain
-            )
+            level = tracking.profile[0] * (1 - ROUNDING) - tracking.noise
             thrust = np.hstack([thrust, *[level - clearance.jumps[1]] * 2])
         nodes = np.repeat(thrust[:, None, :], clearance.q + 1, axis=1)
         nodes[:, -1] = np.inf  # the input renewed at the end of a cell belongs to the next one
@@ -103,9 +102,9 @@ class PolytopeSets:
     def _reach(self) -> Array:
         """What each row needs of an error beyond the memory, per unit of ``norm(W e)`` now, shape (r,)."""
         tracking = self.clearance.tracking
-        _, _, curvature, rows = self.carried
+        carried, _, curvature, _ = self.carried
         return np.asarray(
-            (np.linalg.norm(rows @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
+            (np.linalg.norm(carried[0] @ tracking.W_inverse, axis=-1) + curvature) * tracking.decay[-1]
         )
 
     @cached_property
@@ -137,7 +136,7 @@ class PolytopeSets:
     def _far_margin(self, node: int, radius: float) -> Margin:
         """Tightest limit beyond the memory for errors up to a norm at a node."""
         start = self._beyond[min(node, len(self._beyond) - 1)]
-        jump = self.clearance.jump_need(self.carried[3]) + self._caused.max(axis=(0, 1))
+        jump = self.clearance.jump_need(self.carried[0][0]) + self._caused.max(axis=(0, 1))
         room = self._ahead[start] + jump
         need = (self.carried[1][-1] + self._reach * radius) * (1 + ROUNDING) + jump
         share = self._physical(left(need, room))

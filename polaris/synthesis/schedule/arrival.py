@@ -9,6 +9,7 @@ from reach.sets.zonotope import Zonotope
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..safety.clearance import error_tube
+from ..safety.demand import command_noise
 from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows, velocity_times
@@ -135,7 +136,7 @@ def tolerated(safety: Safety, rows: Array, failing: bool = False) -> float:
     problem, tracking = safety.problem, safety.tracking
     if problem.goal_tolerance is not None:
         return problem.goal_tolerance
-    settled = _settled(tracking, rows)
+    settled = tracking.settled(rows)
     need = settled + np.minimum(safety.clearance.scheduled(rows)[-1, -1], CAUSED * settled)
     need = need + np.abs(rows) @ tracking.system.displaced_at_nodes + tracking.upset(rows)[-1] * failing
     hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
@@ -154,15 +155,14 @@ def _needs(
     tracking = safety.tracking
     carried = rows @ tracking.transitions
     last = len(carried) - 1
-    pushed = tracking.responses(rows, last)
-    older, left = _older(tracking, rows)
+    pushed, left = tracking.responses(rows, tracking.profile), _left(tracking, rows)
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
         lag = since + np.arange(nodes)
-        near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > long(tracking))[:, None]
+        near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > tracking.long)[:, None]
         centre = np.where(gone, 0.0, (carried @ z.c)[near])
         spread = np.abs(carried @ z.G).sum(axis=-1)[near]
-        once = left * float(z.norm_bound(tracking.W)) + (pushed[-1] + older)
+        once = left * float(z.norm_bound(tracking.W)) + pushed[-1]
         forgotten = np.where(far, long_after(tracking, rows, z), once)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     away = np.abs(rows) @ tracking.system.displaced_at_nodes
@@ -173,34 +173,20 @@ def _needs(
     return need, centre
 
 
-def _older(tracking: Tracking, rows: Array) -> tuple[Array, Array]:
-    """What is older than the memory adds along rows, and what is left of a unit of error, both (r,)."""
-    left = np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1]
-    older = left * tracking.period_gain / (1 - tracking.flow.lyapunov[1])
-    profile = tracking.profile
-    return older if profile is None else older + tracking.late(rows, tracking.caused(profile)[0])[0], left
-
-
-def long(tracking: Tracking) -> int:
-    """After how many periods S commands no more than the last of its profile, as far as it remembers."""
-    return 2 * (tracking.memory + 1) + tracking.system.timing.hidden
+def _left(tracking: Tracking, rows: Array) -> Array:
+    """What is left along rows of a unit of error beyond the memory, shape (r,)."""
+    return np.asarray(np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1])
 
 
 def long_after(tracking: Tracking, rows: Array, taken: Zonotope) -> Array:
-    """What errors need along rows so `long` after S took over a set of them, faults apart, (r,)."""
-    older, left = _older(tracking, rows)
+    """What errors need along rows so `Tracking.long` after S took over a set of them, faults apart, (r,)."""
     once = float(taken.norm_bound(tracking.W)) * (1.0 if tracking.profile is None else tracking.decay[-1])
-    return np.asarray(left * once + (older + _settled(tracking, rows)))
+    return np.asarray(_left(tracking, rows) * once + tracking.settled(rows))
 
 
 def spare(tracking: Tracking, share: float = SPARE) -> float:
     """Share by which bounds are larger than found: a checker sums errors that fall with time its own way."""
     return ROUNDING if tracking.profile is None else share
-
-
-def _settled(tracking: Tracking, rows: Array) -> Array:
-    """What S needs along rows against all that disturbs, once it has forgotten where it came from, (r,)."""
-    return np.asarray(tracking.responses(rows, tracking.memory + 1, settled=True)[-1])
 
 
 def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
@@ -212,11 +198,11 @@ def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
 def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
     tracking, system, K = safety.tracking, safety.problem.system, safety.problem.K
-    both = np.vstack([tracking.gain, -tracking.gain])
+    both = tracking.commands
     tubes = ((error_tube(tracking, z, both, False).need, since + np.arange(nodes + 1)) for z, since in held)
     need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
     need = need + _ahead(safety, both, nodes + 1)
-    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + system.at_step(K).command_error(tracking.gain)
+    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + command_noise(tracking, K + 1, K)[K]
     most = np.minimum(most, system.u_max)
     at = system.spent(most).sum(axis=1)
     apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + spare(tracking))
@@ -233,10 +219,10 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     nodes = tracking.memory + 2
     if safety.reference.cells * safety.clearance.q < problem.K * safety.clearance.q + nodes:
         return None
-    both = np.vstack([tracking.gain, -tracking.gain])
+    both = tracking.commands
     need = np.min([error_tube(tracking, z, both, False).need[-1] for z, _ in held], axis=0)
     need = need + _ahead(safety, both, nodes + 1)[-1]
-    most = need.reshape(2, -1).max(axis=0) + system.at_step(problem.K).command_error(tracking.gain)
+    most = need.reshape(2, -1).max(axis=0) + command_noise(tracking, problem.K + 1, problem.K)[-1]
     if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta

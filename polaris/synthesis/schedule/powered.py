@@ -162,8 +162,8 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
         np.maximum(known[b:], needed(-body.normals @ system.position))
         for body, known in zip(asked.unsafe, asked.margins, strict=True)
     ]
-    thrust = needed(np.vstack([tracking.gain, -tracking.gain])).reshape(asked.K - b, 2, -1).max(axis=1)
-    left = system.u_max * (1 - SPARE) - thrust - system.command_error(tracking.gain)
+    thrust = needed(tracking.commands).reshape(asked.K - b, 2, -1).max(axis=1)
+    left = system.u_max * (1 - SPARE) - thrust - tracking.worst_noise
     unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in asked.unsafe)
     limit = np.maximum(np.minimum(asked.u_limit[b:], left), 0.0)
     asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)

@@ -12,13 +12,13 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import TubeSegment
 from ..safety.clearance import error_tube
-from ..safety.demand import command_errors
+from ..safety.demand import command_noise
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows
 from ..safety.problem import PoweredAbort
 from ..safety.recoverable import Margin, RecoverableSet, directed
 from ..tracker.tracking import Tracking
-from .arrival import long, long_after, spare, tolerated
+from .arrival import long_after, spare, tolerated
 
 SPARE = 0.02
 """Share by which claims are loosened, and plans kept further away: a checker merges sets in its own way."""
@@ -141,7 +141,7 @@ class Branch:
             return None, np.inf
         states = reference.chi[K : last + 1]
         need, q = taken.over(tracking, rows, last + 1)[1][K:], safety.clearance.q
-        far = np.arange(K, last + 1) * q - taken.last > long(tracking)
+        far = np.arange(K, last + 1) * q - taken.last > tracking.long
         settled = long_after(tracking, rows, taken.box) * (1 + spare(tracking)) + tracking.upset(rows)[-1]
         need = np.where(far[:, None], np.minimum(need, settled), need)
         need = need + safety.clearance.tail_need(rows)[::q][: len(need)]
@@ -154,12 +154,12 @@ class Branch:
     def _spent(self, taken: Takeover, end: int) -> float:
         """Bound on S's velocity change from an abort in a step until the start of a cell [m/s]."""
         safety, tracking, system = self.safety, self.safety.tracking, self.safety.problem.system
-        both = np.vstack([tracking.gain, -tracking.gain])
-        need = taken.over(tracking, both, end)[0] + safety.clearance.round_off(both)
+        both = tracking.commands
+        need = taken.over(tracking, both, end)[0] + safety.clearance.round_off(both[:, : system.n])
         need = need + safety.clearance.scheduled(both)[:end].max(axis=1)
-        need[(K := safety.problem.K) :] += safety.clearance.jump_need(both)
+        need[(K := safety.problem.K) :] += safety.clearance.jump_need(both[:, : system.n])
         most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])
-        most = np.minimum(most + command_errors(system, tracking.gain, end, K), system.u_max)
+        most = np.minimum(most + command_noise(tracking, end, K), system.u_max)
         spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         spent += float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated

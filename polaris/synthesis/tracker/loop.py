@@ -46,6 +46,8 @@ class Channel:
         V is a ball in the 2-norm instead of a box.
     share : callable, optional
         Part of the half-widths that grows with the size of the commands.
+    lag : int
+        For how many periods a command counts in `share`: the largest of that many and of the period's own.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Channel:
     push: Array | None = None
     ball: bool = False
     share: Share | None = None
+    lag: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from ...model.errors import ScenarioError
 from ...model.tolerances import ROUNDING
 from .loop import Array, Channel, ClosedLoop
 
-LEFT_OVER = 1e-3
+LEFT_OVER = 1e-5
 """Share of a loop state that is left after the settling horizon; smaller: more rows, smaller tails."""
 LONGEST = 6000  # periods of a settling horizon, at most
 
@@ -100,6 +100,14 @@ class Tightening:
             return channel.size
         return np.asarray(channel.size + channel.share(np.minimum(bound, self.u_max)))
 
+    def known(self, channel: Channel, bound: Array) -> Array:
+        """Shift a bound on commands since a hand-over (L, m), which falls, by what a channel remembers.
+
+        Before the hand-over commands are within `u_max` alone.
+        """
+        before = np.tile(self.u_max, (min(channel.lag, len(bound)), 1))
+        return np.vstack([before, bound[: len(bound) - len(before)]])
+
     def from_rest(self, rows: Array, bound: Array | None = None) -> Array:
         """Return what the channels add along rows by node L = 0 ... N + 1, and at any later one, (N + 3, r).
 
@@ -112,39 +120,63 @@ class Tightening:
         """
         return self._from_rest(self.carried(rows), bound)
 
+    def largest(self, channel: Channel, bound: Array | None) -> Array:
+        """Return the largest sizes of a channel under a bound on commands, shape (k,)."""
+        if bound is None or np.ndim(bound) == 1:
+            return self.sizes(channel, bound)
+        return self.sizes(channel, self.u_max if channel.lag else bound[0])
+
     def _from_rest(self, carried: Array, bound: Array | None) -> Array:
-        count, first = len(carried) - 1, None if bound is None else np.atleast_2d(bound)[0]
+        count = len(carried) - 1
         sums = np.zeros((count + 1, carried.shape[1]))
         for channel in self.closed.loop.channels:
             gains = self.closed.gains(channel, carried[:-1])
             if channel.share is None or bound is None or np.ndim(bound) == 1:
-                sums[1:] += np.cumsum(gains @ self.sizes(channel, first), axis=0)
+                sums[1:] += np.cumsum(gains @ self.largest(channel, bound), axis=0)
             else:
-                sums += summed(gains, self.sizes(channel, bound[:count]))
-        ever = sums[-1] + np.abs(carried[-2]) @ self._reach(first)
+                sums += summed(gains, self.sizes(channel, self.known(channel, bound)[:count]))
+        ever = sums[-1] + np.abs(carried[-2]) @ self.reached(bound)
         return np.vstack([sums, ever]) * (1 + ROUNDING)
 
-    def _reach(self, bound: Array | None) -> Array:
+    def reached(self, bound: Array | None) -> Array:
         """Bound on every loop state for ever, from rest, under commands within a bound, shape (states,)."""
         each = zip(self.closed.loop.channels, self.reach, strict=True)
         return np.asarray(
-            sum((gains @ self.sizes(channel, bound) for channel, gains in each), np.zeros(self.closed.loop.N))
+            sum(
+                (gains @ self.largest(channel, bound) for channel, gains in each),
+                np.zeros(self.closed.loop.N),
+            )
         )
 
     @cached_property
     def reach(self) -> tuple[Array, ...]:
         """Bounds on the loop states for ever, from rest, per unit of every channel's sizes, (states, k)."""
-        N, rest = self.horizon, np.eye(self.closed.loop.N) - np.abs(self.transitions[self.horizon])
-        sums = (
-            self.closed.gains(channel, self.transitions[:N]).sum(axis=0)
-            for channel in self.closed.loop.channels
-        )
-        return tuple(np.linalg.solve(rest, each) * (1 + ROUNDING) for each in sums)
+        return tuple(self._reach_of(channel) for channel in self.closed.loop.channels)
+
+    def _reach_of(self, channel: Channel) -> Array:
+        N = self.horizon
+        rest = np.eye(self.closed.loop.N) - np.abs(self.transitions[N])
+        each = self.closed.gains(channel, self.transitions[:N]).sum(axis=0)
+        return np.asarray(np.linalg.solve(rest, each) * (1 + ROUNDING))
+
+    def response(self, channel: Channel, rows: Array, plant: Array) -> "Response":
+        """Return what a channel adds along rows (r, states), `plant` (r, n) being those of the plant."""
+        carried, N, reach = self.carried(rows), self.horizon, self._reach_of(channel)
+        older = np.abs(carried[N]) @ reach
+        rates = self.carried(self.closed.rates)
+        rate = self.closed.gains(channel, rates[:N]).sum(axis=0) + np.abs(rates[N]) @ reach
+        push = self.closed.pushed(channel)
+        if push is not None:
+            rate = rate + np.abs(self.closed.loop.B) @ np.abs(push)
+        between = self.bend(plant) @ rate
+        if channel.rate is not None:
+            between = between + self.bend(plant) @ np.abs(channel.rate)
+        return Response(self.closed.gains(channel, carried[: N + 1]), older, between)
 
     def noise(self, bound: Array | None = None) -> Array:
         """Return what noise adds to a command of its own period, shape (m,)."""
         each = (
-            self.closed.noise(channel) @ self.sizes(channel, bound) for channel in self.closed.loop.channels
+            self.closed.noise(channel) @ self.largest(channel, bound) for channel in self.closed.loop.channels
         )
         return np.asarray(sum(each, np.zeros(self.closed.loop.m)))
 
@@ -174,8 +206,8 @@ class Tightening:
         Parameters
         ----------
         rows : ndarray, shape (r, n)
-        bound : ndarray, shape (m,), optional
-            Bound on all commands.
+        bound : ndarray, shape (m,) or (N + 2, m), optional
+            Bound on the commands (`from_rest`).
 
         Returns
         -------
@@ -185,11 +217,11 @@ class Tightening:
             Per unit of the norm at the hand-over, by lag.
         """
         loop, rates = self.closed.loop, self.closed.rates
-        bend = loop.h**2 / 8 * np.abs(rows @ loop.A) @ growth(loop.A, loop.h)
+        bend = self.bend(rows)
         moved, fixed = self.carried(rates), np.zeros(len(rows))
-        rate = self._from_rest(moved, bound)[-1]
+        rate = self._from_rest(moved, bound).max(axis=0)
         for channel in loop.channels:
-            sizes, push = self.sizes(channel, bound), self.closed.pushed(channel)
+            sizes, push = self.largest(channel, bound), self.closed.pushed(channel)
             if push is not None:
                 size = np.linalg.norm(push, axis=1) * sizes[0] if channel.ball else np.abs(push) @ sizes
                 rate = rate + np.abs(loop.B) @ size
@@ -198,3 +230,37 @@ class Tightening:
                 fixed = fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
         per_size = np.abs(moved) @ self.v @ bend.T
         return (fixed + bend @ rate) * (1 + ROUNDING), np.asarray(per_size * (1 + ROUNDING))
+
+    def bend(self, rows: Array) -> Array:
+        """Return how far rows of the plant leave their chord per unit of a rate at a node, shape (r, n)."""
+        loop = self.closed.loop
+        return np.asarray(loop.h**2 / 8 * np.abs(rows @ loop.A) @ growth(loop.A, loop.h))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What one channel, a box, adds along rows by age.
+
+    Attributes
+    ----------
+    gains : ndarray, shape (N + 1, r, k)
+        By the age of a period.
+    older : ndarray, shape (r, k)
+        Of all that is older than N periods.
+    between : ndarray, shape (r, k)
+        How far rows leave the chord between nodes, per unit of the largest size.
+    """
+
+    gains: Array
+    older: Array
+    between: Array
+
+    def at(self, sizes: Array) -> Array:
+        """Return what sizes (count, k), period by period from rest, add at every node, (count + 1, r)."""
+        found, N = summed(self.gains, sizes), len(self.gains) - 1
+        found[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)
+        return np.asarray(found * (1 + ROUNDING))
+
+    def ever(self, size: Array) -> Array:
+        """Return what one size (k,), at all times, adds at most, shape (r,)."""
+        return np.asarray((self.gains[:-1].sum(axis=0) + self.older) @ size * (1 + ROUNDING))

@@ -1,6 +1,6 @@
 """The tracking controller of section III-A: its error dynamics, and the tight error tube."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 
@@ -8,18 +8,22 @@ import numpy as np
 
 from reach.brief import brief
 from reach.numerics.errors import ReachError
-from reach.numerics.linear import powers, summed
+from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
+from .craft_loop import craft_loop, remembers, step_errors
 from .feedback import Feedback
+from .loop import Channel
 from .profile import profile
-from .transients import answered, lost, misled, moved
+from .tightening import Response, Tightening
+from .transients import lost, misled, moved
 
-LEFT_OVER = 1e-3
-"""Share of an error (contraction norm) below which one ball collects all limits. Smaller: more rows."""
+LEFT_OVER, WITH_PROFILE = 1e-3, 1e-5
+"""Share of an error (contraction norm) below which one ball collects all limits, without a profile and with
+one: it is constant from then on. Smaller: more rows."""
 
 
 @brief
@@ -55,22 +59,59 @@ class Tracking:
         most = self.system.u_max if self.level is None else np.zeros(self.system.m)
         return self.system.calmest.command_error(self.gain, most) + self.system.thrusters.error(most)
 
-    def caused(self, profile: Array, before: Array | None = None) -> Array:
-        """Errors of the inputs by period that commands within a profile (L, m) cause, shape (L, m).
+    @cached_property
+    def tightening(self) -> Tightening:
+        """Bounds on the loop of which the tracking error is the first part."""
+        loop = craft_loop(self.system, self.delta / self.feedback.nodes_per_cell)
+        size = np.linalg.norm(self.W_inverse, axis=1)
+        scale = np.resize(size, loop.N)
+        return Tightening(loop.under(self.gain), self.system.u_max, scale)
 
-        Both what they are off by, and what that does to later ones until it is measured (Lemma 44). Before a
-        hand-over what is commanded is within `before`, else within all that there is.
+    @property
+    def commands(self) -> Array:
+        """Rows of the loop state that bound S's feedback on both sides, ``K`` and ``-K``, (2 m, N)."""
+        return np.vstack([self.tightening.closed.K, -self.tightening.closed.K])
+
+    @cached_property
+    def noise(self) -> Array:
+        """Bound on what estimates add to a command of the same period, those of `commands` apart, (m,)."""
+        return np.asarray(self.tightening.noise(self.system.u_max))
+
+    @property
+    def worst_noise(self) -> Array:
+        """Bound on `noise`, errors of whatever step of the flight included, shape (m,)."""
+        return np.asarray(self.noise + np.abs(self.gain) @ self.step_errors.max(axis=0))
+
+    @cached_property
+    def step_errors(self) -> Array:
+        """Bounds on what estimates are off by in each step and ever after, beside the loop's, (K + 1, n)."""
+        return step_errors(self.system)
+
+    @cached_property
+    def remembered(self) -> Array:
+        """Bounds on the loop states beside the tracking error, whatever law has flown, shape (N - n,)."""
+        others = np.eye(self.tightening.closed.loop.N)[self.system.n :]
+        found, seen = np.array(self.tightening.from_rest(others, self.system.u_max)[-1]), self.system.observer
+        if len(found) and seen is not None:
+            measured = self.system.timing.measured or self.system.navigation
+            found[-self.system.n :] = measured if seen.settled is None else seen.settled
+        return found
+
+    @property
+    def displaced(self) -> Array:
+        """How far the error that other laws hand over may be from that of the loop, shape (n,).
+
+        Sets of other laws leave out impulses that are carried; the loop holds them.
         """
-        system, first = self.system, self.system.u_max if before is None else before
-        hidden = min(system.timing.hidden, len(profile))
-        known = np.vstack([np.tile(first, (hidden, 1)), profile[: len(profile) - hidden]])
-        late = system.command_error(self.gain, known) - system.command_error(self.gain, 0 * profile)
-        return np.asarray(system.thrusters.part(profile) + late)
+        system = self.system
+        along = system.thrusters.along * system.timing.carried * np.abs(system.B).sum(axis=1)
+        away = (system.carried_away + along) * (1 + ROUNDING)
+        return np.asarray(away if remembers(system) else 0 * away)
 
     @property
     def varies(self) -> bool:
         """Whether some errors of inputs are booked by the time of the flight, not since a hand-over."""
-        return self.profile is not None or self.system.error_by_step is not None
+        return self.profile is not None or bool(np.any(self.step_errors))
 
     @cached_property
     def profile(self) -> Array | None:
@@ -80,11 +121,13 @@ class Tracking:
         """
         if self.level is None or not self.system.thrusters.proportional:
             return None
-        gain, u_max = self.gain, self.system.u_max
-        norms = np.linalg.norm(gain @ self.transitions @ self.W_inverse, axis=-1)
-        left = self.forgotten(gain, float(np.min(u_max / norms[0])))
-        noise = self.system.calmest.command_error(gain)
-        return profile(norms, self.level * u_max, left, u_max, lambda found: self.pushed(gain, found) + noise)
+        u_max, norms = (
+            self.system.u_max,
+            np.linalg.norm(self.gain @ self.transitions @ self.W_inverse, axis=-1),
+        )
+        left = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
+        rows = self.commands[: len(u_max)]
+        return profile(norms, self.level * u_max, left, u_max, lambda P: self.responses(rows, P) + self.noise)
 
     @property
     def most(self) -> Array:
@@ -118,11 +161,12 @@ class Tracking:
 
     @cached_property
     def memory(self) -> int:
-        """Number of periods after which less than `LEFT_OVER` of any error (in the norm W) is left."""
-        factor = self.flow.lyapunov[1]
-        most = int(np.ceil(np.log(LEFT_OVER) / np.log(factor))) + 1
+        """Number of periods after which so little of any error (in the norm W) is left, see `LEFT_OVER`."""
+        profiled = self.level is not None and self.system.thrusters.proportional
+        share, factor = WITH_PROFILE if profiled else LEFT_OVER, self.flow.lyapunov[1]
+        most = int(np.ceil(np.log(share) / np.log(factor))) + 1
         norms = self.flow.norms(min(most, 5000))
-        below = np.flatnonzero(norms <= LEFT_OVER)
+        below = np.flatnonzero(norms <= share)
         return int(below[0]) if len(below) else len(norms) - 1
 
     @cached_property
@@ -172,10 +216,15 @@ class Tracking:
     def upset(self, rows: Array) -> Array:
         """What faults that are isolated late need along rows up to l periods later, shape (memory + 2, r)."""
         most = self.left(rows, self.upsets)
-        gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
-        for j, off in enumerate(chain.from_iterable(self.misled) if self.system.observer else ()):
-            errors = off @ np.abs(self.gain).T  # S answers what its estimates are off by
-            most[..., j] += answered(gains, errors) + sum(self.late(rows, errors[0])) + np.abs(rows) @ off[0]
+        if self.system.observer and self.misled:
+            answer = self.response(
+                Channel("misled", np.zeros(self.system.n), noise=np.eye(self.system.n)), rows
+            )
+            for j, off in enumerate(
+                chain.from_iterable(self.misled)
+            ):  # S answers what its estimates are off by
+                at = np.maximum.accumulate(answer.at(off))
+                most[..., j] += at[:-1] + answer.between @ off[0] + np.abs(rows) @ off[0]
         return np.asarray(most.max(axis=-1, initial=0.0) * (1 + ROUNDING))
 
     @cached_property
@@ -208,52 +257,83 @@ class Tracking:
         weight = np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows)
         return np.asarray(weight * self.decay[-1] * radius)
 
-    def late(self, rows: Array, error: Array) -> tuple[Array, Array]:
-        """What input errors up to some size add beyond the memory, and between nodes, each of shape (r,)."""
-        box = replace(self.flow, w_max=0.0, E=self.system.B * error).period_box
-        size, factor = float(np.linalg.norm(np.abs(self.W) @ box)), self.flow.lyapunov[1]
-        tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1] * size / (1 - factor)
-        return tail, self.curvature(rows) * size * (self.accumulated + 1.0)
+    def whole(self, rows: Array) -> Array:
+        """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
+        return np.pad(rows, ((0, 0), (0, self.tightening.closed.loop.N - rows.shape[1])))
+
+    def _since(self, profile: Array | None) -> Array:
+        """Bound on S's commands for as many periods as the loop remembers; the last one holds for ever."""
+        count = self.tightening.horizon + 2
+        if profile is None:
+            return np.tile(self.system.u_max, (count, 1))
+        return profile[np.minimum(np.arange(count), len(profile) - 1)]
+
+    def _handed(self, rows: Array) -> Array:
+        """What the loop states beside the error add along rows, at node L and ever after, (N + 3, r)."""
+        limits, box = self.tightening, np.concatenate([self.displaced, self.remembered])
+        within = np.abs(limits.carried(rows)) @ box
+        size = np.max(box / limits.v)
+        ever = np.minimum(limits.remainder(rows) * size, within.max(axis=0)) if size else 0 * within[-1]
+        return np.vstack([within, ever])
+
+    def _by_age(self, found: Array) -> Array:
+        """Needs by node and ever after, (N + 3, r), for the periods of the memory and ever after."""
+        count = min(self.memory + 2, len(found) - 1)
+        ever = found[count:].max(axis=0)
+        return np.vstack([found[:count], np.tile(ever, (self.memory + 3 - count, 1))])
+
+    def responses(self, rows: Array, profile: Array | None) -> Array:
+        """Return what rows need at node L after a hand-over, the error then apart, and ever after.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (r, n) or (r, N)
+            Of the tracking error, or of the loop state.
+        profile : ndarray, shape (memory + 2, m), optional
+            Bound on what is commanded since; the limits of the thrusters without one.
+
+        Returns
+        -------
+        ndarray, shape (memory + 3, r)
+        """
+        rows = self.whole(rows)
+        return self._by_age(self.tightening.from_rest(rows, self._since(profile)) + self._handed(rows))
+
+    def settled(self, rows: Array) -> Array:
+        """Return what rows need for ever once S has commanded no more than the end of its profile, (r,)."""
+        rows, limits = self.whole(rows), self.tightening
+        last = self._since(self.profile)[-1]
+        older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(self._since(self.profile))
+        return np.asarray(limits.from_rest(rows, last)[-2] + older + self._handed(rows)[-1])
+
+    @property
+    def long(self) -> int:
+        """Periods after a hand-over from which on `settled` bounds what disturbs."""
+        lag = max((channel.lag for channel in self.tightening.closed.loop.channels), default=0)
+        return self.memory + self.tightening.horizon + 2 + lag
+
+    def between(self, rows: Array, profile: Array | None) -> Array:
+        """Return how far rows of the tracking error leave the chord of what they need at nodes, shape (r,).
+
+        What an error at the hand-over adds to that is `curvature`.
+        """
+        limits = self.tightening
+        rates = self._handed(limits.closed.rates).max(axis=0)
+        return np.asarray(limits.between(rows, self._since(profile))[0] + limits.bend(rows) @ rates)
 
     def disturbance(self, rows: Array, failing: bool = True) -> Array:
-        """What the disturbance adds along each row until L periods have passed, shape (memory + 3, r).
+        """Return what rows need besides an error at a hand-over, by age and ever after, (memory + 3, r).
 
-        Entry L holds for every instant up to and including the (L+1)-st period, so that between
-        nodes nothing is missing. The last entry holds for all time.
+        Entry L belongs to node L after the hand-over. Between two nodes a row needs at most the chord of
+        their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count
+        without the `noise` of their own period.
         """
-        return self.pushed(rows, self.profile, failing)
-
-    def responses(self, rows: Array, count: int, settled: bool = False) -> Array:
-        """What the disturbance adds along each row by node L = 0 ... count, count <= memory + 2.
-
-        Where S is settled, its feedback has commanded no more than the last of its profile all along.
-        """
-        sums = self.flow.disturbance_support(rows, count)
-        if self.profile is not None:
-            gains = self.flow.input_gains(rows, self.system.B, count)
-            last, most = None, self.profile
-            if settled:
-                last, most = most[-1], np.broadcast_to(most[-1], most.shape)
-            sums = sums + summed(gains, self.caused(most, last))[: count + 1]
-        return np.asarray(sums)
-
-    def pushed(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
-        """The same as `disturbance` under the errors of commands within a profile, shape (memory + 2, m)."""
-        sums = self.flow.disturbance_support(rows, self.memory + 2)
-        first = sums[1]
-        booked = self.curvature(rows) * self.disturbance_radius
-        until = sums[1:] + first + booked
-        factor = self.flow.lyapunov[1]
-        tail = np.linalg.norm(rows @ self.W_inverse, axis=-1) * self.decay[-1]
-        tail *= self.period_gain / (1 - factor)
-        found = np.vstack([until, until[-1] + tail])
+        found = self.responses(rows, self.profile) + self.between(rows[:, : self.system.n], self.profile)
         if failing and self.system.transients:
-            found += self.upset(rows)[np.minimum(np.arange(len(found)) + 2, self.memory + 1)]
-        if profile is None:
-            return found
-        errors = self.caused(profile)
-        gains = self.flow.input_gains(rows, self.system.B, self.memory + 2)
-        sums, within = summed(gains, errors), errors @ gains[0].T
-        more = np.maximum(sums[:-1] + within, sums[1:])
-        tail, curved = self.late(rows, errors[0])
-        return np.asarray(found + curved + np.vstack([more, sums[-1:] + within[-1:] + tail]))
+            ages = np.minimum(np.arange(len(found)) + 2, self.memory + 1)
+            found = found + self.upset(rows[:, : self.system.n])[ages]
+        return found
+
+    def response(self, channel: Channel, rows: Array) -> Response:
+        """Return what a channel adds along rows of the error or of the loop state, (r, n) or (r, N)."""
+        return self.tightening.response(channel, self.whole(rows), rows[:, : self.system.n])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import expm
 
-from reach.numerics.linear import powers, summed
+from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
 from ...model.prediction import IN_PERIOD, forgetting, prediction_error, unseen_by
@@ -102,9 +102,3 @@ def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
     first = np.max(carried, axis=0)
     return np.asarray((found + left(every, first[None])[-1].T) * (1 + ROUNDING))
-
-
-def answered(gains: Array, errors: Array) -> Array:
-    """The largest response so far to errors of inputs (L, m) that do not grow, and in the next period."""
-    sums, within = summed(gains, errors), errors @ gains[0].T
-    return np.asarray(np.maximum.accumulate(np.maximum(sums[:-1] + within, sums[1:])))

@@ -1,0 +1,183 @@
+"""States that the loop of a craft has beside its tracking error, and how what is uncertain enters them."""
+
+from dataclasses import dataclass, field, replace
+from math import ceil
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..kernel.balls import above, absolute, column, exponential, identity, matrix, sums
+from ..kernel.motion import Plant, Push
+from .craft import Craft, Sample
+from .plants import WHOLE
+from .timing import carried_away, displaced, least_predicted
+
+Blocks = dict[int, arb_mat]
+"""Entries by block of the loop state; block 0 is the tracking error."""
+
+Noise = tuple[arb_mat, list[arb]]
+"""How errors of estimates enter what the law sees, (n, k), and bounds on them, none without any."""
+
+
+@dataclass
+class States:
+    """Blocks of the loop state while they are put together."""
+
+    plant: Plant
+    sizes: list[int] = field(default_factory=list)
+    moves: dict[tuple[int, int], arb_mat] = field(default_factory=dict)  # without commands
+    known: Blocks = field(default_factory=dict)  # the error that the law sees
+    parts: list[tuple[arb, arb, Blocks]] = field(default_factory=list)  # how additions of a period enter
+    shown: Blocks = field(default_factory=dict)  # additions that the next measurement shows first
+    shown_now: list[arb_mat] = field(default_factory=list)  # the same of the parts of the period
+    samples: list[tuple[Blocks, arb_mat, list[arb]]] = field(default_factory=list)
+    box: list[arb] = field(default_factory=list)  # bounds on the states, whatever law has flown
+
+    @classmethod
+    def of(cls, plant: Plant, displaced: list[arb]) -> "States":
+        """The error alone, up to an offset of it at a hand-over."""
+        one = identity(plant.A.nrows())
+        parts = [(arb(0), plant.h, {0: one})]
+        return cls(plant, [one.nrows()], {(0, 0): plant.open.phi}, {0: one}, parts, {}, [one], [], displaced)
+
+    def add(self, box: list[arb]) -> int:
+        """Add a block, with bounds on it; returns its number."""
+        self.sizes.append(len(box))
+        self.box = [*self.box, *box]
+        return len(self.sizes) - 1
+
+    def laid_out(self, blocks: Blocks, columns: int) -> arb_mat:
+        """Blocks one above the other, zero where there is none."""
+        return above(*(blocks.get(i, arb_mat(size, columns)) for i, size in enumerate(self.sizes)))
+
+    def beside(self, blocks: Blocks, rows: int) -> arb_mat:
+        """Blocks side by side, zero where there is none."""
+        turned = {i: block.transpose() for i, block in blocks.items()}
+        return self.laid_out(turned, rows).transpose()
+
+    def delay(self, delay: float, pushes: list[Push]) -> None:
+        """Remember additions that no measurement has shown: a line of them, or one per part of periods."""
+        plant, h, one = self.plant, self.plant.h, identity(self.plant.A.nrows())
+        periods = max(ceil(float((arb(delay) / h).mid()) - WHOLE), 1)
+        late = arb(delay) - (periods - 1) * h
+        whole = float((late / h).mid()) >= 1 - WHOLE
+        split = arb(0) if whole else h - late
+        if not whole:
+            self.parts = [(arb(0), split, {0: one}), (split, h, {0: one})]
+            self.shown_now = [0 * one, 0 * one]
+        for early in (False, True)[: 1 if whole else 2]:
+            ages, back = periods - early, exponential(plant.A, -h)[0]
+            begin, end = (arb(0), split) if early else (split, h)
+            for age in range(ages):
+                carried = exponential(plant.A, h * (age + 1) - end)[0]
+                part = replace(plant, h=end - begin).open
+                block = self.add([x.upper() for x in part.gains_over(carried, pushes, 1)[0]])
+                self.known[block] = -one
+                if age:
+                    self.moves[block, block - 1] = plant.open.phi
+                else:
+                    self.parts[-1 if not early else 0][2][block] = one
+            until = exponential(plant.A, -(h - split) if early else split)[0]
+            if ages:
+                self.shown[len(self.sizes) - 1] = until * back ** (ages - 1)
+            else:
+                self.shown_now[0] = until
+        if whole:
+            self.shown_now = [0 * one]
+
+    def impulses(self) -> None:
+        """Carry what is left of the impulses of a period to the next one."""
+        plant, m = self.plant, self.plant.B.ncols()
+        held, unit, left = plant.open.gamma * plant.B * (1 / plant.h), identity(m), [arb(plant.carried)] * m
+        block = self.add(left)
+        self.moves[0, block] = held
+        self.samples.append(({0: -held, block: unit}, unit * (1 / plant.h), left))
+
+    def observer(
+        self, gain: arb_mat, measures: arb_mat, noise: list[arb], carry: arb_mat, settled: list[arb]
+    ) -> None:
+        """Estimate from measurements, with an error that lasts."""
+        rest, block = identity(gain.nrows()) - gain * measures, self.add(settled)
+        self.moves[block, block] = rest * self.plant.open.phi
+        self.known[block] = carry
+        for i, each in self.shown.items():
+            self.moves[block, i] = -rest * each
+        for (_, _, enters), now in zip(self.parts, self.shown_now, strict=True):
+            enters[block] = -rest * now
+        self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), noise))
+
+    def closed(self, gain: arb_mat, steady: list[Push], noise: Noise, lag: int, base: list[arb]) -> Craft:
+        """Close the loop by a law."""
+        plant, n, m = self.plant, self.sizes[0], self.plant.B.ncols()
+        motion, K = plant.loop(gain), gain * self.beside(self.known, n)
+        applied = {j: block for (i, j), block in self.moves.items() if i == 0 and j}
+        held = plant.open.gamma * plant.B
+        rows = [
+            self.beside({j: b for (i, j), b in self.moves.items() if i == row}, size)
+            for row, size in enumerate(self.sizes)
+        ]
+        F = above(rows[0] - held * K, *rows[1:])
+        unit = {j: identity(m) * (1 / plant.h) for j in applied}
+        rates = self.beside({0: plant.A}, n) + plant.B * (self.beside(unit, m) - K)
+        parts = [(a, b, self.laid_out(enters, n)) for a, b, enters in self.parts]
+        samples = [Sample(self.laid_out(adds, len(size)), push, size) for adds, push, size in self.samples]
+        carry, off = noise
+        seen = gain * carry
+        if off:
+            samples.append(Sample(self.laid_out({0: -(held * seen)}, len(off)), seen, off))
+        return Craft(motion, F, K, rates, parts, steady, samples, column(self.box), seen, off, lag, base)
+
+
+def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
+    """Build the loop of the safety controller from a certificate.
+
+    Delay and observer are states of it, but where any of several patterns of measurements may be met, and
+    beside faults: a box stands for the estimate then.
+    """
+    n, m, delay, stated = (
+        plant.A.nrows(),
+        plant.B.ncols(),
+        document.timing.get("delay", 0.0),
+        document.observer,
+    )
+    bits = [Push.in_box(plant.B, [arb(plant.bit)] * m)] if plant.bit else []
+    phases = bool(document.error_by_step) and delay > 0 and stated is None
+    if document.timing.get("missed", 0) or document.transients or phases:
+        states = States.of(plant, [arb(0)] * n)
+        most = plant.unseen * column(plant.thruster_part(plant.u_max)) if plant.hidden else arb_mat(n, 1)
+        known = list(map(arb, document.calmest or [0.0] * n))
+        off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
+        steady = [plant.disturbance, *plant.carry, *bits]
+        return states.closed(
+            gain, steady, (identity(n), off if document.estimate else []), plant.hidden, known
+        )
+    along = arb(plant.thrusters[0] if plant.thrusters else 0.0) * plant.carried
+    offset = (absolute(plant.B) * column([along] * m)).entries()
+    moved = carried_away(plant)
+    away = [_positive(x - y) + z for x, y, z in zip(displaced(document, delay), moved, offset, strict=True)]
+    states = States.of(plant, sums(moved, offset))
+    steady = [plant.disturbance, *([Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []), *bits]
+    if delay:
+        full = Push.in_box(plant.B, plant.thruster_part(plant.u_max))
+        states.delay(delay, [*steady, full])
+    if plant.carried:
+        states.impulses()
+    measured = list(map(arb, document.measured or document.estimate or [0.0] * n))
+    carry, off = exponential(plant.A, arb(delay))[0], list[arb]()
+    if stated is not None:
+        measured = list(map(arb, stated.get("settled") or document.measured or document.estimate))
+        M = matrix(stated["measures"])
+        noise = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
+        states.observer(matrix(stated["gain"]), M, noise, carry, measured)
+    elif delay:
+        off = sums(measured, away)
+    elif document.estimate:
+        off = [_positive(arb(x) - y) + z for x, y, z in zip(document.calmest, moved, offset, strict=True)]
+    base = list(map(arb, document.calmest or [0.0] * n))
+    if stated is not None:
+        base = least_predicted(document, plant, measured)
+    return states.closed(gain, steady, (carry, off), 0, base)
+
+
+def _positive(x: arb) -> arb:
+    return x.abs_upper() if not x < 0 else arb(0)
