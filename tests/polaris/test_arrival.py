@@ -29,7 +29,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.safety.problem import require_velocities
-from polaris.synthesis.schedule.arrival import _correcting, _needs, _settled, arrival
+from polaris.synthesis.schedule.arrival import _correcting, _needs, arrival
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
@@ -70,7 +70,7 @@ def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
     always = tracking.flow.disturbance_support(rows, count)[-1]
     always = always + gains @ tracking.system.thrusters.part(tracking.profile[-1])
-    assert 0.99 * always.max() <= _settled(tracking, rows).max() <= always.max() * (1 + 1e-9)
+    assert 0.99 * always.max() <= tracking.settled(rows).max() <= always.max() * (1 + 1e-9)
 
 
 # -- two derivations of the same rows ---------------------------------------------------------------
@@ -205,11 +205,11 @@ def derived(forger):
     argument = Argument(document, Record())
     path = argument.reference()
     sets, flown = argument.tubes(path, Merging(80))
-    memory = checked.Memory.of(argument.loop, widest(sets), document.q)
+    memory = checked.Memory.of(argument.craft, widest(sets), document.q)
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
-    given = document, path, argument.loop, memory, held, taken
+    given = document, path, argument.craft, memory, held, taken
     found = checked.Arrival(*given, pilot=argument.pilots[0])
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 

@@ -43,6 +43,7 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.linear import discretize
 
+from .loops import loop_of_errors
 from .tiny import TINY
 
 ANY = ('experimental.0={kind="any_thrust",name="any"}', "tracking.Q=[1,1,1,1]", "tracking.R=[8,8]")
@@ -99,8 +100,8 @@ def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     schedule, argument = scene(name)
     path = argument.reference()
     sets, _ = argument.tubes(path, Merging(12))
-    memory = Memory.of(argument.loop, widest(sets), argument.document.q)
-    needs = Needs(argument.loop, memory, argument.gain)
+    memory = Memory.of(argument.craft, widest(sets), argument.document.q)
+    needs = Needs(argument.craft, memory, argument.gain)
     disturbed = needs.disturbed
     tube, gain = needs.tube(sets[0]), values(argument.gain)
     runs = simulate(schedule, 300, 5, mode=0)
@@ -229,7 +230,8 @@ def test_what_a_set_needs_between_nodes_is_covered():
     plant = Plant(matrix(A.tolist()), b, b, matrix([[1, 0]]), [arb(1)], arb(0.0), arb(h))
     motion, rows = plant.loop(matrix(K.tolist())), np.vstack([np.eye(2), -np.eye(2), K, -K])
     start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
-    needs = Needs(motion, Memory.of(motion, start.size(), 1), matrix(rows.tolist()))
+    loop = loop_of_errors(motion)
+    needs = Needs(loop, Memory.of(loop, start.size(), 1), matrix(rows.tolist()))
     tube = np.array([[float(x) for x in each] for each in needs.tube(start)])
     c, G, beyond, tight = values(start.c)[:, 0], values(start.G), 0.0, 0.0
     within = []
@@ -266,7 +268,8 @@ def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
 
     def swinging():
         A, B = matrix([[0, 1], [-1, -1 / 32]]), matrix([[0], [1]])
-        return Plant(A, B, B, matrix([[1, 0]]), [], arb(0), arb(0.25)).loop(matrix([[0, 0]]))
+        plant = Plant(A, B, B, matrix([[1, 0]]), [arb(1)], arb(0), arb(0.25))
+        return loop_of_errors(plant.loop(matrix([[0, 0]])))
 
     with pytest.raises(Imprecise, match="precision is lost"):
         Memory.of(swinging(), column([1, 1]), 4)

@@ -283,8 +283,8 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
     for lag in range(tracking.memory):
         errors = [part(profile[i]) for i in range(lag)]
         reached = np.sum([kick[lag - 1 - i] @ e for i, e in enumerate(errors)], axis=0)
-        assert np.all(reached + tracking.system.command_error(gain) <= profile[lag])
-    need = tracking.pushed(gain, profile)[-1] + tracking.system.command_error(gain)
+        assert np.all(reached + tracking.noise <= profile[lag])
+    need = tracking.responses(tracking.commands[: len(gain)], profile)[-1] + tracking.noise
     assert np.all(reached < need) and np.all(need <= profile[-1])
 
 
@@ -304,7 +304,8 @@ def test_what_the_reference_commands_is_booked_where_it_acts():
     scenario = load_scenario(TINY).with_assignments(ERRORS[2:4])
     safety = synthesize(scenario).safety
     clearance, nu = safety.clearance, np.abs(safety.reference.nu)
-    caused, told = clearance.scheduled(safety.tracking.gain), clearance._scheduled.commanded
+    rows = safety.tracking.commands[: nu.shape[1]]
+    caused, told = clearance.scheduled(rows), clearance._scheduled.commanded
     assert np.all(told >= nu + caused.max(axis=1) - 1e-12) and np.all(told.max(axis=0) < 1.5 * nu.max(axis=0))
     assert np.all(told[clearance.planned :] == told[-1])
     assert np.all(clearance.scheduled(safety.tracking.system.position) > 0)
@@ -327,7 +328,7 @@ def test_errors_that_nearly_feed_on_themselves_are_bounded():
         system = replace(system, thrusters=replace(system.thrusters, across=more * system.thrusters.across))
         tracking = replace(safety.tracking, system=system)
         scheduled = Scheduled(tracking, safety.reference, safety.clearance.planned)
-        caused = scheduled.along(tracking.gain).max(axis=1)
+        caused = scheduled.along(tracking.commands[: system.m]).max(axis=1)
         bounded.append(np.all(scheduled.commanded >= np.abs(safety.reference.nu) + caused))
         assert bounded[-1] or np.any(caused > system.u_max), "neither a bound, nor are thrusters exhausted"
     assert bounded[1] and not bounded[-1]

@@ -16,6 +16,7 @@ from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope
 from polaris.certificate.model.limits import Limits, Target
 from polaris.certificate.model.loop import Memory, Needs
+from tests.polaris.loops import loop_of_errors
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
 
@@ -24,7 +25,7 @@ def recovery(bad=None):
     """A loop that forgets quickly, wide limits at every node, and one that nothing meets."""
     one = matrix([[1.0]])
     plant = Plant(one, one, one, one, [arb(10)], arb(0.01), arb(H))
-    loop = plant.loop(matrix([[GAIN]]))
+    loop = loop_of_errors(plant.loop(matrix([[GAIN]])))
     memory = Memory.of(loop, column([arb(1)]), Q)
     wide, none = Target(0, arb(100), "wall", arb(100)), Target(0, arb(-1), "wall", arb(100))
     targets = [[[none if (cell, i) == bad else wide] for i in range(Q + 1)] for cell in range(CELLS)]

@@ -1,0 +1,14 @@
+"""The checker's loop of a tracking error alone, for tests of what it derives from one."""
+
+from flint import arb
+
+from polaris.certificate.kernel.balls import identity
+from polaris.certificate.model.craft_states import States
+
+
+def loop_of_errors(motion):
+    """Build the loop of a law that sees its error exactly and at once, under a disturbance alone."""
+    n = motion.A.nrows()
+    nothing = [arb(0)] * n
+    states = States.of(motion.plant, nothing)
+    return states.closed(motion.held, [motion.plant.disturbance], (identity(n), []), 0, nothing)
