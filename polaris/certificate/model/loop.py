@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from flint import arb, arb_mat, arb_poly
 
-from ..kernel.balls import above, column, identity, largest, magnitude, norms, sums
+from ..kernel.balls import above, column, identity, largest, magnitude, norms, smallest, sums
 from ..kernel.motion import Motion
 from ..kernel.verdict import Imprecise, Undecided
 from ..kernel.zonotopes import Zonotope
@@ -32,7 +32,7 @@ class Memory:
     z: arb_mat  # shape (states, 1)
     c: arb
     profile: list[list[arb]] = field(default_factory=list)
-    """Bounds on what feedback commands l periods after a hand-over; the last one holds for ever."""
+    """Bounds on what is commanded l periods after a hand-over, within limits; the last one holds for ever."""
     rates: list[Needs] = field(default_factory=list, repr=False)
     """Of ``e'`` and of ``A e'`` at nodes, once they are known."""
 
@@ -64,7 +64,10 @@ class Memory:
             z = magnitude(z0 + last * z0 + last * (last * z0))
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < FORGOTTEN:
-                return cls([*powers, powers[-1] * craft.F], z, c, list(profile))
+                pairs = (
+                    [smallest(pair) for pair in zip(most, craft.plant.u_max, strict=True)] for most in profile
+                )
+                return cls([*powers, powers[-1] * craft.F], z, c, list(pairs))
             radii = arb_mat(count, count, [x.rad() for x in powers[-1].entries()]) * z
             if not largest(a / b for a, b in zip(radii.entries(), z.entries(), strict=True)) < FORGOTTEN:
                 raise Imprecise("recoverable", f"precision is lost within {len(powers)} periods of the loop")
