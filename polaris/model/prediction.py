@@ -29,6 +29,9 @@ ROUNDS, SPARE = 100, 1e-3
 LEFT_OVER, LONGEST = 1e-2, 4096
 """What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
 
+SHARES, CALM = (1.0, 0.3, 0.1, 0.03), 0.02
+"""Shares of the thrust for whose errors gains are designed, and the one at which S flies once settled."""
+
 UNSEEN = 1e-6  # share of the thrust limits that is taken for unknown, so that every gain forgets
 
 AT_NODES = 1e-6
@@ -142,17 +145,36 @@ def observing(system: LinearSystem, observer: Observer, h: float, moved: Array |
 
 
 def design(system: LinearSystem, measures: Array, noise: Array, h: float, missed: int = 0) -> Observer:
-    """The observer of measurements (r, n) off by `noise` (r,) at most, with the steady Kalman gain.
+    """Design the observer of measurements (r, n) off by `noise` (r,) at most, with a steady Kalman gain.
 
-    After some of up to `missed` periods without any, either the gain that does at once what it would have
-    done in each of them, or the Kalman gain of then: whichever leaves smaller errors.
+    Of gains made for shares of the thrust it takes the one whose errors, at full thrust and nearly without
+    thrust, are the least beside those of the best. After some of up to `missed` periods without any
+    measurement, either the gain that does at once what it would have done in each of them, or the Kalman
+    gain of then: whichever leaves smaller errors.
 
     Raises
     ------
     ScenarioError
         If measurements do not see a motion that does not decay.
     """
-    unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(system.u_max)])
+    first, *others = SHARES if system.thrusters.proportional else SHARES[:1]
+    found = [_designed(system, measures, noise, h, missed, first)]
+    for share in others:
+        with suppress(ScenarioError):
+            found.append(_designed(system, measures, noise, h, missed, share))
+    if len(found) == 1:
+        return found[0]
+    calm = replace(system, u_max=CALM * system.u_max)
+    sizes = np.array([[filtered(each, one, h) for each in (system, calm)] for one in found])
+    worse = (sizes / np.maximum(sizes.min(axis=0), 1e-300)).sum(axis=(1, 2))
+    return found[int(np.argmin(worse))]
+
+
+def _designed(
+    system: LinearSystem, measures: Array, noise: Array, h: float, missed: int, share: float
+) -> Observer:
+    """Design an observer for errors of thrusters under a share of their limits."""
+    unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(share * system.u_max)])
     unknown = np.hstack([unknown, system.B * (UNSEEN * system.u_max)])
     step, excited = expm(system.A * h), expm(system.A * h / 2) @ unknown * h
     covariance = np.diag((noise * SCATTER) ** 2)

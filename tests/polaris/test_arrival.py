@@ -70,7 +70,7 @@ def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
     gains = tracking.flow.input_gains(rows, tracking.system.B, count).sum(axis=0)
     always = tracking.flow.disturbance_support(rows, count)[-1]
     always = always + gains @ tracking.system.thrusters.part(tracking.profile[-1])
-    assert 0.99 * always.max() <= tracking.settled(rows).max() <= always.max() * (1 + 1e-9)
+    assert 0.99 * always.max() <= tracking.settled(rows).max() <= always.max() * (1 + 1e-4)
 
 
 # -- two derivations of the same rows ---------------------------------------------------------------

@@ -233,7 +233,11 @@ def _pulsed(system: LinearSystem, before: Array, after: Array, h: float, s: Arra
 def _measure_thrust(
     claims: Claims, runs: Runs, flown: NDArray[np.intp], by_s: NDArray[np.bool_], out: Attained
 ) -> None:
-    """Thrust left at the nodes of the periods that S flies, the estimate being as wrong as it may be."""
+    """Measure the thrust left at the nodes of the periods that S flies.
+
+    It is that of the commands where delay and observer are states of the loop; else that of any command on an
+    estimate that is as wrong as it may be.
+    """
     safety, system = claims.schedule.safety, claims.system
     gain = safety.tracking.gain
     wrong = command_errors(system, gain, claims.cells, safety.problem.K)
@@ -241,6 +245,9 @@ def _measure_thrust(
     xi = safety.clearance.nodes[: claims.cells, :-1].reshape(-1, system.n)[flown]
     mu = np.repeat(safety.reference.nu[: claims.cells], claims.q, axis=0)[flown]
     left = most - np.abs(mu + (xi - runs.states[:, flown]) @ gain.T)
+    if safety.tracking.commands.shape[1] > system.n:
+        clipped = np.minimum(1 - runs.demanded[:, flown, None], 0.0) * system.u_max
+        left = system.u_max - np.abs(runs.inputs[:, flown]) + clipped
     left = np.where(by_s[..., None], left, np.inf)
     inputs = slice(len(claims.unsafe), None)
     out.margin[:, inputs] = left.min(axis=1)
