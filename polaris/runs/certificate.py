@@ -54,7 +54,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: sha256(path) for path in files},
-        **_flown(schedule),
+        **flown(schedule),
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": _sets(schedule, covered),
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
@@ -88,10 +88,10 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
 
 def write_gains(path: Path, schedule: Schedule) -> None:
     """Write ``gains.json``: the law, and the certificate's system and controllers."""
-    write_text(path, json_text({"law": LAW, **_flown(schedule)}))
+    write_text(path, json_text({"law": LAW, **flown(schedule)}))
 
 
-def _flown(schedule: Schedule) -> dict[str, Any]:
+def flown(schedule: Schedule) -> dict[str, Any]:
     """Return the system, its sampling and its controllers."""
     safety, feedback = schedule.safety, schedule.safety.tracking.feedback
     return {
