@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,19 @@ from ..certificate.files.artefacts import check_hashes
 from ..certificate.files.document import VERSION, Document, read
 from ..certificate.kernel.verdict import Failed, Record, Undecided
 from ..model.errors import NotCertified, ScenarioError, SynthesisInfeasible
-from ..planning.problem import Plan
+from ..planning.recheck import known_plan
 from ..planning.reference import Reference
 from ..scenario.scenario import ScheduleScenario
+from ..synthesis.controllers.black_box import Ask, BlackBox, Statement
 from ..synthesis.controllers.controllers import Controller
 from ..synthesis.safety.get_safety import Safety, find_safety
 from ..synthesis.safety.problem import Problem
+from ..synthesis.schedule.powered import KnownBranches
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.search import Search, SwitchingRules
-from ..synthesis.schedule.synthesize import switching_logic
-from .certificate import flown
+from ..synthesis.schedule.synthesize import along, switching_logic
+from ..synthesis.schedule.worth import as_good
+from .files.controllers import flown
 from .files.folder import SCENARIO, RunFolder
 from .run import read_run
 from .schedule import SCHEDULE
@@ -30,7 +34,10 @@ AGREES = 1e-9
 """Share of the largest number of an array by which others may differ: other libraries round otherwise."""
 
 
-def read_schedule(folder: str | Path | RunFolder) -> Schedule:
+NOT_PROVEN = "must be proven as the schedule's certificate says; run the scenario again"
+
+
+def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask] | None = None) -> Schedule:
     """Return the schedule of a run folder without planning and without searching for modes.
 
     The reference inputs and the modes are read from ``certificate.json``. Gains, sets and tubes follow from
@@ -40,6 +47,9 @@ def read_schedule(folder: str | Path | RunFolder) -> Schedule:
     ----------
     folder : path or RunFolder
         Written by `polaris.run` or `polaris.write_run`.
+    black_boxes : mapping, optional
+        What is asked of black boxes when they fly, by name, as in `polaris.run`. Nothing is asked to read
+        them.
 
     Returns
     -------
@@ -66,7 +76,7 @@ def read_schedule(folder: str | Path | RunFolder) -> Schedule:
         raise ScenarioError("run folder", str(run.path), f"must be of a schedule; it is of a {run.kind.name}")
     document = _document(run.path)
     try:
-        schedule = _proven(run.scenario, document)
+        schedule = _proven(run, document, _asks(run.scenario, black_boxes))
     except (SynthesisInfeasible, NotCertified) as error:
         rule = f"holds a schedule that this version cannot prove ({error}); run the scenario again"
         raise ScenarioError("run folder", str(run.path), rule) from error
@@ -93,30 +103,114 @@ def _document(folder: Path) -> Document:
     return document
 
 
-def _proven(scenario: ScheduleScenario, document: Document) -> Schedule:
+def _asks(scenario: ScheduleScenario, given: Mapping[str, Ask] | None) -> Mapping[str, Ask]:
+    """Return what is asked of black boxes; one that is not given is refused once it flies."""
+    if given:
+        return given
+
+    def missing(name: str) -> Ask:
+        def ask(t: float, x: Any, xi: Any) -> Any:
+            raise ScenarioError("black box", name, "must be given to fly: read_schedule(folder, {name: ask})")
+
+        return ask
+
+    return {spec.name: missing(spec.name) for spec in scenario.model.experimental if spec.kind == "black_box"}
+
+
+def _proven(run: RunFolder, document: Document, boxes: Mapping[str, Ask]) -> Schedule:
     """Prove the schedule of a document by both algorithms, along its reference and in its modes."""
+    scenario, choices = run.scenario, document.choices
     problem = replace(scenario.problem(), recoverable=document.recoverable)
-    safety = find_safety(problem, known_plan(problem, document.inputs[: document.steps], document.facets))
-    laws = _controllers(scenario, document, safety)
-    search = Search.over(scenario, safety, laws, SwitchingRules(), None, fits=True)
-    return switching_logic(replace(search, intended=tuple(document.modes)))
+    if "thrust_share" in choices:
+        problem = replace(problem, thrust_share=choices["thrust_share"])
+    safety = _safety(problem, document.inputs[: document.steps], document.facets)
+    laws = _controllers(scenario, document, safety, boxes)
+    rules = scenario.switching_rules()
+    search = Search.over(scenario, safety, laws, rules, None, fits=True)
+    modes = tuple(document.modes)  # proven step by step, by whatever rules they were found
+    schedule = switching_logic(replace(search, rules=SwitchingRules(), intended=modes))
+    if "delta_v_unit" in choices:
+        others = _Library(search, schedule, choices.get("library", []))
+        schedule = replace(schedule, library=others, worth=rules.prices(choices["delta_v_unit"]))
+    if document.statement:
+        schedule = replace(schedule, statement=Statement(**document.statement))
+    schedule = replace(schedule, branches=_branches(run, document))
+    demanding = rules.delta_v_max is not None or (problem.abort is not None and problem.abort.required)
+    if demanding and not rules.allow(schedule):
+        raise NotCertified("its velocity change or its drift is not proven to be what the scenario demands")
+    if schedule.powered is not None:
+        schedule.powered.require()
+    return schedule
 
 
-def known_plan(problem: Problem, inputs: Any, facets: Any) -> Plan:
-    """Return a plan of which only the inputs (K, m) and the separating facets (cells, sets) are known."""
-    system, K, nu = problem.system, problem.K, np.array(inputs, dtype=float)
-    path = Reference.propagate(system, problem.delta, problem.initial_set.c, nu)
-    sides = np.array(facets, dtype=int).reshape(len(facets), -1).T
-    unknown = np.full((len(sides), K), np.nan)
-    spent = float(np.sum(np.abs(nu)) * problem.delta / system.mass)
-    parts = path.chi, nu, sides[:, :K], sides[:, K:], np.nan, unknown, unknown, spent
-    return Plan(*parts, status="read", objective=np.nan, bound=np.nan, gap=np.nan)
+def _safety(problem: Problem, inputs: Any, facets: Any) -> Safety:
+    """Prove a reference by Algorithm 1, from its inputs (K, m) and facets (cells, n_o)."""
+    nu = np.array(inputs, dtype=float)
+    path = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, nu)
+    sides = np.array(facets, dtype=int).reshape(len(facets), -1)
+    return find_safety(problem, known_plan(path, problem.K, sides))
 
 
-def _controllers(scenario: ScheduleScenario, document: Document, safety: Safety) -> Sequence[Controller]:
-    """Build the experimental controllers; those that follow a plan follow the one in the document."""
-    planned = {law.name: np.array(law.inputs) for law in document.laws[1:] if law.inputs is not None}
-    return scenario.controllers(safety, planned=planned)
+def _controllers(
+    scenario: ScheduleScenario, document: Document, safety: Safety, boxes: Mapping[str, Ask]
+) -> list[Controller]:
+    """Build the experimental controllers; those that follow a plan follow the one in the document.
+
+    A black box has the bands of the document, or may do anything where that is what was proven.
+    """
+    told = {law.name: law for law in document.laws[1:]}
+    planned = {name: np.array(law.inputs) for name, law in told.items() if law.inputs is not None}
+    fits = {k: np.array(fit) for k, fit in enumerate(document.fits) if fit is not None}
+    found = list[Controller]()
+    for law in scenario.controllers(safety, boxes, planned):
+        if isinstance(law, BlackBox):
+            anything = law.name not in told or told[law.name].kind == "any_thrust"
+            law = law.anything if anything else replace(law, fits=fits)
+        found.append(law)
+    return found
+
+
+def _branches(run: RunFolder, document: Document) -> KnownBranches | None:
+    """Return the branches of aborts in a document; ``schedule.json`` says why a step has none."""
+    known = document.powered
+    if known is None:
+        return None
+    steps = run.json("schedule.json")["guarantee"]["powered_abort"]["steps"]
+    return KnownBranches(
+        [each.step for each in known.branches],
+        [np.array(each.inputs, dtype=float) for each in known.branches],
+        [np.array(each.facets, dtype=int).reshape(len(each.facets), -1) for each in known.branches],
+        [None if way is None else way.branch for way in known.steps],
+        [step["why"] or "" for step in steps],
+    )
+
+
+class _Library(Sequence[Schedule]):
+    """Schedules along the other references of a document, proven when one of them is first asked for."""
+
+    def __init__(self, search: Search, best: Schedule, choices: Sequence[Mapping[str, Any]]) -> None:
+        self.search, self.best, self.choices = search, best, choices
+
+    def __len__(self) -> int:
+        return len(self.choices)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._proven[place]
+
+    @cached_property
+    def _proven(self) -> tuple[Schedule, ...]:
+        try:
+            return tuple(self._prove(**each) for each in self.choices)
+        except (SynthesisInfeasible, NotCertified) as error:
+            raise ScenarioError("library", str(error), NOT_PROVEN) from error
+
+    def _prove(self, inputs: Any, modes: list[int]) -> Schedule:
+        safety = _safety(self.best.safety.problem, inputs, np.zeros((len(inputs), 0)))
+        search = replace(along(self.search, safety), intended=tuple(modes))
+        found = switching_logic(replace(search, rules=SwitchingRules()))
+        if found.modes.tolist() != modes or not as_good(found, self.best, self.search.rules):
+            raise ScenarioError("library", f"modes {found.modes.tolist()}", NOT_PROVEN)
+        return found
 
 
 def _repeated(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
@@ -139,6 +233,26 @@ def _repeated(document: Document, schedule: Schedule) -> list[tuple[str, Any, An
         ("end.reason", document.reason, end.reason),
         ("guarantee", document.guarantee, schedule.guarantee),
         ("assumptions", document.assumptions, list(schedule.assumptions[:-1])),
+        *_aborts(document, schedule),
+    ]
+
+
+def _aborts(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
+    """Return what a document says of flights that are aborted, and what the schedule says of them."""
+    drift, powered, passive, proven = document.drift, document.powered, schedule.passive, schedule.powered
+    clear = [] if drift is None else [parts is not None for parts in drift.steps]
+    ways = [] if powered is None else [None if way is None else vars(way) for way in powered.steps]
+    found = (
+        []
+        if proven is None
+        else [
+            None if way.branch is None else {"branch": way.branch, "cell": way.cell, "delta_v": way.delta_v}
+            for way in proven.ways
+        ]
+    )
+    return [
+        ("drift.steps", clear, [] if passive is None else passive.clear.tolist()),
+        ("powered.steps", ways, found),
     ]
 
 

@@ -8,12 +8,26 @@ import pytest
 
 pytest.importorskip("flint")
 
+from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.runs.read_schedule import read_schedule
 from polaris.runs.schedule import write_run
+from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.baselines import compare
+from polaris.simulation.sampled import with_boxes
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.safety.get_safety import SHARES
+from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import scheduled
+from ..sizes import fewer
+from .forging import COARSE, QUARTER
+from .random_scenarios import synthesised
+from .test_black_box import document as box_document
+from .test_black_box import hasty
+from .test_neural import scene as network_scene
+from .test_transients import LATE
+from .tiny import TINY
 
 SEARCHES = (
     "planning.lp.silent_highspy",
@@ -64,9 +78,110 @@ def assert_equal(found, made, scenario):
     assert texts[0] == texts[1]
 
 
+def check(folder, scenario, schedule):
+    """Check that a written schedule is read as it was, without any search; return it as it is read."""
+    place = written(folder, scenario, schedule)
+    with no_search():
+        found = read_schedule(place)
+        assert_equal(found, schedule, scenario)
+    return found
+
+
 @pytest.mark.parametrize("name", ["static", "dynamic"])
 def test_the_schedule_that_is_read_is_the_one_that_was_written(name, tmp_path):
-    scenario, schedule = scheduled(name)
-    folder = written(tmp_path, scenario, schedule)
+    check(tmp_path, *scheduled(name))
+
+
+ERRORS = (
+    "navigation.state_error=[0.002, 0.002, 0.0005, 0.0005]",
+    "chaser.radius_m=0.02",
+    "thrusters.magnitude_error=0.01",
+)
+ORBIT = 'orbit={kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
+IN_VIEW = "recoverable.recourse=in_view"
+SOFT = "tracking.R=[60.0,60.0]"
+VARIANTS = {
+    "errors": (COARSE, SOFT, *ERRORS),
+    "errors, in view": (COARSE, SOFT, *ERRORS, IN_VIEW),
+    "late faults": (QUARTER, SOFT, LATE),
+    "passive abort": (COARSE, SOFT, "abort={drift_s=4.0}"),
+    "passive abort required": (COARSE, SOFT, "abort={drift_s=0.5,required=true}"),
+    "powered abort": (QUARTER, f"abort={{{ORBIT},within_s=10.0,delta_v_max_m_s=20.0}}"),
+    "powered abort to the goal": (QUARTER, 'abort={orbit={kind="goal"}}'),
+    "setpoint": (QUARTER, 'experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'),
+    "shared": (QUARTER, 'experimental.0.reference={kind="shared"}'),
+    "look ahead": (
+        COARSE,
+        SOFT,
+        "schedule.strategy=look_ahead",
+        "schedule.min_dwell_steps=2",
+        "schedule.max_switches=3",
+    ),
+    "budget": (COARSE, SOFT, IN_VIEW, "schedule.delta_v_max_m_s=7.0"),
+    "balls": (COARSE, SOFT, "recoverable.kind=ball"),
+}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_kind_of_choice_is_read(name, tmp_path):
+    scenario = load_scenario(TINY).with_assignments(list(VARIANTS[name]))
+    schedule = synthesize(scenario)
+    found = check(tmp_path, scenario, schedule)
+    assert schedule.share() > 0 or name == "balls"
+    if schedule.powered is not None:
+        assert found.powered.told() == schedule.powered.told()
     with no_search():
-        assert_equal(read_schedule(folder), schedule, scenario)
+        library = list(found.library)
+    for one, other in zip(library, schedule.library, strict=True):
+        assert_equal(one, other, scenario)
+    if schedule.worth is not None:
+        assert library or name == "budget"
+        assert found.worth({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.worth({0: 0.2, 1: 0.8}, 1.5, 3)
+
+
+def test_the_share_of_thrust_that_was_kept_is_read(tmp_path):
+    scenario = load_scenario(TINY).with_assignments([COARSE, SOFT, *ERRORS])
+    schedule = synthesize(scenario)
+    assert schedule.safety.tracking.level == SHARES[1]
+    assert check(tmp_path, scenario, schedule).safety.tracking.level == SHARES[1]
+
+
+@pytest.mark.parametrize("seed", [2, 2001, 5000, 5003, 5005, 5006, 5034])
+def test_random_scenes_are_read(seed, tmp_path):
+    check(tmp_path, *synthesised(seed, tmp_path))
+
+
+@pytest.mark.slow
+def test_many_random_scenes_are_read(tmp_path):
+    read = 0
+    for seed in range(4000, fewer(4080, 4025)):
+        try:
+            scenario, schedule = synthesised(seed, tmp_path)
+        except PolarisError:
+            continue
+        check(tmp_path / str(seed), scenario, schedule)
+        read += 1
+    assert read > 10
+
+
+def test_a_network_is_read(tmp_path):
+    path = network_scene(tmp_path)
+    scenario = load_scenario(path)
+    schedule = synthesize(scenario)
+    assert schedule.share() > 0
+    check(tmp_path, scenario, schedule)
+
+
+@pytest.mark.parametrize("kind", ["flies", "may do anything"])
+def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
+    scenario = ScheduleScenario.from_dict(box_document())
+    sampled = with_boxes(scenario, {"box": hasty()})
+    schedule = sampled.schedule if kind == "flies" else sampled.proven
+    found = check(tmp_path, scenario, schedule)
+    assert found.guarantee == ("statistical" if kind == "flies" else "proved")
+    assert found.statement == schedule.statement
+    if kind == "flies":
+        with pytest.raises(ScenarioError, match="box.*must be given"):
+            simulate(found, 2, 0)
+        given = read_schedule(tmp_path / "run", {"box": hasty()})
+        assert np.array_equal(simulate(given, 2, 0).states, simulate(schedule, 2, 0).states)
