@@ -23,34 +23,24 @@ from ..simulation.falsification.violations import Failure, overspent, violation
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.synthesize import synthesize
 from .files.atomic import write_whole
-from .files.folder import readable
-from .files.tables import json_text, read_reference
+from .files.tables import json_text
+from .read_schedule import read_schedule
 from .run import read_run
-from .schedule import SCHEDULE, digest
+from .schedule import digest
 
 FORMAT = "polaris case"
 VERSION = 3
 
 
 def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleScenario, Schedule]:
-    """Synthesise a scenario, or that of a run folder, which must hold the schedule that comes of it."""
+    """Return the scenario and the schedule of a run folder, or synthesise a scenario."""
     if not Path(target).is_dir():
         scenario = load_scenario(target, overrides, only=ScheduleScenario)
         return scenario, synthesize(scenario)
     if overrides:
         raise ScenarioError("--set", list(overrides), "must be left out for a run folder: it is as it is")
     folder = read_run(target)
-    if folder.kind is not SCHEDULE:
-        raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")
-    schedule = synthesize(folder.scenario)
-    reference = schedule.safety.reference
-    with readable(folder.path):
-        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
-    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
-    if not same or folder.json("schedule.json").get("modes") != schedule.modes.tolist():
-        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
-        raise ScenarioError("run folder", target, rule)
-    return folder.scenario, schedule
+    return folder.scenario, read_schedule(folder)
 
 
 def write_case(

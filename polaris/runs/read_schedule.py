@@ -73,7 +73,9 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
     """
     run = folder if isinstance(folder, RunFolder) else read_run(folder)
     if run.kind is not SCHEDULE:
-        raise ScenarioError("run folder", str(run.path), f"must be of a schedule; it is of a {run.kind.name}")
+        raise ScenarioError(
+            "run folder", str(run.path), f"must be of a schedule; it is of kind {run.kind.name!r}"
+        )
     document = _document(run.path)
     try:
         schedule = _proven(run, document, _asks(run.scenario, black_boxes))

@@ -1,13 +1,18 @@
 """Schedules read from run folders: equal to those that were written, without planning."""
 
 import json
+import shutil
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("flint")
 
+import polaris
+from polaris.certificate.files.document import canonical, digest
+from polaris.certificate.files.structure import sha256
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.runs.read_schedule import read_schedule
@@ -21,6 +26,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import scheduled
 from ..sizes import fewer
+from .corruptions import restate
 from .forging import COARSE, QUARTER
 from .random_scenarios import synthesised
 from .test_black_box import document as box_document
@@ -185,3 +191,130 @@ def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
             simulate(found, 2, 0)
         given = read_schedule(tmp_path / "run", {"box": hasty()})
         assert np.array_equal(simulate(given, 2, 0).states, simulate(schedule, 2, 0).states)
+
+
+# -- folders that were altered -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A folder in which U flies, with a library, written to be copied."""
+    scenario = load_scenario(TINY).with_assignments([QUARTER, IN_VIEW])
+    return written(tmp_path_factory.mktemp("runs"), scenario, synthesize(scenario))
+
+
+@pytest.fixture
+def copied(run, tmp_path):
+    return Path(shutil.copytree(run, tmp_path / "copy"))
+
+
+def forge(folder, change, **texts):
+    """Change the certificate, and other files by their names, a dot as an underscore; mend all hashes."""
+    file = folder / "certificate.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    change(data)
+    for name, text in texts.items():
+        (folder / name.replace("_", ".")).write_text(text, encoding="utf-8")
+        data["artefacts"][name.replace("_", ".")] = sha256(folder / name.replace("_", "."))
+    data["digest"] = digest(data)
+    file.write_text(canonical(data), encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["scenario.toml", "reference.csv", "schedule.json", "tubes.npz"])
+def test_a_file_that_was_changed_is_refused(name, copied):
+    with (copied / name).open("ab") as file:
+        file.write(b"\n")
+    with pytest.raises(ScenarioError, match="is not what was written with the other files"):
+        read_schedule(copied)
+
+
+def test_a_certificate_that_was_changed_is_refused(copied):
+    file = copied / "certificate.json"
+    file.write_text(file.read_text(encoding="utf-8").replace('"modes":[', '"modes":[0,'), encoding="utf-8")
+    with pytest.raises(ScenarioError, match="was changed after it was written: .* its digest is"):
+        read_schedule(copied)
+
+
+def test_a_certificate_that_lists_too_few_files_is_refused(copied):
+    forge(copied, lambda data: data["artefacts"].pop("scenario.toml"))
+    with pytest.raises(ScenarioError, match="no hash of scenario.toml"):
+        read_schedule(copied)
+
+
+@pytest.mark.parametrize("version", [1, 2, 4, None])
+def test_another_version_is_refused_in_a_clear_sentence(version, copied):
+    forge(copied, lambda data: data.update(schema_version=version))
+    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 3: run the sc"):
+        read_schedule(copied)
+
+
+def test_a_folder_without_a_certificate_is_refused(copied):
+    (copied / "certificate.json").unlink()
+    with pytest.raises(ScenarioError, match="has no certificate.json that can be read"):
+        read_schedule(copied)
+
+
+def test_what_is_no_run_folder_of_a_schedule_is_refused(tmp_path):
+    with pytest.raises(ScenarioError, match="there is no such folder"):
+        read_schedule(tmp_path / "none")
+    flight = polaris.run("inspection", tmp_path / "flight", overrides=["flight.duration_s=5"])
+    with pytest.raises(ScenarioError, match="must be of a schedule; it is of kind 'inspection'"):
+        read_schedule(flight)
+
+
+def flip(data):
+    modes = data["schedule"]["modes"]
+    modes[:] = [1] * len(modes)
+
+
+def push(data):
+    inputs = data["reference"]["inputs"]
+    inputs[0][0] = (float.fromhex(inputs[0][0]) + 1e-3).hex()
+
+
+def later(data):
+    data["end"]["until"] = (float.fromhex(data["end"]["until"]) - 1.0).hex()
+    restate(data)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (flip, "contradict each other in schedule.modes"),
+        (push, "contradict each other in reference|cannot prove"),
+        (later, "contradict each other in end"),
+        (lambda data: data["controllers"][0]["gain"][0].__setitem__(0, (9.0).hex()), "in controllers"),
+        (lambda data: data["system"].update(mass=(2.0).hex()), "in system"),
+    ],
+)
+def test_a_certificate_that_claims_something_else_is_refused(change, message, copied):
+    forge(copied, change)
+    with pytest.raises(ScenarioError, match=message):
+        read_schedule(copied)
+
+
+@pytest.mark.parametrize("setting", ["system.disturbance_max=0.03", "tracking.R=[50.0,50.0]"])
+def test_another_scenario_is_refused(setting, copied):
+    other = load_scenario(copied / "scenario.toml").with_assignments([setting]).to_toml()
+    forge(copied, lambda data: None, scenario_toml=other)
+    with pytest.raises(ScenarioError, match="contradict each other in|cannot prove"):
+        read_schedule(copied)
+
+
+def test_a_library_that_is_not_proven_is_refused_when_it_is_needed(copied):
+    def everywhere(data):
+        for each in data["choices"]["library"]:
+            each["modes"] = [1] * len(each["modes"])
+
+    forge(copied, everywhere)
+    schedule = read_schedule(copied)
+    with pytest.raises(ScenarioError, match="must be proven"):
+        list(schedule.library)
+    assert polaris.simulate(schedule, 2).metrics().summary()["collided"] is False
+
+
+def test_a_folder_without_choices_is_read_but_without_a_library(run, copied):
+    forge(copied, lambda data: data.pop("choices"))
+    found = read_schedule(copied)
+    assert found.worth is None and len(found.library) == 0
+    assert found.modes.tolist() == read_schedule(run).modes.tolist()
