@@ -1,6 +1,7 @@
 """Targets of attacks, and counterexamples as files: all that flies one again, exact to the bit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from ..model.errors import ScenarioError
 from ..model.files import load_json
 from ..model.system import Array
 from ..scenario.reading import parse_toml
-from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..scenario.scenario import ScheduleScenario, bundled_files, load_scenario
 from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
 from ..simulation.falsification.aborting import exceeded
@@ -20,27 +21,42 @@ from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
+from ..simulation.sampled import with_boxes
+from ..synthesis.controllers.black_box import Ask
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.synthesize import synthesize
 from .files.atomic import write_whole
+from .files.folder import RunFolder
 from .files.tables import json_text
-from .read_schedule import read_schedule
-from .run import read_run
+from .read_schedule import read_schedule, schedule_folder
 from .schedule import digest
 
 FORMAT = "polaris case"
 VERSION = 3
 
 
-def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleScenario, Schedule]:
-    """Return the scenario and the schedule of a run folder, or synthesise a scenario."""
-    if not Path(target).is_dir():
-        scenario = load_scenario(target, overrides, only=ScheduleScenario)
-        return scenario, synthesize(scenario)
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Scenario that a command starts from, and the run folder that it came from, if any."""
+
+    scenario: ScheduleScenario
+    folder: RunFolder | None = None
+
+    def schedule(self, boxes: Mapping[str, Ask] | None = None) -> Schedule:
+        """Read the schedule of the folder, or synthesise that of the scenario."""
+        if self.folder is not None:
+            return read_schedule(self.folder, boxes)
+        return with_boxes(self.scenario, boxes).schedule if boxes else synthesize(self.scenario)
+
+
+def load_target(target: str, overrides: Sequence[str] = ()) -> Target:
+    """Load a run folder of a schedule, or a scenario; a bundled name wins over a folder of that name."""
+    if target in bundled_files() or not Path(target).is_dir():
+        return Target(load_scenario(target, overrides, only=ScheduleScenario))
     if overrides:
         raise ScenarioError("--set", list(overrides), "must be left out for a run folder: it is as it is")
-    folder = read_run(target)
-    return folder.scenario, read_schedule(folder)
+    folder = schedule_folder(target)
+    return Target(folder.scenario, folder)
 
 
 def write_case(

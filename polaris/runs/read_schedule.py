@@ -71,11 +71,7 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
     >>> f"{schedule.share():.0%}", schedule.guarantee
     ('95%', 'proved')
     """
-    run = folder if isinstance(folder, RunFolder) else read_run(folder)
-    if run.kind is not SCHEDULE:
-        raise ScenarioError(
-            "run folder", str(run.path), f"must be of a schedule; it is of kind {run.kind.name!r}"
-        )
+    run = schedule_folder(folder)
     document = _document(run.path)
     try:
         schedule = _proven(run, document, _asks(run.scenario, black_boxes))
@@ -87,6 +83,15 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
             rule = f"{NAME} and {SCENARIO} contradict each other in {place}; run the scenario again"
             raise ScenarioError("run folder", str(run.path), rule)
     return schedule
+
+
+def schedule_folder(folder: str | Path | RunFolder) -> RunFolder:
+    """Open a run folder, which must be of a schedule."""
+    run = folder if isinstance(folder, RunFolder) else read_run(folder)
+    if run.kind is not SCHEDULE:
+        rule = f"must be of a schedule; it is of kind {run.kind.name!r}"
+        raise ScenarioError("run folder", str(run.path), rule)
+    return run
 
 
 def _document(folder: Path) -> Document:

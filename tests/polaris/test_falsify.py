@@ -329,8 +329,8 @@ def test_case_that_was_changed_is_refused(tmp_path):
 def test_run_folder_is_attacked_if_nothing_in_it_was_changed(tmp_path):
     scenario, schedule = tiny()
     folder = write_run(tmp_path / "run", scenario, schedule, tiny_flown()).path
-    loaded, again = load_target(str(folder))
-    assert digest(again) == digest(schedule) and loaded.name == scenario.name
+    loaded = load_target(str(folder))
+    assert digest(loaded.schedule()) == digest(schedule) and loaded.scenario.name == scenario.name
     file = folder / "schedule.json"
     data = json.loads(file.read_text(encoding="utf-8"))
     data["modes"][0] = 1 - data["modes"][0]
@@ -339,7 +339,7 @@ def test_run_folder_is_attacked_if_nothing_in_it_was_changed(tmp_path):
         load_target(str(folder))
     (folder / "certificate.json").unlink()
     with pytest.raises(ScenarioError, match="has no certificate.json"):
-        load_target(str(folder))
+        load_target(str(folder)).schedule()
 
 
 def test_command_reports_margins_and_saves_a_case(tmp_path, monkeypatch):

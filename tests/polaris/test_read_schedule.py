@@ -10,9 +10,12 @@ import pytest
 
 pytest.importorskip("flint")
 
+from typer.testing import CliRunner
+
 import polaris
 from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.structure import sha256
+from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.runs.read_schedule import read_schedule
@@ -35,9 +38,8 @@ from .test_neural import scene as network_scene
 from .test_transients import LATE
 from .tiny import TINY
 
+SOLVERS = ("planning.lp.silent_highspy", "planning.backends.silent_highspy")
 SEARCHES = (
-    "planning.lp.silent_highspy",
-    "planning.backends.silent_highspy",
     "synthesis.safety.attempts.plan",
     "synthesis.schedule.powered.plan",
     "scenario.experimental.plan",
@@ -50,14 +52,14 @@ SEARCHES = (
 
 
 @contextmanager
-def no_search():
-    """Make every planner, and every search for modes, fail."""
+def no_search(*more):
+    """Make every planner, and every search for modes, fail, and what else is named."""
 
     def refuse(*args, **options):
         raise AssertionError("something is searched for")
 
     with pytest.MonkeyPatch.context() as patch:
-        for place in SEARCHES:
+        for place in (*SEARCHES, *more):
             patch.setattr(f"polaris.{place}", refuse)
         yield
 
@@ -87,7 +89,7 @@ def assert_equal(found, made, scenario):
 def check(folder, scenario, schedule):
     """Check that a written schedule is read as it was, without any search; return it as it is read."""
     place = written(folder, scenario, schedule)
-    with no_search():
+    with no_search(*SOLVERS):
         found = read_schedule(place)
         assert_equal(found, schedule, scenario)
     return found
@@ -136,7 +138,7 @@ def test_every_kind_of_choice_is_read(name, tmp_path):
     assert schedule.share() > 0 or name == "balls"
     if schedule.powered is not None:
         assert found.powered.told() == schedule.powered.told()
-    with no_search():
+    with no_search(*SOLVERS):
         library = list(found.library)
     for one, other in zip(library, schedule.library, strict=True):
         assert_equal(one, other, scenario)
@@ -318,3 +320,47 @@ def test_a_folder_without_choices_is_read_but_without_a_library(run, copied):
     found = read_schedule(copied)
     assert found.worth is None and len(found.library) == 0
     assert found.modes.tolist() == read_schedule(run).modes.tolist()
+
+
+# -- commands that start from a folder ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "falsify {run} --runs 60 --out {out}/case.json",
+        "export {run} {out}/trace.json",
+        "report {run} --out {out}/page.html",
+        "plot {run}",
+        "verify {run}",
+        "compare {run} --runs 2 --methods schedule,monitor,safety --no-figures --out {out}/compared",
+    ],
+)
+def test_no_command_on_a_run_folder_searches(command, copied, tmp_path):
+    bound = "compare" in command  # what no schedule can exceed is bound anew, by linear programs
+    with no_search(*SOLVERS * (not bound)):
+        done = CliRunner().invoke(app, command.format(run=copied, out=tmp_path).split())
+    assert done.exit_code == 0, done.output
+
+
+def test_a_schedule_that_is_read_flies_and_is_monitored_like_the_one_that_was_written(run):
+    scenario = polaris.load_scenario(run / "scenario.toml")
+    made = synthesize(scenario)
+    with no_search(*SOLVERS):
+        found = read_schedule(run)
+        flown = polaris.simulate(found, n=4, seed=1)
+        aboard = polaris.Monitor.on(polaris.DecisionGrid.of(found, half_widths=0.001))
+    assert np.array_equal(flown.states, polaris.simulate(made, n=4, seed=1).states)
+    ground = polaris.Monitor.on(polaris.DecisionGrid.of(made, half_widths=0.001))
+    assert np.array_equal(aboard.grid.xi, ground.grid.xi)
+    at = polaris.Measurement(0.0, made.safety.problem.initial_set.c)
+    told = [polaris.OnlineMonitor(each).step(0.0, at) for each in (aboard, ground)]
+    assert told[0] == told[1]
+
+
+def test_the_model_error_of_a_run_folder_is_bounded_without_a_search(tmp_path):
+    folder = written(tmp_path, *scheduled("static"))
+    with no_search(*SOLVERS):
+        done = CliRunner().invoke(app, ["model-error", str(folder), "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["covered"]
