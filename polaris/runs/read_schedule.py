@@ -204,6 +204,9 @@ class _Library(Sequence[Schedule]):
     def __getitem__(self, place: Any) -> Any:
         return self._proven[place]
 
+    def __reduce__(self) -> Any:
+        return tuple, (self._proven,)  # a search is not pickled, what it found is
+
     @cached_property
     def _proven(self) -> tuple[Schedule, ...]:
         try:
@@ -234,6 +237,7 @@ def _repeated(document: Document, schedule: Schedule) -> list[tuple[str, Any, An
         ("unsafe_sets", [(each.name, each.keep_in, each.normals) for each in document.unsafe], sets),
         ("unsafe_sets.offsets", offsets, [each.offsets[:cells] for each in unsafe]),
         ("reference", [document.states, document.inputs], [safety.reference.chi, safety.reference.nu]),
+        ("thrust.profile", document.profile, [] if (most := safety.tracking.profile) is None else most),
         ("schedule.modes", document.modes, schedule.modes),
         ("end.horizon", document.horizon, end.horizon),
         ("end.until", document.until, end.until if np.isfinite(end.until) else None),

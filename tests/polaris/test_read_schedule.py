@@ -1,6 +1,7 @@
 """Schedules read from run folders: equal to those that were written, without planning."""
 
 import json
+import pickle
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ pytest.importorskip("flint")
 from typer.testing import CliRunner
 
 import polaris
+from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.structure import sha256
 from polaris.cli.app import app
@@ -24,6 +26,7 @@ from polaris.scenario.scenario import ScheduleScenario, load_scenario
 from polaris.simulation.baselines import compare
 from polaris.simulation.sampled import with_boxes
 from polaris.simulation.simulate import simulate
+from polaris.synthesis.controllers.controllers import AnyThrust
 from polaris.synthesis.safety.get_safety import SHARES
 from polaris.synthesis.schedule.synthesize import synthesize
 
@@ -320,6 +323,36 @@ def test_a_folder_without_choices_is_read_but_without_a_library(run, copied):
     found = read_schedule(copied)
     assert found.worth is None and len(found.library) == 0
     assert found.modes.tolist() == read_schedule(run).modes.tolist()
+
+
+def test_a_share_of_thrust_that_is_not_told_is_not_guessed(tmp_path):
+    scenario = load_scenario(TINY).with_assignments([COARSE, SOFT, *ERRORS])
+    folder = written(tmp_path, scenario, synthesize(scenario))
+    forge(folder, lambda data: data.pop("choices"))
+    with pytest.raises(ScenarioError, match="contradict each other in thrust.profile|cannot prove"):
+        read_schedule(folder)
+
+
+def test_controllers_of_ones_own_are_refused(tmp_path):
+    """The scenario in the folder says nothing of them."""
+    scenario = load_scenario(TINY)
+    safety = polaris.get_safety(scenario)
+    law = AnyThrust("hasty", safety.problem.system, safety.reference, safety.tracking)
+    folder = written(tmp_path, scenario, synthesize(scenario, safety, [law]))
+    with pytest.raises(ScenarioError, match="contradict each other in controllers"):
+        read_schedule(folder)
+
+
+def test_a_schedule_that_is_read_can_be_pickled_and_written_again(run, tmp_path):
+    found = read_schedule(run)
+    again = pickle.loads(pickle.dumps(found))
+    scenario = load_scenario(run / "scenario.toml")
+    assert_equal(again, found, scenario)
+    assert len(again.library) == len(found.library) > 0
+    other = written(tmp_path, scenario, again)
+    for name in ("certificate.json", "schedule.json", "tubes.npz", "sets.npz", "gains.json"):
+        assert (other / name).read_bytes() == (run / name).read_bytes(), name
+    assert verify(other).outcome == "VERIFIED"
 
 
 # -- commands that start from a folder ---------------------------------------------------------------
