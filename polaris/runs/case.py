@@ -22,7 +22,7 @@ from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
 from ..simulation.sampled import with_boxes
-from ..synthesis.controllers.black_box import Ask
+from ..synthesis.controllers.black_box import Ask, BlackBox
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.synthesize import synthesize
 from .files.atomic import write_whole
@@ -44,9 +44,12 @@ class Target:
 
     def schedule(self, boxes: Mapping[str, Ask] | None = None) -> Schedule:
         """Read the schedule of the folder, or synthesise that of the scenario."""
-        if self.folder is not None:
-            return read_schedule(self.folder, boxes)
-        return with_boxes(self.scenario, boxes).schedule if boxes else synthesize(self.scenario)
+        if self.folder is None:
+            return with_boxes(self.scenario, boxes).schedule if boxes else synthesize(self.scenario)
+        schedule = read_schedule(self.folder, boxes)
+        if any(isinstance(law, BlackBox) for law in schedule.controllers):
+            self.scenario.check_black_boxes(boxes)  # they are about to fly
+        return schedule
 
 
 def load_target(target: str, overrides: Sequence[str] = ()) -> Target:

@@ -19,6 +19,7 @@ from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.structure import sha256
 from polaris.cli.app import app
 from polaris.model.errors import PolarisError, ScenarioError
+from polaris.runs.case import load_target
 from polaris.runs.certificate import certificate
 from polaris.runs.read_schedule import read_schedule
 from polaris.runs.schedule import write_run
@@ -194,7 +195,9 @@ def test_a_black_box_is_read_without_being_asked(kind, tmp_path):
     if kind == "flies":
         with pytest.raises(ScenarioError, match="box.*must be given"):
             simulate(found, 2, 0)
-        given = read_schedule(tmp_path / "run", {"box": hasty()})
+        with pytest.raises(ScenarioError, match="must be given where it is run"):
+            load_target(str(tmp_path / "run")).schedule()
+        given = load_target(str(tmp_path / "run")).schedule({"box": hasty()})
         assert np.array_equal(simulate(given, 2, 0).states, simulate(schedule, 2, 0).states)
 
 
@@ -389,6 +392,15 @@ def test_a_schedule_that_is_read_flies_and_is_monitored_like_the_one_that_was_wr
     at = polaris.Measurement(0.0, made.safety.problem.initial_set.c)
     told = [polaris.OnlineMonitor(each).step(0.0, at) for each in (aboard, ground)]
     assert told[0] == told[1]
+
+
+def test_policies_train_from_a_run_folder(run):
+    pytest.importorskip("gymnasium")
+    from polaris.runs.training import SwitchingVectorEnv
+
+    with no_search(*SOLVERS):
+        env = SwitchingVectorEnv(run, num_envs=2, half_widths=0.001)
+    assert env.reset(seed=0)[0].shape[0] == 2
 
 
 def test_the_model_error_of_a_run_folder_is_bounded_without_a_search(tmp_path):
