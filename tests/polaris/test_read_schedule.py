@@ -99,9 +99,12 @@ def check(folder, scenario, schedule):
     return found
 
 
-@pytest.mark.parametrize("name", ["static", "dynamic"])
+@pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
 def test_the_schedule_that_is_read_is_the_one_that_was_written(name, tmp_path):
     check(tmp_path, *scheduled(name))
+    with no_search(*SOLVERS):
+        done = CliRunner().invoke(app, ["model-error", str(tmp_path / "run"), "--json"])
+    assert done.exit_code == 0 and json.loads(done.stdout)["covered"], done.output
 
 
 ERRORS = (
@@ -140,6 +143,8 @@ def test_every_kind_of_choice_is_read(name, tmp_path):
     schedule = synthesize(scenario)
     found = check(tmp_path, scenario, schedule)
     assert schedule.share() > 0 or name == "balls"
+    assert schedule.safety.tracking.level == SHARES[name.startswith("errors")]  # the second of those tried
+    assert found.safety.tracking.level == schedule.safety.tracking.level
     if schedule.powered is not None:
         assert found.powered.told() == schedule.powered.told()
     with no_search(*SOLVERS):
@@ -149,13 +154,6 @@ def test_every_kind_of_choice_is_read(name, tmp_path):
     if schedule.worth is not None:
         assert library or name == "budget"
         assert found.worth({0: 0.2, 1: 0.8}, 1.5, 3) == schedule.worth({0: 0.2, 1: 0.8}, 1.5, 3)
-
-
-def test_the_share_of_thrust_that_was_kept_is_read(tmp_path):
-    scenario = load_scenario(TINY).with_assignments([COARSE, SOFT, *ERRORS])
-    schedule = synthesize(scenario)
-    assert schedule.safety.tracking.level == SHARES[1]
-    assert check(tmp_path, scenario, schedule).safety.tracking.level == SHARES[1]
 
 
 @pytest.mark.parametrize("seed", [2, 2001, 5000, 5003, 5005, 5006, 5034])
@@ -367,7 +365,6 @@ def test_a_schedule_that_is_read_can_be_pickled_and_written_again(run, tmp_path)
         "falsify {run} --runs 60 --out {out}/case.json",
         "export {run} {out}/trace.json",
         "report {run} --out {out}/page.html",
-        "plot {run}",
         "verify {run}",
         "compare {run} --runs 2 --methods schedule,monitor,safety --no-figures --out {out}/compared",
     ],
@@ -401,11 +398,3 @@ def test_policies_train_from_a_run_folder(run):
     with no_search(*SOLVERS):
         env = SwitchingVectorEnv(run, num_envs=2, half_widths=0.001)
     assert env.reset(seed=0)[0].shape[0] == 2
-
-
-def test_the_model_error_of_a_run_folder_is_bounded_without_a_search(tmp_path):
-    folder = written(tmp_path, *scheduled("static"))
-    with no_search(*SOLVERS):
-        done = CliRunner().invoke(app, ["model-error", str(folder), "--json"])
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["covered"]
