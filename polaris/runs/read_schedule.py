@@ -25,15 +25,13 @@ from ..synthesis.schedule.search import Search, SwitchingRules
 from ..synthesis.schedule.synthesize import along, switching_logic
 from ..synthesis.schedule.worth import as_good
 from .files.controllers import flown
-from .files.folder import SCENARIO, RunFolder
+from .files.folder import SCENARIO, RunFolder, readable
 from .run import read_run
 from .schedule import SCHEDULE
 
 NAME = "certificate.json"
 AGREES = 1e-9
 """Share of the largest number of an array by which others may differ: other libraries round otherwise."""
-
-
 NOT_PROVEN = "must be proven as the schedule's certificate says; run the scenario again"
 
 
@@ -74,15 +72,20 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
     run = schedule_folder(folder)
     document = _document(run.path)
     try:
-        schedule = _proven(run, document, _asks(run.scenario, black_boxes))
+        with readable(run.path):
+            schedule = _proven(run, document, _asks(run.scenario, black_boxes))
     except (SynthesisInfeasible, NotCertified) as error:
         rule = f"holds a schedule that this version cannot prove ({error}); run the scenario again"
         raise ScenarioError("run folder", str(run.path), rule) from error
-    for place, told, made in _repeated(document, schedule):
-        if not _agree(told, made):
-            rule = f"{NAME} and {SCENARIO} contradict each other in {place}; run the scenario again"
-            raise ScenarioError("run folder", str(run.path), rule)
+    for place, stated, derived in _claims(document, schedule):
+        if not _agree(stated, derived):
+            raise _contradiction(run, place)
     return schedule
+
+
+def _contradiction(run: RunFolder, place: str) -> ScenarioError:
+    rule = f"{NAME} and {SCENARIO} contradict each other in {place}; run the scenario again"
+    return ScenarioError("run folder", str(run.path), rule)
 
 
 def schedule_folder(folder: str | Path | RunFolder) -> RunFolder:
@@ -165,27 +168,29 @@ def _controllers(
 
     A black box has the bands of the document, or may do anything where that is what was proven.
     """
-    told = {law.name: law for law in document.laws[1:]}
-    planned = {name: np.array(law.inputs) for name, law in told.items() if law.inputs is not None}
+    stated = {law.name: law for law in document.laws[1:]}
+    planned = {name: np.array(law.inputs) for name, law in stated.items() if law.inputs is not None}
     fits = {k: np.array(fit) for k, fit in enumerate(document.fits) if fit is not None}
-    found = list[Controller]()
+    laws = list[Controller]()
     for law in scenario.controllers(safety, boxes, planned):
         if isinstance(law, BlackBox):
-            anything = law.name not in told or told[law.name].kind == "any_thrust"
-            law = law.anything if anything else replace(law, fits=fits)
-        found.append(law)
-    return found
+            fitted = law.name in stated and stated[law.name].kind == "black_box"
+            law = replace(law, fits=fits) if fitted else law.anything
+        laws.append(law)
+    return laws
 
 
 def _branches(run: RunFolder, document: Document) -> KnownBranches | None:
     """Return the branches of aborts in a document; ``schedule.json`` says why a step has none."""
-    known = document.powered
+    known, m = document.powered, len(document.u_max)
+    if (known is None) != (run.scenario.problem().powered is None):
+        raise _contradiction(run, "powered")
     if known is None:
         return None
     steps = run.json("schedule.json")["guarantee"]["powered_abort"]["steps"]
     return KnownBranches(
         [each.step for each in known.branches],
-        [np.array(each.inputs, dtype=float) for each in known.branches],
+        [np.array(each.inputs, dtype=float).reshape(-1, m) for each in known.branches],
         [np.array(each.facets, dtype=int).reshape(len(each.facets), -1) for each in known.branches],
         [None if way is None else way.branch for way in known.steps],
         [step["why"] or "" for step in steps],
@@ -217,27 +222,26 @@ class _Library(Sequence[Schedule]):
     def _prove(self, inputs: Any, modes: list[int]) -> Schedule:
         safety = _safety(self.best.safety.problem, inputs, np.zeros((len(inputs), 0)))
         search = replace(along(self.search, safety), intended=tuple(modes))
-        found = switching_logic(replace(search, rules=SwitchingRules()))
-        if found.modes.tolist() != modes or not as_good(found, self.best, self.search.rules):
-            raise ScenarioError("library", f"modes {found.modes.tolist()}", NOT_PROVEN)
-        return found
+        schedule = switching_logic(replace(search, rules=SwitchingRules()))
+        if schedule.modes.tolist() != modes or not as_good(schedule, self.best, self.search.rules):
+            raise ScenarioError("library", f"modes {schedule.modes.tolist()}", NOT_PROVEN)
+        return schedule
 
 
-def _repeated(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
-    """Return what a document says beside its choices, and what the schedule says of the same."""
-    safety = schedule.safety
+def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
+    """Return where a document states what follows from its choices, what it states, and what follows."""
+    safety, derived = schedule.safety, flown(schedule)
     start, unsafe, end = safety.problem.initial_set, safety.clearance.unsafe, safety.end
-    sets = [(each.name, each.keep_in, each.normals) for each in unsafe]
-    cells = safety.reference.cells
+    profile, cells = safety.tracking.profile, safety.reference.cells
+    sets, others = ([(u.name, u.keep_in, u.normals) for u in each] for each in (document.unsafe, unsafe))
     offsets = [np.stack([each.start, each.end], axis=1)[:cells] for each in document.unsafe]
-    made = flown(schedule)
     return [
-        *((key, document.repeated[key], made[key]) for key in made),
+        *((key, document.repeated[key], derived[key]) for key in derived),
         ("initial_set", [document.center, document.generators], [start.c, start.G.T]),
-        ("unsafe_sets", [(each.name, each.keep_in, each.normals) for each in document.unsafe], sets),
+        ("unsafe_sets", sets, others),
         ("unsafe_sets.offsets", offsets, [each.offsets[:cells] for each in unsafe]),
         ("reference", [document.states, document.inputs], [safety.reference.chi, safety.reference.nu]),
-        ("thrust.profile", document.profile, [] if (most := safety.tracking.profile) is None else most),
+        ("thrust.profile", document.profile, [] if profile is None else profile),
         ("schedule.modes", document.modes, schedule.modes),
         ("end.horizon", document.horizon, end.horizon),
         ("end.until", document.until, end.until if np.isfinite(end.until) else None),
@@ -249,34 +253,28 @@ def _repeated(document: Document, schedule: Schedule) -> list[tuple[str, Any, An
 
 
 def _aborts(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
-    """Return what a document says of flights that are aborted, and what the schedule says of them."""
+    """Return the same of flights that are aborted."""
     drift, powered, passive, proven = document.drift, document.powered, schedule.passive, schedule.powered
     clear = [] if drift is None else [parts is not None for parts in drift.steps]
-    ways = [] if powered is None else [None if way is None else vars(way) for way in powered.steps]
-    found = (
-        []
-        if proven is None
-        else [
-            None if way.branch is None else {"branch": way.branch, "cell": way.cell, "delta_v": way.delta_v}
-            for way in proven.ways
-        ]
-    )
+    stated = [] if powered is None else [way and [way.branch, way.cell, way.delta_v] for way in powered.steps]
+    ways = () if proven is None else proven.ways
+    derived = [None if way.branch is None else [way.branch, way.cell, way.delta_v] for way in ways]
     return [
         ("drift.steps", clear, [] if passive is None else passive.clear.tolist()),
-        ("powered.steps", ways, found),
+        ("powered.steps", stated, derived),
     ]
 
 
-def _agree(told: Any, made: Any) -> bool:
+def _agree(stated: Any, derived: Any) -> bool:
     """Return True if two nested values are equal, numbers up to rounding."""
-    if isinstance(told, Mapping):
-        same = isinstance(made, Mapping) and set(told) == set(made)
-        return same and all(_agree(told[key], made[key]) for key in told)
-    if isinstance(made, np.ndarray | float | int) and not isinstance(made, bool):
-        found, wanted = np.array(told, dtype=float), np.array(made, dtype=float)
-        same = found.size == wanted.size == 0 or found.shape == wanted.shape
-        return same and bool(np.all(np.abs(found - wanted) <= AGREES * np.max(np.abs(wanted), initial=0.0)))
-    if isinstance(told, list | tuple):
-        same = isinstance(made, list | tuple) and len(told) == len(made)
-        return same and all(map(_agree, told, made))
-    return bool(told == made)
+    if isinstance(stated, Mapping):
+        same = isinstance(derived, Mapping) and set(stated) == set(derived)
+        return same and all(_agree(stated[key], derived[key]) for key in stated)
+    if isinstance(derived, np.ndarray | float | int) and not isinstance(derived, bool):
+        one, other = np.array(stated, dtype=float), np.array(derived, dtype=float)
+        same = one.size == other.size == 0 or one.shape == other.shape
+        return same and bool(np.all(np.abs(one - other) <= AGREES * np.max(np.abs(other), initial=0.0)))
+    if isinstance(stated, list | tuple):
+        same = isinstance(derived, list | tuple) and len(stated) == len(derived)
+        return same and all(map(_agree, stated, derived))
+    return bool(stated == derived)

@@ -334,6 +334,45 @@ def test_a_share_of_thrust_that_is_not_told_is_not_guessed(tmp_path):
         read_schedule(folder)
 
 
+@pytest.fixture(scope="module")
+def aborting(tmp_path_factory):
+    """A folder with branches of aborts."""
+    scenario = load_scenario(TINY).with_assignments(list(VARIANTS["powered abort"]))
+    return written(tmp_path_factory.mktemp("aborting"), scenario, synthesize(scenario))
+
+
+def fewer_facets(data):
+    data["powered"]["branches"][0]["facets"].pop()
+
+
+def cheaper(data):
+    way = next(way for way in data["powered"]["steps"] if way)
+    way["delta_v"] = (0.9 * float.fromhex(way["delta_v"])).hex()
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (cheaper, "contradict each other in powered.steps"),
+        (fewer_facets, "is damaged|contradict each other|cannot prove"),
+    ],
+)
+def test_branches_that_were_forged_are_refused(change, message, aborting, tmp_path):
+    """Nothing is planned in the place of what is missing."""
+    copied = Path(shutil.copytree(aborting, tmp_path / "copy"))
+    forge(copied, change)
+    with no_search(*SOLVERS), pytest.raises(ScenarioError, match=message):
+        read_schedule(copied)
+
+
+def test_aborts_that_a_certificate_knows_nothing_of_are_refused(copied):
+    abort = VARIANTS["powered abort"][-1]
+    other = load_scenario(copied / "scenario.toml").with_assignments([abort]).to_toml()
+    forge(copied, lambda data: None, scenario_toml=other)
+    with no_search(*SOLVERS), pytest.raises(ScenarioError, match="contradict each other in powered"):
+        read_schedule(copied)
+
+
 def test_controllers_of_ones_own_are_refused(tmp_path):
     """The scenario in the folder says nothing of them."""
     scenario = load_scenario(TINY)
