@@ -277,7 +277,7 @@ def test_a_profile_allows_for_the_errors_of_its_own_commands():
     safety = schedule.safety
     tracking, flow, gain = safety.tracking, safety.tracking.flow, safety.tracking.gain
     profile, part = tracking.profile, tracking.system.thrusters.part
-    assert np.all(np.diff(profile, axis=0) <= 0) and np.all(profile[0] < tracking.system.u_max)
+    assert np.all(np.diff(profile, axis=0) <= 0) and np.all(profile[-1] < tracking.system.u_max)
     kick = np.abs(gain @ tracking.transitions @ flow.input_map(tracking.system.B))
     reached = np.zeros(len(gain))
     for lag in range(tracking.memory):

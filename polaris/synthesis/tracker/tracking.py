@@ -127,7 +127,11 @@ class Tracking:
         )
         left = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
         rows = self.commands[: len(u_max)]
-        return profile(norms, self.level * u_max, left, u_max, lambda P: self.responses(rows, P) + self.noise)
+
+        def demanded(found: Array) -> Array:
+            return self.responses(rows, found) + self.between(rows[:, : self.system.n], found) + self.noise
+
+        return profile(norms, self.level * u_max, left, u_max, demanded)
 
     @property
     def most(self) -> Array:
