@@ -1,10 +1,13 @@
 """Loop of a craft as its system declares it: tracking error, delay, observer, and every channel."""
 
+from functools import partial
+
 import numpy as np
 from scipy.linalg import expm
 
 from ...model.prediction import between_nodes
 from ...model.system import LinearSystem
+from ...model.thrusters import Thrusters
 from ..sources.delay import Delay
 from ..sources.disturbance import Disturbance
 from ..sources.estimate import Estimate
@@ -59,9 +62,18 @@ def _estimated(loop: Loop, known: LinearSystem, lag: int) -> Loop:
         return Estimate(least).extend(loop) if np.any(least) else loop
     unseen = np.array(known.timing.unseen)
     grows = Channel(
-        "estimate", least, noise=loop.carry, share=lambda u: known.thrusters.part(u) @ unseen.T, lag=lag
+        "estimate",
+        least,
+        noise=loop.carry,
+        share=partial(_grown, thrusters=known.thrusters, unseen=unseen),
+        lag=lag,
     )
     return loop.with_channels(grows)
+
+
+def _grown(u: Array, thrusters: Thrusters, unseen: Array) -> Array:
+    """Bounds on what commands u (..., m) add to errors of estimates until it is measured, (..., n)."""
+    return np.asarray(thrusters.part(u) @ unseen.T)
 
 
 def step_errors(system: LinearSystem) -> Array:
