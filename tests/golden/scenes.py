@@ -1,0 +1,87 @@
+"""Scenes of the golden table: bundled scenarios and random ones, each with and without declared errors."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from polaris.scenario.scenario import ScheduleScenario, bundled_files, load_scenario
+
+from ..polaris.random_scenarios import random_scenario
+
+SEEDS: tuple[int, ...] = ()
+"""Seeds of the random scenes."""
+
+SMALL = ("static",)
+"""Rows of the small part: the cheapest ones."""
+
+ALWAYS = ("simulation.runs=1", "planner.time_limit_s=1e6")
+"""Assignments to every scene: flights are not compared, and no wall clock may end a search."""
+
+ERRORS = "+errors"
+"""Ending of the name of a scene with declared errors."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Scenario of one row.
+
+    Attributes
+    ----------
+    name : str
+        Name of the bundled scenario or of the random scene; it ends in `ERRORS` if errors are declared.
+    text : callable
+        Returns the text of the scenario file.
+    """
+
+    name: str
+    text: Callable[[], str]
+
+    def load(self, folder: Path) -> ScheduleScenario:
+        """Write the scenario file into a folder, and load it with its errors."""
+        path = folder / f"{self.name.removesuffix(ERRORS)}.toml"
+        path.write_text(self.text(), encoding="utf-8")
+        scenario = load_scenario(path, ALWAYS, only=ScheduleScenario)
+        if not self.name.endswith(ERRORS):
+            return scenario
+        return load_scenario(path, [*ALWAYS, *errors(scenario)], only=ScheduleScenario)
+
+
+def errors(scenario: ScheduleScenario) -> list[str]:
+    """Return assignments of errors that are in proportion to a scenario which declares none.
+
+    Estimates are off by 3 % of the initial set, commands are late by one period, thrust is wrong by 1 %, the
+    mass by 0.5 % and, in Hill's frame, the direction by 0.5 degrees. An impulse bit is 1 % of what full
+    thrust makes in a period. Recoverable sets become polytopes, because balls do not cover delays.
+    """
+    problem, system = scenario.problem(), scenario.system()
+    period = problem.period or problem.delta / 8
+    known = 0.03 * scenario.initial_set().half_widths
+    if system.mean_motion is None:
+        found = [f"navigation.state_error={known.tolist()}"]
+    else:
+        found = [f"navigation.position_error_m={known[: system.d].tolist()}"]
+        found += [f"navigation.velocity_error_m_s={known[system.d :].tolist()}"]
+        found += ["thrusters.misalignment_deg=0.5"]
+    found += ["thrusters.magnitude_error=0.01", "thrusters.mass_error=0.005"]
+    found += [f"thrusters.impulse_bit_N_s={0.01 * period * float(np.min(system.u_max))!r}"]
+    late = [f"feedback.period_s={period!r}", f"timing.delay_s={period!r}"]
+    return [*found, *late, "recoverable.kind=polytope"]
+
+
+@cache
+def scenes() -> dict[str, Scene]:
+    """Return the scenes of all rows by name: bundled, then random."""
+    found: dict[str, Scene] = {}
+    for name, path in bundled_files().items():
+        if isinstance(load_scenario(path), ScheduleScenario):
+            _add(found, name, lambda path=path: path.read_text(encoding="utf-8"))
+    for seed in SEEDS:
+        _add(found, f"random-{seed}", lambda seed=seed: random_scenario(seed))
+    return found
+
+
+def _add(found: dict[str, Scene], name: str, text: Callable[[], str]) -> None:
+    found |= {each: Scene(each, text) for each in (name, name + ERRORS)}
