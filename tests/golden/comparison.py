@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from .rows import Row
 
 WORSE, BETTER, OTHER = "worse", "better", "other"
@@ -75,22 +77,26 @@ def _ranked(quantity: str, rank: dict[Any, int], stored: Row, today: Row) -> Ite
 
 
 def _margins(stored: Row, today: Row) -> Iterator[tuple[str, str]]:
-    for quantity in ("margin", "start_margin"):
-        old, new = stored[quantity], today[quantity]
-        if old is None or new is None:  # U flies in one of them only, which its share tells
-            continue
-        if abs(new - old) > ROUNDING:
-            yield quantity, BETTER if new > old else WORSE
+    if stored["margin"] is not None and today["margin"] is not None:  # else U flies in one of them only
+        yield from _smaller("margin", today["margin"], stored["margin"], ROUNDING)
+    old, new = (-np.inf if row["start_margin"] is None else row["start_margin"] for row in (stored, today))
+    yield from _smaller("start_margin", new, old, ROUNDING)
 
 
 def _goal(stored: Row, today: Row) -> Iterator[tuple[str, str]]:
     if stored["goal"] != today["goal"]:
         return
     for quantity in GOAL:
-        old, new = stored[quantity], today[quantity]
-        if old is not None and abs(new - old) > ROUNDING * abs(old):
-            yield quantity, BETTER if new < old else WORSE
+        old, new = (np.inf if row[quantity] is None else row[quantity] for row in (stored, today))
+        if found := [*_smaller(quantity, old, new, ROUNDING * min(abs(old), abs(new)))]:
+            yield from found
             return
+
+
+def _smaller(quantity: str, low: float, high: float, rounding: float) -> Iterator[tuple[str, str]]:
+    """Report a quantity as worse if `low` is below `high`, as better if it is above."""
+    if low != high and not abs(low - high) <= rounding:
+        yield quantity, WORSE if low < high else BETTER
 
 
 def _tube(stored: Row, today: Row) -> Iterator[tuple[str, str]]:

@@ -11,6 +11,7 @@ import numpy as np
 from polaris.certificate.checker import verify
 from polaris.model.errors import PolarisError
 from polaris.runs.schedule import write_run
+from polaris.simulation.metrics import finite
 from polaris.synthesis.schedule.schedule import Schedule
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.errors import ReachError
@@ -52,13 +53,13 @@ def proven(schedule: Schedule) -> Row:
     return {
         "modes": "".join("U" if mode else "S" for mode in schedule.modes),
         "share": schedule.share(),
-        "margin": float(min(least)) if least else None,
-        "start_margin": float(safety.start_margin.value),
+        "margin": finite(float(min(least))) if least else None,
+        "start_margin": finite(float(safety.start_margin.value)),
         "end": safety.end.horizon,
         "goal": goal.reached,
         "goal_tolerance_m": goal.tolerance,
         "goal_by_s": goal.by,
-        "goal_distance_m": goal.distance,
+        "goal_distance_m": finite(goal.distance),
         "tube": np.max([np.max(half, axis=0) for half in flown], axis=0).tolist() if flown else None,
     }
 
