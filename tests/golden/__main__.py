@@ -28,13 +28,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         begun = time.process_time()
         row, message = make_row(known[name])
         seconds = time.process_time() - begun
-        print(f"{name}: exit code {row['exit_code']}, {row.get('verdict', message)}, {seconds:.1f} CPU-s")
+        said = ", ".join(filter(None, [f"exit code {row['exit_code']}", row.get("verdict"), message]))
+        print(f"{name}: {said} ({seconds:.1f} CPU-s)")
         found = compare(table[name], row) if name in table else []
         for difference in found:
             counts[difference.kind] = counts.get(difference.kind, 0) + 1
             print(f"  {difference}")
-        if any(each.quantity in ("exit_code", "verdict") for each in found) and message:
-            print(f"  {message}")
         if asked.write:
             made = table | {name: row}
             table = {each: made[each] for each in known if each in made}

@@ -25,7 +25,7 @@ TABLE = Path(__file__).with_name("table.json")
 
 
 def make_row(scene: Scene) -> tuple[Row, str]:
-    """Return the row of a scene, and the message if it has no schedule.
+    """Return the row of a scene, and the message if it has no schedule or is not verified.
 
     The row holds the exit code of ``polaris run``, the verdict of ``polaris verify`` on its folder, and what
     `proven` returns.
@@ -41,7 +41,7 @@ def make_row(scene: Scene) -> tuple[Row, str]:
             return {"name": scene.name, "exit_code": 4}, str(error)
         except Exception as error:  # `polaris run` makes one message of it, too
             return {"name": scene.name, "exit_code": 1}, f"{type(error).__name__}: {error}"
-    told = verdict.text() if verdict.exit_code else ""
+    told = f"{verdict.claim}: {verdict.witness}" if verdict.exit_code else ""
     return {"name": scene.name, "exit_code": 0, "verdict": verdict.outcome, **proven(schedule)}, told
 
 

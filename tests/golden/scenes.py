@@ -17,14 +17,20 @@ SLOW = (3, 15, 29, 30, 32, 44, 47, 50, 54, 58, 62, 65)
 SEEDS = tuple(seed for seed in range(72) if seed not in SLOW)
 """Seeds of the 60 random scenes."""
 
-SMALL = ("static",)
+SMALL = ("infeasible", "random-46", "random-46+errors", "random-35+errors")
 """Rows of the small part: the cheapest ones."""
 
 ALWAYS = ("simulation.runs=1", "planner.time_limit_s=1e6")
 """Assignments to every scene: flights are not compared, and no wall clock may end a search."""
 
-CARRIED = ("keep_out", "static")
-"""Bundled scenarios whose errors carry the rest of an impulse to the next period, as odd random scenes do."""
+CARRIED = "thrusters.remainder=carried"
+"""Assignment by which the rest of an impulse is carried to the next period, not dropped."""
+
+BUNDLED = {"keep_out": (CARRIED,), "static": (CARRIED,)}
+"""Assignments to bundled scenarios with errors besides those of all; odd random scenes carry rests, too."""
+
+PARTS, FEWER = 8, 5
+"""Most control periods in a step of scenes with errors, and how many there are instead if there are more."""
 
 ERRORS = "+errors"
 """Ending of the name of a scene with declared errors."""
@@ -40,13 +46,13 @@ class Scene:
         Name of the bundled scenario or of the random scene; it ends in `ERRORS` if errors are declared.
     text : callable
         Returns the text of the scenario file.
-    carried : bool
-        True if declared errors carry the rest of an impulse to the next period, False if they drop it.
+    more : tuple of str
+        Assignments besides those of `errors`, if errors are declared.
     """
 
     name: str
     text: Callable[[], str]
-    carried: bool
+    more: tuple[str, ...]
 
     def load(self, folder: Path) -> ScheduleScenario:
         """Write the scenario file into a folder, and load it with its errors."""
@@ -55,18 +61,21 @@ class Scene:
         scenario = load_scenario(path, ALWAYS, only=ScheduleScenario)
         if not self.name.endswith(ERRORS):
             return scenario
-        return load_scenario(path, [*ALWAYS, *errors(scenario, self.carried)], only=ScheduleScenario)
+        return load_scenario(path, [*ALWAYS, *errors(scenario), *self.more], only=ScheduleScenario)
 
 
-def errors(scenario: ScheduleScenario, carried: bool) -> list[str]:
+def errors(scenario: ScheduleScenario) -> list[str]:
     """Return assignments of errors that are in proportion to a scenario which declares none.
 
     Estimates are off by 3 % of the initial set, commands are late by one period, thrust is wrong by 1 %, the
     mass by 0.5 % and, in Hill's frame, the direction by 0.5 degrees. An impulse bit is 1 % of what full
-    thrust makes in a period. Recoverable sets are polytopes, because balls seldom hold so much.
+    thrust makes in a period. Recoverable sets are polytopes, because balls seldom hold so much. Periods are
+    longer where a step has many, because the cost of a check grows faster than their number.
     """
     problem, system = scenario.problem(), scenario.system()
-    period = problem.period or problem.delta / 8
+    period = problem.period or problem.delta / PARTS
+    if round(problem.delta / period) > PARTS:
+        period = problem.delta / FEWER
     known = 0.03 * scenario.initial_set().half_widths
     if system.mean_motion is None:
         found = [f"navigation.state_error={known.tolist()}"]
@@ -77,7 +86,6 @@ def errors(scenario: ScheduleScenario, carried: bool) -> list[str]:
     found += ["thrusters.magnitude_error=0.01", "thrusters.mass_error=0.005"]
     found += [f"thrusters.impulse_bit_N_s={0.01 * period * float(np.min(system.u_max))!r}"]
     late = [f"feedback.period_s={period!r}", f"timing.delay_s={period!r}"]
-    found += ["thrusters.remainder=carried"] * carried
     return [*found, *late, "recoverable.kind=polytope"]
 
 
@@ -87,11 +95,12 @@ def scenes() -> dict[str, Scene]:
     found: dict[str, Scene] = {}
     for name, path in bundled_files().items():
         if isinstance(load_scenario(path), ScheduleScenario):
-            _add(found, name, lambda path=path: path.read_text(encoding="utf-8"), name in CARRIED)
+            more = BUNDLED.get(name, ())
+            _add(found, name, lambda path=path: path.read_text(encoding="utf-8"), more)
     for seed in SEEDS:
-        _add(found, f"random-{seed}", lambda seed=seed: random_scenario(seed), seed % 2 == 1)
+        _add(found, f"random-{seed}", lambda seed=seed: random_scenario(seed), (CARRIED,) * (seed % 2))
     return found
 
 
-def _add(found: dict[str, Scene], name: str, text: Callable[[], str], carried: bool) -> None:
-    found |= {each: Scene(each, text, carried) for each in (name, name + ERRORS)}
+def _add(found: dict[str, Scene], name: str, text: Callable[[], str], more: tuple[str, ...]) -> None:
+    found |= {each: Scene(each, text, more) for each in (name, name + ERRORS)}

@@ -110,9 +110,9 @@ def told(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(rows, "TABLE", tmp_path / "table.json")
     rows.write_table({"static": PROVED | {"name": "static"}})
 
-    def run(change, *options):
+    def run(change, *options, message=""):
         made = PROVED | {"name": "static"} | change
-        monkeypatch.setattr(command, "make_row", lambda scene: (made, "message"))
+        monkeypatch.setattr(command, "make_row", lambda scene: (made, message))
         code = command.main(["--only", "static", *options])
         return code, capsys.readouterr().out
 
@@ -120,11 +120,11 @@ def told(monkeypatch, tmp_path, capsys):
 
 
 def test_the_command_prints_each_difference_and_fails_for_a_fault(told):
-    assert told({}) == (0, "static: exit code 0, VERIFIED, 0.0 CPU-s\n1 rows: 0 faults, 0 better\n")
+    assert told({}) == (0, "static: exit code 0, VERIFIED (0.0 CPU-s)\n1 rows: 0 faults, 0 better\n")
     code, text = told({"margin": 0.1, "start_margin": 0.7})
     assert code == 1 and "worse  static: margin was 0.2, is 0.1" in text and "better static" in text
-    code, text = told({"verdict": "REJECTED"})
-    assert code == 1 and "message" in text
+    code, text = told({"verdict": "REJECTED"}, message="tubes: too narrow")
+    assert code == 1 and "exit code 0, REJECTED, tubes: too narrow (" in text
     code, text = told({"start_margin": 0.7})
     assert code == 0 and "1 rows: 0 faults, 1 better" in text
 
