@@ -1,0 +1,89 @@
+"""Budgets of the packages as a ratchet: lines of code per room, and modules that define one public name.
+
+A room may shrink, and its limit in the table is then lowered to what it has. Aims are no limits: no room has
+reached its own yet, the kernel of the checker aside, which may grow up to its aim.
+"""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+PACKAGES = ("polaris", "reach")
+
+LINES = {
+    # rooms: (limit, aim)
+    ("reach",): (9233, 8400),
+    ("polaris/certificate",): (7788, 4600),
+    ("polaris/certificate/kernel",): (2000, 2000),
+    ("polaris/synthesis",): (7347, 5000),
+    ("polaris/model", "polaris/simulation"): (6582, 5200),
+    ("polaris/rta",): (4886, 4300),
+    ("polaris/inspection",): (5424, 4500),
+    ("polaris/scenario", "polaris/runs"): (8991, 7500),
+    ("polaris/report", "polaris/cli", "polaris/traces"): (7708, 6400),
+    ("polaris/planning",): (2437, 2200),
+    ("polaris", "reach"): (60422, 48000),
+}
+"""Most lines of Python in each group of rooms, and the aim of each."""
+
+MODULES = 3
+"""Most modules in which one public function or class may be defined."""
+
+EXCEPTIONS = {"Options": 4, "Rows": 4, "guarantee": 4, "plain": 4}
+"""Names that are defined in more modules than that, with the most that each may have; the aim is none."""
+
+
+def lines(folder):
+    """Return the number of lines of all Python files in a folder and below it."""
+    return sum(path.read_bytes().count(b"\n") for path in folder.rglob("*.py"))
+
+
+def public_names(source):
+    """Return the names of the public functions and classes that a module defines at its level."""
+    found, left = set(), list[ast.AST](ast.parse(source).body)
+    while left:
+        node = left.pop()
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.If | ast.Try | ast.ExceptHandler):  # in any of its branches
+            left += list(ast.iter_child_nodes(node))
+    return {name for name in found if not name.startswith("_")}
+
+
+def repeated(root, packages):
+    """Return the public names that more than `MODULES` modules of the packages define, and how many do."""
+    files = [path for package in packages for path in (root / package).rglob("*.py")]
+    counts = Counter(name for path in files for name in public_names(path.read_text(encoding="utf-8")))
+    return {name: count for name, count in counts.items() if count > MODULES}
+
+
+@pytest.mark.parametrize("rooms", LINES, ids=" + ".join)
+def test_a_room_has_no_more_lines_than_its_limit(rooms):
+    limit, aim = LINES[rooms]
+    found = sum(lines(ROOT / room) for room in rooms)
+    assert found <= limit, f"{found} lines in {' + '.join(rooms)}, at most {limit} (aim {aim}): cut something"
+
+
+def test_a_public_name_is_defined_in_few_modules():
+    found = repeated(ROOT, PACKAGES)
+    more = {name: count for name, count in found.items() if count > EXCEPTIONS.get(name, MODULES)}
+    assert not more, f"defined in too many modules, at most {MODULES}: {more}; rename some"
+    stale = {name for name, count in EXCEPTIONS.items() if found.get(name, 0) < count}
+    assert not stale, f"lower these in EXCEPTIONS, or take them out: {sorted(stale)}"
+
+
+def test_a_line_and_a_name_too_many_are_found(tmp_path):
+    for i in range(4):
+        (tmp_path / "room" / f"in{i}").mkdir(parents=True)
+        text = "def plan():\n    def inner(): ...\n\n\nclass _Hidden:\n    def own(self): ...\n"
+        (tmp_path / "room" / f"in{i}" / "module.py").write_text(text)
+    assert lines(tmp_path / "room") == 24 and repeated(tmp_path, ["room"]) == {"plan": 4}
+    (tmp_path / "room" / "in3" / "module.py").write_text("class Plan: ...\n")
+    assert lines(tmp_path / "room") == 19 and repeated(tmp_path, ["room"]) == {}
+    text = "if x:\n    class Plan:\n        def own(self): ...\n"
+    assert public_names(text) == {"Plan"}
+    assert public_names("try:\n    import y\nexcept ImportError:\n    def plan(): ...\n") == {"plan"}
