@@ -19,7 +19,7 @@ def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Calla
     what errors demand that start with `level`, to what disturbances and the errors of the commands themselves
     demand for ever: each round allows for the errors of the one before. `norms` is what a ball of errors
     demands, period by period; `left` is added to the level and still left of it beyond the memory; `pushed`
-    is `Tracking.pushed` of the gain's rows under a profile, errors of estimates included.
+    bounds what the rows of the commands need under a profile, noise of estimates included.
     """
     ages, falls = np.arange(len(norms)), np.maximum.accumulate(norms[::-1])[::-1] / norms[0]
     shape = level * np.stack([np.interp(ages / SLOWER, ages, fall) for fall in falls.T], axis=1)
