@@ -253,9 +253,8 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     Ad, Bd = discretize(system.A, system.B, tracking.flow.h)
     part, rows, last = system.thrusters.part, np.eye(system.n), tracking.memory
     calm = replace(tracking, system=replace(system, thrusters=Thrusters(bit=system.thrusters.bit)))
-    steady = calm.responses(rows, None)
-    steady = steady[np.minimum(np.arange(last + 1), len(steady) - 1)]
-    booked = tracking.responses(rows, profile)[: last + 1] - steady
+    last = min(last, calm.memory)
+    booked = tracking.responses(rows, profile)[: last + 1] - calm.responses(rows, None)[: last + 1]
     reached = np.zeros((last + 1, system.n))
     for first in range(-hidden, last):
         size = part(system.u_max if first < 0 else profile[min(first, len(profile) - 1)])

@@ -228,7 +228,7 @@ class Tracking:
                 chain.from_iterable(self.misled)
             ):  # S answers what its estimates are off by
                 at = np.maximum.accumulate(answer.at(off))
-                most[..., j] += at[:-1] + answer.between @ off[0] + np.abs(rows) @ off[0]
+                most[..., j] += at[1:] + answer.between @ off[0] + np.abs(rows) @ off[0]
         return np.asarray(most.max(axis=-1, initial=0.0) * (1 + ROUNDING))
 
     @cached_property
