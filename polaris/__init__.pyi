@@ -61,6 +61,7 @@ from .runs.case import replay as replay
 from .runs.case import write_case as write_case
 from .runs.comparison import write_comparison as write_comparison
 from .runs.files.folder import RunFolder as RunFolder
+from .runs.read_schedule import read_schedule as read_schedule
 from .runs.run import read_run as read_run
 from .runs.run import run as run
 from .runs.schedule import write_run as write_run

@@ -87,7 +87,7 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         check_inputs(document, scenario, record)
         check_networks(document, scenario, folder, record)
         stated = check_artefacts(document, folder, scenario, record)
-        trusted += unchecked(scenario, folder)
+        trusted += unchecked(document, scenario, folder)
         record.unchecked += unchecked_demands(scenario)
         if stated.tank is not None and stated.upkeep is None:
             record.unchecked.append("that the tank lasts, of which the run says nothing: tank.delta_v_m_s")

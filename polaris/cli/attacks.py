@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
-from .shell import REFUTED, Assignments, Force, Json, echo, print_json, verb
+from .shell import REFUTED, Assignments, Force, Json, Target, echo, print_json, verb
 
 if TYPE_CHECKING:
     from ..simulation.falsification.search import Falsification
@@ -18,17 +18,22 @@ if TYPE_CHECKING:
 
 @verb("model-error")
 def model_error_command(
-    scenario: str = Argument(..., metavar="NAME_OR_FILE", help="A bundled scenario or a file, with [orbit]."),
+    target: Target,
     fit: bool = Option(False, "--fit", help="Find a disturbance bound that covers its own model error."),
     assignments: Assignments = None,
     as_json: Json = False,
 ) -> int | None:
-    """Bound what the linear model leaves out, and compare it with the disturbance bound."""
-    from ..scenario.scenario import ScheduleScenario, load_scenario
+    """Bound what the linear model leaves out, and compare it with the disturbance bound.
+
+    The scenario must have an [orbit].
+    """
+    from ..runs.case import load_target
+    from ..simulation.orbit.environment import Environment
     from ..simulation.orbit.model_error import justify, model_error
 
-    loaded = load_scenario(scenario, assignments or (), only=ScheduleScenario)
-    found = justify(loaded) if fit else model_error(loaded)
+    loaded = load_target(target, assignments or ())
+    Environment.of(loaded.scenario)  # what is missing is refused before the synthesis
+    found = justify(loaded.scenario) if fit else model_error(loaded.scenario, loaded.schedule())
     if as_json:
         print_json(found.summary())
     else:
@@ -38,9 +43,7 @@ def model_error_command(
 
 @verb("falsify")
 def falsify_command(
-    target: str = Argument(
-        ..., metavar="RUN_OR_SCENARIO", help="A run folder, a bundled scenario or a file."
-    ),
+    target: Target,
     runs: int = Option(10_000, min=1, help="Trajectories to fly."),
     seed: int = Option(0, min=0, help="Same seed, same search."),
     out: str | None = Option(None, metavar="FILE", help="Where a case goes; default <scenario>.case.json."),
@@ -55,9 +58,10 @@ def falsify_command(
 
     if out is not None:
         check_file(out, endings=(".json",), force=force)
-    scenario, schedule = load_target(target, assignments or ())
+    loaded = load_target(target, assignments or ())
+    scenario = loaded.scenario
     check_file(out or f"{scenario.name}.case.json", force=force)
-    found = falsify(schedule, runs, seed)
+    found = falsify(loaded.schedule(), runs, seed)
     if as_json:
         print_json(found.summary())
     else:

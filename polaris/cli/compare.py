@@ -8,7 +8,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ClockWarning, ScenarioError
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, Target, drawing, finish, verb
 
 
 class _Compare(TyperCommand):
@@ -51,7 +51,7 @@ class Options:
 
 
 @verb("compare", cls=_Compare)
-def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None:
+def compare_command(target: Target, options: Options, asked: BlackBoxes) -> None:
     """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
     from .console import ShownStages
 
@@ -64,21 +64,20 @@ def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None
 
         from ..rta.arena import compare_methods, selected
         from ..rta.decision_grid import DecisionGrid, check_decisions
+        from ..runs.case import load_target
         from ..runs.comparison import COMPARISON, write_comparison
         from ..runs.files.atomic import check_target
-        from ..scenario.scenario import ScheduleScenario, load_scenario
-        from ..simulation.sampled import with_boxes
-        from ..synthesis.schedule.synthesize import synthesize
 
         selected(named, tuning)  # here and below: what is wrong is refused before the synthesis
-        loaded = load_scenario(scenario, options.assignments or (), only=ScheduleScenario)
-        out = options.out if options.out is not None else f"runs/{loaded.name}-comparison"
-        target = check_target(out, COMPARISON.names)
+        loaded = load_target(target, options.assignments or ())
+        scenario = loaded.scenario
+        out = options.out if options.out is not None else f"runs/{scenario.name}-comparison"
+        place = check_target(out, COMPARISON.names)
         half = None if numbers is None else np.squeeze(numbers)
-        check_decisions(loaded.problem(), options.period, options.latency, half)
+        check_decisions(scenario.problem(), options.period, options.latency, half)
     with asked.running() as boxes:
         with stages.stage("schedule"):
-            schedule = with_boxes(loaded, boxes).schedule if boxes else synthesize(loaded)
+            schedule = loaded.schedule(boxes)
         with stages.stage("flights"):
             comparison = compare_methods(
                 DecisionGrid.of(schedule, options.period, options.latency, half),
@@ -90,7 +89,7 @@ def compare_command(scenario: Name, options: Options, asked: BlackBoxes) -> None
             )
         with stages.stage("folder"):
             draw = drawing(options.figures)
-            folder = write_comparison(target, loaded, comparison, draw=draw, stages=stages)
+            folder = write_comparison(place, scenario, comparison, draw=draw, stages=stages)
     finish(folder, True, options.as_json, options.quiet)
 
 

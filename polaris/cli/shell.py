@@ -67,6 +67,14 @@ Name = Annotated[
         autocompletion=complete_scenario,
     ),
 ]
+Target = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN_OR_SCENARIO",
+        help="A run folder, whose schedule is read, or a bundled scenario or a file, which is synthesised.",
+        autocompletion=complete_scenario,
+    ),
+]
 Assignments = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value, as in planner.gap=0.01; repeatable."),

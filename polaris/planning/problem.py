@@ -25,6 +25,8 @@ SOLVERS = {
 """Who decides the separating facets, and what summaries call it."""
 IN_VIEW = "in_view"
 """Status of a plan that follows an experimental controller: certified, but the cheapest of nothing."""
+KNOWN = "known"
+"""Status of a plan that was found before, and is only read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +213,7 @@ class Plan:
     delta_v : float
         Velocity change [m/s].
     status : str
-        "optimal" (to the gap), "effort_limit" or "time_limit", as in `Stage`; or `IN_VIEW`.
+        "optimal" (to the gap), "effort_limit" or "time_limit", as in `Stage`; or `IN_VIEW` or `KNOWN`.
     objective, bound, gap : float
         Objective of the last phase: `delta_v` [m/s], or the extra clearance [m] for `distance` and where
         `extra_margin` is out of reach; its proven bound for the model solved; the relative gap.

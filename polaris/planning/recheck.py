@@ -15,7 +15,7 @@ from reach.numerics.linear import discretize, growth
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
-from .problem import Plan, PlanProblem, relative_gap
+from .problem import KNOWN, Plan, PlanProblem, relative_gap
 from .reference import Reference
 
 ARCS = 8  # parts of a cell
@@ -43,6 +43,18 @@ def recheck(problem: PlanProblem, nu: Array) -> Recheck:
     lows = path_bounds(problem, coasting)
     surplus = tuple(low - problem.required(i) for i, low in enumerate(lows))
     return Recheck(reference, surplus, problem.goal.violation(reference.chi[-1]))
+
+
+def known_plan(reference: Reference, K: int, facets: np.ndarray) -> Plan:
+    """Return the plan of K steps of a reference whose facets (cells, n_o) are known, and no more.
+
+    It was found and certified before; what is not known of it is NaN.
+    """
+    nu, system, unknown = reference.nu[:K], reference.system, np.full((facets.shape[1], K), np.nan)
+    spent = float(np.sum(np.abs(nu)) * reference.delta / system.mass)
+    sides = facets[:K].T, facets[K:].T
+    parts = reference.chi[: K + 1], nu, *sides, np.nan, unknown, unknown, spent
+    return Plan(*parts, KNOWN, objective=np.nan, bound=np.nan, gap=np.nan)
 
 
 def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:

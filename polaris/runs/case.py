@@ -1,6 +1,7 @@
 """Targets of attacks, and counterexamples as files: all that flies one again, exact to the bit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from ..model.errors import ScenarioError
 from ..model.files import load_json
 from ..model.system import Array
 from ..scenario.reading import parse_toml
-from ..scenario.scenario import ScheduleScenario, load_scenario
+from ..scenario.scenario import ScheduleScenario, bundled_files, load_scenario
 from ..simulation.delayed import flight_of
 from ..simulation.failing import Failing
 from ..simulation.falsification.aborting import exceeded
@@ -20,37 +21,45 @@ from ..simulation.falsification.claims import Claims, attained
 from ..simulation.falsification.drifting import drifted
 from ..simulation.falsification.search import Falsification
 from ..simulation.falsification.violations import Failure, overspent, violation
+from ..simulation.sampled import with_boxes
+from ..synthesis.controllers.black_box import Ask, BlackBox
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.synthesize import synthesize
 from .files.atomic import write_whole
-from .files.folder import readable
-from .files.tables import json_text, read_reference
-from .run import read_run
-from .schedule import SCHEDULE, digest
+from .files.folder import RunFolder
+from .files.tables import json_text
+from .read_schedule import read_schedule, schedule_folder
+from .schedule import digest
 
 FORMAT = "polaris case"
 VERSION = 3
 
 
-def load_target(target: str, overrides: Sequence[str] = ()) -> tuple[ScheduleScenario, Schedule]:
-    """Synthesise a scenario, or that of a run folder, which must hold the schedule that comes of it."""
-    if not Path(target).is_dir():
-        scenario = load_scenario(target, overrides, only=ScheduleScenario)
-        return scenario, synthesize(scenario)
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Scenario that a command starts from, and the run folder that it came from, if any."""
+
+    scenario: ScheduleScenario
+    folder: RunFolder | None = None
+
+    def schedule(self, boxes: Mapping[str, Ask] | None = None) -> Schedule:
+        """Read the schedule of the folder, or synthesise that of the scenario."""
+        if self.folder is None:
+            return with_boxes(self.scenario, boxes).schedule if boxes else synthesize(self.scenario)
+        schedule = read_schedule(self.folder, boxes)
+        if any(isinstance(law, BlackBox) for law in schedule.controllers):
+            self.scenario.check_black_boxes(boxes)  # they are about to fly
+        return schedule
+
+
+def load_target(target: str, overrides: Sequence[str] = ()) -> Target:
+    """Load a run folder of a schedule, or a scenario; a bundled name wins over a folder of that name."""
+    if target in bundled_files() or not Path(target).is_dir():
+        return Target(load_scenario(target, overrides, only=ScheduleScenario))
     if overrides:
         raise ScenarioError("--set", list(overrides), "must be left out for a run folder: it is as it is")
-    folder = read_run(target)
-    if folder.kind is not SCHEDULE:
-        raise ScenarioError("run folder", target, f"must be of a schedule, not of kind {folder.kind.name!r}")
-    schedule = synthesize(folder.scenario)
-    reference = schedule.safety.reference
-    with readable(folder.path):
-        kept = read_reference(folder.path / "reference.csv", reference.system, reference.delta)
-    same = np.array_equal(kept.chi, reference.chi) and np.array_equal(kept.nu, reference.nu)
-    if not same or folder.json("schedule.json").get("modes") != schedule.modes.tolist():
-        rule = "holds another schedule than its scenario gives here (edited, or other versions)"
-        raise ScenarioError("run folder", target, rule)
-    return folder.scenario, schedule
+    folder = schedule_folder(target)
+    return Target(folder.scenario, folder)
 
 
 def write_case(

@@ -1,6 +1,6 @@
 """The certificate of a schedule: everything that the argument for its safety rests on, as JSON.
 
-``gains.json`` repeats of it what a replay needs.
+And what had to be found for it, by which `polaris.read_schedule` proves the schedule again.
 """
 
 from collections.abc import Iterable
@@ -11,30 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from reach.networks.layers import Activation, Affine, Diagonal
 from reach.numerics.linear import growth
 
 from ..certificate.files.document import FORMAT, VERSION, canonical, digest
-from ..certificate.files.repeated import LAW
-from ..certificate.model.bodies import MOVES
-from ..model.allocation import Allocation
 from ..model.scene.obstacle import chaser_radius
 from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array
-from ..model.timing import Transient
 from ..model.tolerances import ROUNDING
-from ..scenario.tables.fields import python_name
 from ..simulation.metrics import finite
-from ..synthesis.controllers.black_box import BlackBox
-from ..synthesis.controllers.controllers import AffineController, Controller, TubeSegment
-from ..synthesis.controllers.neural import NeuralController
+from ..synthesis.controllers.controllers import TubeSegment
 from ..synthesis.safety.clearance import error_tube
 from ..synthesis.safety.demand import command_errors
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.safety.passive import Drift, clear
 from ..synthesis.schedule.schedule import Schedule
+from .files.controllers import flown
 from .files.ownership import sha256
-from .files.tables import errors_of, json_text, strict, write_text
+from .files.tables import strict, write_text
 
 
 def hexadecimal(values: Any) -> Any:
@@ -54,7 +47,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "schema_version": VERSION,
         "scenario": {"name": name},
         "artefacts": {path.name: sha256(path) for path in files},
-        **_flown(schedule),
+        **flown(schedule),
         "initial_set": {"center": start.c, "generators": start.G.T},
         "unsafe_sets": _sets(schedule, covered),
         **({"chaser_radius": radius} if (radius := chaser_radius(safety.problem.unsafe)) else {}),
@@ -72,6 +65,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         **_powered(schedule),
         "end": {"horizon": end.horizon, "until": finite(end.until), "reason": end.reason},
         **_samples(schedule),
+        **_choices(schedule),
         "guarantee": schedule.guarantee,
         "assumptions": list(schedule.assumptions[:-1]),  # the checker works in ball arithmetic
     }
@@ -84,60 +78,6 @@ def write_certificate(folder: Path, schedule: Schedule, name: str, files: Iterab
     """Write ``certificate.json`` into a folder that holds the named files."""
     data = certificate(schedule, name, [folder / file for file in files])
     write_text(folder / "certificate.json", canonical(data) + "\n")
-
-
-def write_gains(path: Path, schedule: Schedule) -> None:
-    """Write ``gains.json``: the law, and the certificate's system and controllers."""
-    write_text(path, json_text({"law": LAW, **_flown(schedule)}))
-
-
-def _flown(schedule: Schedule) -> dict[str, Any]:
-    """Return the system, its sampling and its controllers."""
-    safety, feedback = schedule.safety, schedule.safety.tracking.feedback
-    return {
-        "system": _system(safety),
-        "sampling": {
-            "step": float(safety.problem.delta),
-            "steps": safety.problem.K,
-            "nodes_per_step": feedback.nodes_per_cell,
-        },
-        "controllers": [_controller(item, safety) for item in schedule.controllers],
-    }
-
-
-def _system(safety: Safety) -> dict[str, Any]:
-    system = safety.problem.system
-    return {
-        "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
-        "mean_motion": None if system.mean_motion is None else float(system.mean_motion),
-        "mass": float(system.mass),
-        "A": system.A,
-        "B": system.B,
-        "C": system.position,
-        "D": system.D,
-        "input_max": system.u_max,
-        "disturbance_max": float(system.w_max),
-        "input_names": list(system.input_names),
-        **errors_of(safety),
-        **_allocation(safety.problem.allocation),
-        **_transients(system.transients),
-    }
-
-
-def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
-    """Faults that are isolated late, if any; no pushes where navigation is lost."""
-    found = [
-        {"name": fault.name, "lasts": float(fault.lasts)}
-        | ({"pushes": fault.pushes} if len(fault.pushes) else {})
-        for fault in faults
-    ]
-    return {"transients": found} if found else {}
-
-
-def _allocation(made: Allocation | None) -> dict[str, Any]:
-    if made is None:
-        return {}
-    return {"allocation": {"directions": made.directions, "limits": made.limits, "corners": made.corners}}
 
 
 def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
@@ -196,49 +136,23 @@ def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:
     return {**known, "normals": item.normals, "offsets": item.offsets[:cells]}
 
 
-def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
-    if item is safety.controller:
-        return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
-    if not isinstance(item, (AffineController, NeuralController)):
-        return {"name": item.name, "kind": "black_box" if isinstance(item, BlackBox) else "any_thrust"}
-    own = {} if item.own is safety.reference else {"own_states": item.own.chi, "own_inputs": item.own.nu}
-    if isinstance(item, NeuralController):
-        return {"name": item.name, "kind": "neural", **described(item), **own}
-    kind = "saturated_affine" if item.clips else "affine"
-    return {"name": item.name, "kind": kind, "gain": item.gain, **own}
-
-
-def described(law: NeuralController) -> dict[str, Any]:
-    """Return a network's inputs, layers and scales."""
-    policy = law.policy
-    scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
-    moves = {key: (python_name(key), none) for key, none in MOVES.items()}
-    bodies = [
-        {"name": body.name, **{key: getattr(body, *given) for key, given in moves.items()}}
-        for body in law.senses.bodies
-    ]
-    read = {"bodies": bodies} if bodies else {}
-    layers, precision = [layer_item(layer) for layer in policy.network.layers], policy.network.precision
-    rounded = {} if precision == "real" else {"precision": precision}
-    return {"inputs": list(policy.inputs), **rounded, **scales, "layers": layers, **read}
-
-
-def layer_item(layer: Affine | Diagonal | Activation) -> dict[str, Any]:
-    """One layer of a network; equal numbers of an elementwise one are kept once."""
-    if isinstance(layer, Activation):
-        return {"kind": layer.kind, "low": float(layer.low), "high": float(layer.high)}
-    if isinstance(layer, Affine):
-        return {"kind": "affine", "W": layer.W, "b": layer.b}
-    parts = {"scale": layer.scale, "b": layer.b}
-    return {"kind": "diagonal"} | {k: v[:1] if np.all(v == v[0]) else v for k, v in parts.items()}
-
-
 def _samples(schedule: Schedule) -> dict[str, Any]:
     """Return the statement about samples, and the fitted error sets at the nodes of black boxes' steps."""
     if schedule.statement is None:
         return {}
     fits = [getattr(step.tube, "fit", None) for step in schedule.steps]
     return {"samples": {**asdict(schedule.statement), "fits": fits}}
+
+
+def _choices(schedule: Schedule) -> dict[str, Any]:
+    """Return what was found besides: a share of thrust, and other references with the modes along them."""
+    tracking, found = schedule.safety.tracking, dict[str, Any]()
+    if tracking.profile is not None:
+        found["thrust_share"] = tracking.level
+    if schedule.worth is not None:
+        found["delta_v_unit"] = schedule.worth.unit
+        found["library"] = [{"inputs": each.safety.plan.nu, "modes": each.modes} for each in schedule.library]
+    return {"choices": found} if found else {}
 
 
 def _bounds(safety: Safety) -> dict[str, Any]:

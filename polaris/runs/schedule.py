@@ -39,11 +39,12 @@ from ..synthesis.schedule.same_system import check_safety
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.share_bound import ShareBound, share_bound
 from ..synthesis.schedule.withheld import withheld
-from .certificate import described, hexadecimal, write_certificate, write_gains
+from .certificate import hexadecimal, write_certificate
 from .declared import naming_errors
 from .files import arrays
 from .files import tables as files
 from .files.atomic import check_target
+from .files.controllers import described, write_gains
 from .files.folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_folder
 from .picture import Picture, SlicePicture
 from .picturing import picture_of

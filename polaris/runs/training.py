@@ -30,6 +30,7 @@ from ..rta.training import TrainingFlights
 from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.schedule import ScheduleScenario
 from ..synthesis.schedule.synthesize import synthesize
+from .case import load_target
 from .inspections.inspection_training import InspectionFlights
 
 Numbers = NDArray[np.float32]
@@ -40,8 +41,8 @@ RESET = "an episode begins with reset: at first, after a shield was put on, and 
 
 
 def _flights(scenario: Any, runs: int, given: dict[str, Any]) -> TrainingFlights:
-    """Flights of a scenario, or of its name, its file, its schedule or its grid."""
-    scene = load_scenario(scenario) if isinstance(scenario, str | Path) else scenario
+    """Return flights of a scenario, or of its name, its file, a run folder, its schedule or its grid."""
+    scene = load_target(str(scenario)).schedule() if isinstance(scenario, str | Path) else scenario
     if isinstance(scene, Scenario):
         of_kind("scenario", scene, ScheduleScenario, "polaris.load_scenario of a switching scene")
         scene = synthesize(scene)
@@ -109,7 +110,7 @@ class SwitchingVectorEnv(FlightsVectorEnv):
     Parameters
     ----------
     scenario : str, Path, ScheduleScenario, Schedule or DecisionGrid
-        What is given as a scenario is synthesised first.
+        The schedule of a run folder is read; a scenario, its name or its file is synthesised first.
     num_envs : int
     **given
         Unless a grid is given, `period_s` (between decisions) and `half_widths` (largest errors of the state

@@ -80,12 +80,13 @@ def build_controllers(
     safety: Safety,
     policies: Mapping[str, tuple[Path, Policy]],
     boxes: Mapping[str, Ask | None],
+    planned: Mapping[str, Array],
 ) -> tuple[Controller, ...]:
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
     found: list[Controller] = []
     for path, spec in model.controllers():
         if not isinstance(spec, BlackBoxTable):
-            found.append(_build(spec, path, safety, policies))
+            found.append(_build(spec, path, safety, policies, planned.get(spec.name)))
             continue
         ask = boxes[spec.name]
         assert ask is not None  # checked by `ScheduleScenario.check_black_boxes`
@@ -95,12 +96,16 @@ def build_controllers(
 
 
 def _build(
-    spec: Experimental, path: str, safety: Safety, policies: Mapping[str, tuple[Path, Policy]]
+    spec: Experimental,
+    path: str,
+    safety: Safety,
+    policies: Mapping[str, tuple[Path, Policy]],
+    planned: Array | None,
 ) -> Controller:
     assert not isinstance(spec, BlackBoxTable)
     system = safety.problem.system
     if isinstance(spec, Neural):
-        own = own_reference(spec.reference, None, safety, f"{path}.reference")
+        own = own_reference(spec.reference, None, safety, f"{path}.reference", planned)
         policy, unsafe = policies[spec.name][1], safety.problem.unsafe
         return NeuralController(
             spec.name, system, policy, safety.reference, own, safety.tracking, tuple(unsafe)
@@ -108,13 +113,15 @@ def _build(
     if isinstance(spec, AnyThrustTable):
         return AnyThrust(spec.name, system, safety.reference, safety.tracking)
     gain = gain_of(spec, system, path)
-    own = own_reference(spec.reference, gain, safety, f"{path}.reference")
+    own = own_reference(spec.reference, gain, safety, f"{path}.reference", planned)
     clips = spec.kind == "saturated_affine"
     return AffineController(spec.name, system, gain, safety.reference, own, safety.tracking, clips)
 
 
-def own_reference(spec: Any, gain: Array | None, safety: Safety, path: str) -> Reference:
-    """What an experimental controller follows, as a trajectory that obeys the dynamics."""
+def own_reference(
+    spec: Any, gain: Array | None, safety: Safety, path: str, planned: Array | None = None
+) -> Reference:
+    """Return the trajectory that an experimental controller follows; a plan has the inputs that are given."""
     problem: Problem = safety.problem
     system, K, delta = problem.system, problem.K, problem.delta
     if spec.kind == "shared":
@@ -129,6 +136,8 @@ def own_reference(spec: Any, gain: Array | None, safety: Safety, path: str) -> R
             if gain is None
             else _settled(system, gain, state, K, delta, path)
         )
+    if planned is not None:
+        return Reference.propagate(system, delta, problem.initial_set.c, planned)
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))
     asked = PlanProblem(system, problem.initial_set.c, K, delta, (), (), limit, problem.goal, "fuel")
     found = plan(asked, problem.planner)

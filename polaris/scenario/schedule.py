@@ -15,7 +15,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
 from ..model.errors import ScenarioError
-from ..model.system import LinearSystem
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
@@ -156,7 +156,10 @@ class ScheduleScenario(Scenario):
         return self.model.goal.build(self.system())
 
     def controllers(
-        self, safety: Safety, boxes: Mapping[str, Ask | None] | None = None
+        self,
+        safety: Safety,
+        boxes: Mapping[str, Ask | None] | None = None,
+        planned: Mapping[str, Array] | None = None,
     ) -> tuple[Controller, ...]:
         """The experimental controllers on a safety controller's reference, in order of preference.
 
@@ -166,6 +169,9 @@ class ScheduleScenario(Scenario):
             Result of `get_safety`.
         boxes : mapping, optional
             What is asked of its black boxes, by their names.
+        planned : mapping, optional
+            Inputs (K, m) of plans that ``unaware`` references stand for, by the names of their controllers;
+            others are planned.
 
         Raises
         ------
@@ -177,7 +183,7 @@ class ScheduleScenario(Scenario):
         from .experimental import build_controllers
 
         self.check_black_boxes(boxes)
-        return build_controllers(self.model, safety, self.policies(), boxes or {})
+        return build_controllers(self.model, safety, self.policies(), boxes or {}, planned or {})
 
     def check_black_boxes(self, boxes: Mapping[str, Ask | None] | Collection[str] | None) -> None:
         """Raise `ScenarioError` unless exactly the black boxes of the scenario are given, by their names."""

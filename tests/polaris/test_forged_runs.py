@@ -35,6 +35,7 @@ FOLLOWING = {
     "unaware": [],
     "setpoint": [QUARTER, 'experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'],
     "shared": [QUARTER, 'experimental.0.reference={kind="shared"}'],
+    "in view": [QUARTER, "recoverable.recourse=in_view"],
     "sampled": ["feedback={period_s=0.1}", "schedule.min_dwell_steps=2", "schedule.max_switches=3"],
 }
 """Variants of the tiny scene."""
@@ -55,6 +56,8 @@ NO_CLAIM = (
     "scenario.toml: all of it without planner",
     "scenario.toml: schedule.bound_programs *",
     "schedule.json: rules.beam *",
+    "certificate.json: choices*",  # the reader proves anew what comes of them
+    "certificate.json: all of it without choices",
     "summary.json: created *",
     "summary.json: definitions*",
     "summary.json: versions*",

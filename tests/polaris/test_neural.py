@@ -33,7 +33,7 @@ from polaris.model.tolerances import ROUNDING
 from polaris.planning.reference import Reference
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
-from polaris.runs.certificate import layer_item
+from polaris.runs.files.controllers import layer_item
 from polaris.runs.run import read_run, run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario, scenario_folder

@@ -123,8 +123,8 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
     )
 
 
-def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
-    """What a run folder says besides, and no check confirms."""
+def unchecked(document: Document, scenario: dict[str, Any], folder: Path) -> list[str]:
+    """Return what a run folder says besides, and no check confirms."""
     specs = scenario["experimental"]
     plans = ", ".join(item["name"] for item in specs if item.get("reference", {}).get("kind") == "unaware")
     cheapest = f"the plans that {plans} follows are the cheapest (start, dynamics, limits, goal hold)"
@@ -134,7 +134,8 @@ def unchecked(scenario: dict[str, Any], folder: Path) -> list[str]:
     boxes = any(item["kind"] == "black_box" for item in specs)
     reasons = "reasons in schedule.json for margins, drifts that hit, missing aborts, steps lost to faults"
     told = [flown, bound, *[asked] * boxes] * found(folder / SUMMARY)
-    return [*[cheapest] * bool(plans), reasons, *told]
+    others = "choices in certificate.json: whoever reads a schedule by them proves it again"
+    return [*[cheapest] * bool(plans), reasons, *told, *[others] * bool(document.choices)]
 
 
 # -- the summary ------------------------------------------------------------------------------------

@@ -197,6 +197,7 @@ class Document:
         samples = dict(read.get("samples") or {})
         self.fits: list[list[Matrix] | None] = samples.pop("fits", [None] * self.steps)
         self.statement: dict[str, Any] = samples
+        self.choices: dict[str, Any] = read.get("choices") or {}
         self._check_claims()
         self.satellites = SATELLITES in read["assumptions"]  # a scenario beside it must agree
         self.assumptions = Premises(
@@ -232,7 +233,8 @@ class Document:
         kinds = [law.kind for law in self.laws]
         if kinds[0] != "safety" or "safety" in kinds[1:]:
             raise ValueError("mode 0, and no other, must be the safety controller")
-        if max(self.modes) >= len(self.laws):
+        others = (each["modes"] for each in self.choices.get("library", []))
+        if any(max(modes) >= len(self.laws) for modes in (self.modes, *others)):
             raise ValueError("modes must be known")
         sizes = {"error": len(self.A), "state": len(self.A), "time": 1, "reference_input": len(self.u_max)}
         for mode, law in enumerate(self.laws):

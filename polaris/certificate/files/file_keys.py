@@ -119,6 +119,10 @@ CERTIFICATE = {
         "fits": grid("K", Either((None, grid("q m n+2")))),
     },
     "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
+    "choices?": {
+        "thrust_share?": Hexadecimal(Real(above=0, most=1)), "delta_v_unit?": ABOVE_0,
+        "library?": Rows({"inputs": grid("K m"), "modes": grid("K", Whole())}, most=1000),
+    },
 }
 """The certificate; `Document` compares the lengths."""
 

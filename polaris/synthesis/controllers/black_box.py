@@ -5,8 +5,8 @@ with a band about it. Whether commands keep to their bands is what sampled fligh
 (`polaris.simulation.sampled`); all else is proven of every admissible disturbance (docs/theory.md).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -79,6 +79,8 @@ class BlackBox:
     memory : bool
         Whether answers depend on what was asked earlier in a flight. Bands are then fitted to flights
         from the start on; what is said of them assumes neither.
+    fits : mapping
+        Bands that are known already, by step, as in `FittedSegment.fit`: nothing is asked for these.
 
     Raises
     ------
@@ -94,6 +96,7 @@ class BlackBox:
     wider: float = BANDS
     seed: int = 0
     memory: bool = False
+    fits: Mapping[int, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if hasattr(self.ask, "reset"):
@@ -139,7 +142,7 @@ class BlackBox:
         With memory they are fitted to flights from the initial set on, in which those `before` flew the
         steps so far and the box was asked all along.
         """
-        system, fit = self.system, self._fitted(start, k, before)
+        system, fit = self.system, self.fits[k] if k in self.fits else self._fitted(start, k, before)
         n, rounding = system.n, self.reference.rounding[k]
         nodes, bows = [start], []
         for row in fit:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
@@ -16,6 +17,7 @@ from ...model.errors import NotCertified, OutOfTime, SynthesisInfeasible
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ...planning.problem import PlanProblem
+from ...planning.recheck import known_plan
 from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..controllers.controllers import TubeSegment
@@ -23,7 +25,7 @@ from ..safety.attempts import perceive_unsafe, plan_problem
 from ..safety.clearance import Clearance, error_tube
 from ..safety.end_condition import coast, judge_end, tail_length
 from ..safety.get_safety import Safety, get_recover
-from ..safety.problem import PoweredAbort
+from ..safety.problem import PoweredAbort, Problem
 from ..tracker.intersample import at_nodes
 from .takeover import SPARE, Branch, Takeover, Way
 
@@ -68,10 +70,24 @@ class PoweredSafety:
         return {"within_s": self.asked.within, "delta_v_max_m_s": self.asked.budget, "steps": steps}
 
 
-def powered(safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array) -> PoweredSafety | None:
-    """What is proven of aborts with thrust in every step of a schedule, if anything is asked of them.
+@dataclass(frozen=True, eq=False)
+class KnownBranches:
+    """Branches that were planned before: where each leaves, its path, and which one serves each step."""
+
+    steps: Sequence[int]
+    inputs: Sequence[Array]  # until it coasts, (steps of the branch, m)
+    facets: Sequence[NDArray[np.int_]]  # in every cell from the start of the flight on, (cells, n_o)
+    serve: Sequence[int | None]  # each step, by their places; None of steps that none serves
+    why: Sequence[str]  # for these steps, none serves them; "" for others
+
+
+def powered(
+    safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array, known: KnownBranches | None = None
+) -> PoweredSafety | None:
+    """Return what is proven of aborts with thrust in every step of a schedule, if anything is asked of them.
 
     `flown` holds who flies each step (0 is S), and in which tube; `spent` the velocity change (K,) [m/s].
+    Branches are planned unless they are `known`.
     """
     asked, delta = safety.problem.powered, safety.problem.delta
     if asked is None:
@@ -80,6 +96,14 @@ def powered(safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Arr
     if asked.goal is None:
         own = Branch(safety.problem.K, safety)
         return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))
+    if known is not None:
+        parts = zip(known.steps, known.inputs, known.facets, strict=True)
+        made = tuple(_branch(safety, asked, *part) for part in parts)
+        found = (
+            Way(None, why=why) if place is None else made[place].serve(each, asked, place)
+            for each, place, why in zip(taken, known.serve, known.why, strict=True)
+        )
+        return PoweredSafety(asked, delta, made, tuple(found))
     branches, ways = list[Branch](), list[Way]()
     while len(ways) < len(taken):
         served, lost = list[Way](), Way(None, why="there is no time for a branch")
@@ -115,11 +139,8 @@ def _branches(
 
 def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: int) -> Branch | str:
     """A branch of n steps towards the orbit, after the last of some steps; or why there is none."""
-    b, goal, tracking = taken[-1].k + 1, asked.goal or safety.problem.goal, safety.tracking
-    aborted = replace(safety.problem, K=b + n, abort=None, powered=None)
-    near, slow = asked.tolerance, asked.velocity_tolerance
-    problem = replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
-    tail = tail_length(tracking)
+    b, tracking = taken[-1].k + 1, safety.tracking
+    problem, tail = _aborted(safety, asked, b + n), tail_length(tracking)
     unsafe = perceive_unsafe(problem, problem.K + tail)
     most = min(problem.planner.max_linear_programs, PROGRAMS)
     try:
@@ -127,14 +148,30 @@ def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: in
         found = plan(wanted, replace(problem.planner, max_linear_programs=most, progress=None))
     except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
         return f"no branch is found: {error}"
-    nu = np.vstack([safety.reference.nu[:b], found.nu])
+    facets = np.vstack([safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
+    return _branch(safety, asked, b, found.nu, facets)
+
+
+def _aborted(safety: Safety, asked: PoweredAbort, K: int) -> Problem:
+    """Return the problem of a flight that is aborted and reaches the orbit after K steps."""
+    near, slow, goal = asked.tolerance, asked.velocity_tolerance, asked.goal or safety.problem.goal
+    aborted = replace(safety.problem, K=K, abort=None, powered=None)
+    return replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
+
+
+def _branch(safety: Safety, asked: PoweredAbort, b: int, inputs: Array, facets: NDArray[np.int_]) -> Branch:
+    """Return the branch that leaves the reference at the start of step b and flies these inputs."""
+    problem, tracking = _aborted(safety, asked, b + len(inputs)), safety.tracking
+    tail = tail_length(tracking)
+    unsafe = perceive_unsafe(problem, problem.K + tail)
+    nu = np.vstack([safety.reference.nu[:b], inputs])
     path = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, nu)
     reference, jump = coast(path, tail)
-    facets = np.vstack([safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
     clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
-    made = replace(safety, problem=problem, plan=replace(found, chi=path.chi, nu=nu), reference=reference)
+    found = known_plan(path, problem.K, facets)
+    made = replace(safety, problem=problem, plan=found, reference=reference)
     made = replace(made, clearance=clearance, recoverable=recoverable, end=end)
     return Branch(b, replace(made, start_margin=recoverable.margin_at(0, safety.start)))
 

@@ -1,6 +1,6 @@
 """The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 
@@ -24,8 +24,8 @@ from ..safety.get_safety import Safety
 from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
 from .arrival import FLOWN, Arrival, Held, Upkeep, arrival, spare, upkeep
-from .powered import PoweredSafety, powered
-from .spending import Spell, spent
+from .powered import KnownBranches, PoweredSafety, powered
+from .spending import Prices, Spell, spent
 
 
 @brief
@@ -75,13 +75,15 @@ class Schedule:
         Set of errors at T.
     seconds : mapping
         Wall time of the synthesis by stage.
-    library : tuple of Schedule
+    library : sequence of Schedule
         Along other references, proven on the way to this one: as long safe, and they arrive if it does.
-    worth : callable, optional
-        What a flight is worth at the scenario's prices, by its shares of the time per mode, its velocity
-        change [m/s] and its number of switches; known where references were planned with U in view.
+    worth : Prices, optional
+        Objective of a flight at the scenario's prices, a function of its shares of the time by mode, its
+        velocity change [m/s] and its number of switches; known where references were planned with U in view.
     statement : Statement, optional
         What sampled flights say of the steps that black boxes fly.
+    branches : KnownBranches, optional
+        Branches of aborts with thrust that were planned before; others are planned when they are asked for.
     """
 
     safety: Safety
@@ -89,9 +91,10 @@ class Schedule:
     steps: tuple[Step, ...]
     final: Zonotope
     seconds: Mapping[str, float] = field(default_factory=dict)
-    library: tuple["Schedule", ...] = ()
-    worth: Callable[[Mapping[int, float], float, float], float] | None = None
+    library: Sequence["Schedule"] = ()
+    worth: Prices | None = None
     statement: Statement | None = None
+    branches: KnownBranches | None = None
 
     def _brief(self) -> Mapping[str, object]:
         """Return what a session and a notebook show."""
@@ -217,7 +220,7 @@ class Schedule:
         """From which steps S reaches the orbit of an abort with thrust, where the problem asks."""
         flown = [(step.mode, step.tube) for step in self.steps]
         most = np.array([spell.most.sum() for spell in self._spells]) * self.safety.tracking.flow.h
-        return powered(self.safety, flown, most / self.safety.problem.system.mass)
+        return powered(self.safety, flown, most / self.safety.problem.system.mass, self.branches)
 
     def aborted(self, k: int) -> "Schedule":
         """The flight that is aborted with thrust at the start of step k: S from there on, along its branch.

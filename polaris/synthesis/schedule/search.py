@@ -19,6 +19,7 @@ from ..safety.problem import Problem
 from .look_ahead import SAFETY, LookAhead
 from .same_system import check_controller, check_safety, check_segment
 from .schedule import Schedule, Step, drift_of
+from .spending import Prices
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,10 @@ class SwitchingRules:
         """Worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
         given = (0.0, *self.weights)[:modes]
         return given + (1.0,) * (modes - len(given))
+
+    def prices(self, unit: float) -> Prices:
+        """Return the objective by which schedules are compared; S alone spends `unit` [m/s]."""
+        return Prices(self.weights, self.delta_v_price, self.switch_price, unit)
 
     def affords(self, spent: float) -> bool:
         """Whether the budget allows a velocity change [m/s]."""

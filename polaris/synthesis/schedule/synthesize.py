@@ -6,8 +6,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ...model.errors import ClockWarning, NotCertified, SynthesisInfeasible
 from ...planning.problem import Plan
 from ..controllers.controllers import AffineController, AnyThrust, Controller
@@ -19,7 +17,7 @@ from .in_view import views
 from .look_ahead import SAFETY
 from .schedule import Schedule
 from .search import Branch, Search, SwitchingRules
-from .worth import Worth
+from .worth import Worth, as_good
 
 LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
 DEARER = (0.0, 0.3, 3.0)
@@ -83,20 +81,29 @@ def synthesize(
     return replace(found, seconds=clock.after(safety.seconds))
 
 
+def turns(search: Search) -> bool:
+    """Return True if all laws are known to fly beside another reference, too."""
+    known = AffineController, AnyThrust, NeuralController
+    return all(isinstance(law, known) for law in search.controllers[1:])
+
+
+def along(search: Search, safety: Safety) -> Search:
+    """Return the search along the reference of another `Safety`; all its laws must turn (see `turns`)."""
+    laws: Any = search.controllers[1:]
+    turned = [law.along(safety.reference, safety.tracking) for law in laws]
+    return replace(search, safety=safety, controllers=(safety.controller, *turned))
+
+
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     """The most worthy of a schedule and those with other shares of thrust that errors of S are booked for."""
     found, problem = [first], search.safety.problem
-    known = AffineController, AnyThrust, NeuralController
-    laws = [law for law in search.controllers[1:] if isinstance(law, known)]
     thrusters = problem.system.thrusters
     shares = SHARES[1:] + (LESSER[:2] if thrusters.along + thrusters.across > LARGE else ())
-    for share in shares if len(laws) == len(search.controllers) - 1 else ():
+    for share in shares if turns(search) else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share))
             search.clock.lap("thrust shares")
-            turns = [law.along(safety.reference, safety.tracking) for law in laws]
-            along = replace(search, safety=safety, controllers=(safety.controller, *turns))
-            found.append(most_worthy(along, recourse))
+            found.append(most_worthy(along(search, safety), recourse))
     worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
     best = max(found, key=lambda schedule: worth.alone(schedule, recourse))
     search.clock.lap("thrust shares")
@@ -139,19 +146,15 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     While none keeps the budget, more are looked for at higher prices of velocity change.
     """
     problem = printed.safety.problem
-    known = AffineController, AnyThrust, NeuralController
-    laws = [law for law in printed.controllers[1:] if isinstance(law, known)]
-    if len(laws) < len(printed.controllers) - 1:
-        return printed  # nothing is known of how another kind of law flies beside another reference
+    if not turns(search):
+        return printed
 
     def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
         try:
             safety = find_safety(problem, plan)
         except SynthesisInfeasible:
             return None
-        turns = [law.along(safety.reference, safety.tracking) for law in laws]
-        along = replace(search, safety=safety, controllers=(safety.controller, *turns), intended=intended)
-        return switching_logic(along)
+        return switching_logic(replace(along(search, safety), intended=intended))
 
     worth, found, late = Worth.beside(printed, search.rules, printed.safety), [printed], False
     for dearer in DEARER:
@@ -162,9 +165,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         best = max(found, key=worth)
         if search.rules.allow(best):
             break
-    claims = np.array([(*worth(one)[:3], one.safety.end.until) for one in (*found, best)], dtype=float)
-    as_good = np.all(claims[:-1] >= claims[-1], axis=1)
-    library = tuple(one for one, good in zip(found, as_good, strict=True) if good and one is not best)
+    library = tuple(one for one in found if one is not best and as_good(one, best, search.rules))
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
@@ -172,7 +173,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, library=library, worth=worth.plain)
+    return replace(best, library=library, worth=worth.prices)
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:

@@ -9,9 +9,18 @@ from numpy.typing import NDArray
 from ..safety.get_safety import Safety
 from .schedule import Schedule
 from .search import SwitchingRules
+from .spending import Prices
 
 Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
 WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
+
+
+def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
+    """Return True if a schedule keeps the rules, is safe as long and arrives wherever another one does."""
+    first, second = (
+        (rules.allow(each), each.safety.end.until, each.arrival.reached is True) for each in (one, other)
+    )
+    return all(a >= b for a, b in zip(first, second, strict=True))
 
 
 @dataclass(frozen=True)
@@ -36,17 +45,16 @@ class Worth:
         scale = max(alone.plan.delta_v, 1e-3 * most)
         return cls(rules, scale, printed.share(), printed.delta_v_middle, printed.safety.end.until)
 
-    def plain(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:
-        """Worth of shares of the time by mode, a velocity change [m/s] and a number of switches."""
-        worths = self.rules.worths(max(shares) + 1)
-        time = sum(worths[mode] * share for mode, share in shares.items())
-        return time - self.rules.delta_v_price * delta_v / self.scale - self.rules.switch_price * switches
+    @property
+    def prices(self) -> Prices:
+        """Objective of a flight by itself, whatever the printed algorithms find."""
+        return self.rules.prices(self.scale)
 
     def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
         """The same, less what is worse than with the printed algorithms' schedule."""
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
         more = max(delta_v - self.delta_v, 0.0) / self.scale
-        return self.plain(shares, delta_v, switches) - WORSE * (less + more)
+        return self.prices(shares, delta_v, switches) - WORSE * (less + more)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Whether the rules allow it, it is as long safe as the printed one, and arrives; its worth."""
@@ -59,7 +67,7 @@ class Worth:
         """The same, nothing being the printed one; without prices as the printed algorithms choose."""
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         spent = (schedule.delta_v_middle, schedule.switches) if priced else (0.0, 0)
-        return *self(schedule)[:3], self.plain(shares, *spent)
+        return *self(schedule)[:3], self.prices(shares, *spent)
 
     def allows(self, mask: Mask) -> bool:
         """Whether S may fly just these steps, by the dwell time and the cap on switches."""

@@ -1,0 +1,112 @@
+"""The system and its controllers as JSON: what ``gains.json`` and the certificate both hold."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reach.networks.layers import Activation, Affine, Diagonal
+
+from ...certificate.files.repeated import LAW
+from ...certificate.model.bodies import MOVES
+from ...model.allocation import Allocation
+from ...model.timing import Transient
+from ...scenario.tables.fields import python_name
+from ...synthesis.controllers.black_box import BlackBox
+from ...synthesis.controllers.controllers import AffineController, Controller
+from ...synthesis.controllers.neural import NeuralController
+from ...synthesis.safety.get_safety import Safety
+from ...synthesis.schedule.schedule import Schedule
+from .tables import errors_of, json_text, write_text
+
+
+def write_gains(path: Path, schedule: Schedule) -> None:
+    """Write ``gains.json``: the law, and the certificate's system and controllers."""
+    write_text(path, json_text({"law": LAW, **flown(schedule)}))
+
+
+def flown(schedule: Schedule) -> dict[str, Any]:
+    """Return the system, its sampling and its controllers."""
+    safety, feedback = schedule.safety, schedule.safety.tracking.feedback
+    return {
+        "system": _system(safety),
+        "sampling": {
+            "step": float(safety.problem.delta),
+            "steps": safety.problem.K,
+            "nodes_per_step": feedback.nodes_per_cell,
+        },
+        "controllers": [_controller(item, safety) for item in schedule.controllers],
+    }
+
+
+def _system(safety: Safety) -> dict[str, Any]:
+    system = safety.problem.system
+    return {
+        "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
+        "mean_motion": None if system.mean_motion is None else float(system.mean_motion),
+        "mass": float(system.mass),
+        "A": system.A,
+        "B": system.B,
+        "C": system.position,
+        "D": system.D,
+        "input_max": system.u_max,
+        "disturbance_max": float(system.w_max),
+        "input_names": list(system.input_names),
+        **errors_of(safety),
+        **_allocation(safety.problem.allocation),
+        **_transients(system.transients),
+    }
+
+
+def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
+    """Faults that are isolated late, if any; no pushes where navigation is lost."""
+    found = [
+        {"name": fault.name, "lasts": float(fault.lasts)}
+        | ({"pushes": fault.pushes} if len(fault.pushes) else {})
+        for fault in faults
+    ]
+    return {"transients": found} if found else {}
+
+
+def _allocation(made: Allocation | None) -> dict[str, Any]:
+    if made is None:
+        return {}
+    return {"allocation": {"directions": made.directions, "limits": made.limits, "corners": made.corners}}
+
+
+def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
+    if item is safety.controller:
+        return {"name": item.name, "kind": "safety", "gain": safety.controller.gain}
+    if not isinstance(item, (AffineController, NeuralController)):
+        return {"name": item.name, "kind": "black_box" if isinstance(item, BlackBox) else "any_thrust"}
+    own = {} if item.own is safety.reference else {"own_states": item.own.chi, "own_inputs": item.own.nu}
+    if isinstance(item, NeuralController):
+        return {"name": item.name, "kind": "neural", **described(item), **own}
+    kind = "saturated_affine" if item.clips else "affine"
+    return {"name": item.name, "kind": kind, "gain": item.gain, **own}
+
+
+def described(law: NeuralController) -> dict[str, Any]:
+    """Return a network's inputs, layers and scales."""
+    policy = law.policy
+    scales = {"input_scale": policy.input_scale, "output_scale": policy.output_scale}
+    moves = {key: (python_name(key), none) for key, none in MOVES.items()}
+    bodies = [
+        {"name": body.name, **{key: getattr(body, *given) for key, given in moves.items()}}
+        for body in law.senses.bodies
+    ]
+    read = {"bodies": bodies} if bodies else {}
+    layers, precision = [layer_item(layer) for layer in policy.network.layers], policy.network.precision
+    rounded = {} if precision == "real" else {"precision": precision}
+    return {"inputs": list(policy.inputs), **rounded, **scales, "layers": layers, **read}
+
+
+def layer_item(layer: Affine | Diagonal | Activation) -> dict[str, Any]:
+    """One layer of a network; equal numbers of an elementwise one are kept once."""
+    if isinstance(layer, Activation):
+        return {"kind": layer.kind, "low": float(layer.low), "high": float(layer.high)}
+    if isinstance(layer, Affine):
+        return {"kind": "affine", "W": layer.W, "b": layer.b}
+    parts = {"scale": layer.scale, "b": layer.b}
+    return {"kind": "diagonal"} | {k: v[:1] if np.all(v == v[0]) else v for k, v in parts.items()}
