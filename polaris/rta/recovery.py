@@ -105,8 +105,6 @@ class Recovery:
     def _radius(self) -> float:
         """Bound on ``norm(W e)`` reached under S by all that pushes, at any node, however late."""
         tracking = self.grid.tracking
-        if not tracking.varies:
-            return tracking.disturbance_radius
         error = taken_over(tracking, self.grid.clearance.reference)
         box = replace(tracking.flow, w_max=0.0, E=self.grid.system.B * error).period_box
         more = float(np.linalg.norm(np.abs(tracking.W) @ box)) * (tracking.accumulated + 1.0)

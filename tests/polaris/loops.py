@@ -3,7 +3,7 @@
 from flint import arb
 
 from polaris.certificate.kernel.balls import identity
-from polaris.certificate.model.craft_states import States
+from polaris.certificate.model.craft.states import States
 
 
 def loop_of_errors(motion):

@@ -35,8 +35,9 @@ from polaris.certificate.kernel.balls import (
 from polaris.certificate.kernel.motion import Plant, Push
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.kernel.zonotopes import Merging, Zonotope, ball_cover, inner_radius, widest
+from polaris.certificate.model.craft.memory import Memory
+from polaris.certificate.model.craft.needs import Needs
 from polaris.certificate.model.limits import Limits, Target
-from polaris.certificate.model.loop import Memory, Needs
 from polaris.runs.certificate import certificate, hexadecimal
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate

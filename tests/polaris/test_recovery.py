@@ -14,8 +14,9 @@ from polaris.certificate.kernel.balls import column, identity, matrix
 from polaris.certificate.kernel.motion import Plant
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope
+from polaris.certificate.model.craft.memory import Memory
+from polaris.certificate.model.craft.needs import Needs
 from polaris.certificate.model.limits import Limits, Target
-from polaris.certificate.model.loop import Memory, Needs
 from tests.polaris.loops import loop_of_errors
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0

@@ -12,11 +12,12 @@ from ..kernel.balls import above, absolute, column, identity, largest, magnitude
 from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import Merging, Zonotope, widest
 from ..model.bodies import Whereabouts
-from ..model.craft_states import craft_of
+from ..model.craft.memory import Memory
+from ..model.craft.needs import Needs
+from ..model.craft.scheduled import Scheduled
+from ..model.craft.states import craft_of
 from ..model.limits import Barrier, Limits
-from ..model.loop import Memory, Needs
 from ..model.plants import plant_of, within_limits
-from ..model.scheduled import Scheduled
 from ..model.transients import lost, misled, moved, upset
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path, prolonged

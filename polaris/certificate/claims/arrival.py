@@ -13,9 +13,10 @@ from ..kernel.arcs import Path
 from ..kernel.balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Merging, Zonotope
-from ..model.craft import Craft
-from ..model.loop import Memory, Needs
-from ..model.scheduled import Scheduled
+from ..model.craft.craft import Craft
+from ..model.craft.memory import Memory
+from ..model.craft.needs import Needs
+from ..model.craft.scheduled import Scheduled
 from .flights import Flown, Pilot, fly
 from .goal_rows import Weighted
 from .spending import spent

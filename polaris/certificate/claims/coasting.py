@@ -10,7 +10,7 @@ from ..kernel.arcs import Arc, Path
 from ..kernel.balls import column, largest, magnitude, matrix, plain, require
 from ..kernel.motion import Plant
 from ..kernel.verdict import Imprecise, Rejected
-from ..model.loop import Memory
+from ..model.craft.memory import Memory
 
 PATH_SLACK = 1e-9
 """Largest difference between stored and exact reference, relative to its size: rounding of doubles."""

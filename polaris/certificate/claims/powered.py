@@ -18,11 +18,12 @@ from ..kernel.arcs import Path
 from ..kernel.balls import above, absolute, column, largest, magnitude, plain, require, smallest, sums
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope, widest
-from ..model.craft import Craft
+from ..model.craft.craft import Craft
+from ..model.craft.memory import Memory
+from ..model.craft.needs import Needs
+from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits
-from ..model.loop import Memory, Needs
 from ..model.plants import within_limits
-from ..model.scheduled import Scheduled
 from ..model.timing import owed
 from .arrival import SLACK, Arrival
 from .coasting import JUMP_SLACK, check_end, flown_path, prolonged

@@ -13,9 +13,9 @@ from ..kernel.arcs import Path
 from ..kernel.balls import above, beside, plain, require, row_of, spans, sums
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope
+from ..model.craft.needs import Needs
+from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits, Target, levels_of
-from ..model.loop import Needs
-from ..model.scheduled import Scheduled
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import TINY, above, magnitude, matrix, sums
-from .craft import Craft
-from .loop import Needs
-from .scheduled import Along
+from .craft.craft import Craft
+from .craft.needs import Needs
+from .craft.scheduled import Along
 
 SPARE = 1e-12  # of rooms in doubles, which tell where a need is certainly within: far above their rounding
 

@@ -24,8 +24,9 @@ from ..kernel.balls import (
 )
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected, Undecided
-from .craft import Craft
-from .loop import Memory, Needs
+from .craft.craft import Craft
+from .craft.memory import Memory
+from .craft.needs import Needs
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
 from .timing import predicted

@@ -53,12 +53,6 @@ class Tracking:
     delta: float
     level: float | None = None
 
-    @property
-    def error(self) -> Array:
-        """Bounds on the errors of what S applies, shape (m,); without those that the profile bounds."""
-        most = self.system.u_max if self.level is None else np.zeros(self.system.m)
-        return self.system.calmest.command_error(self.gain, most) + self.system.thrusters.error(most)
-
     @cached_property
     def tightening(self) -> Tightening:
         """Bounds on the loop of which the tracking error is the first part."""
@@ -141,7 +135,7 @@ class Tracking:
     @cached_property
     def flow(self) -> LinearFlow:
         """Error dynamics of the safety controller."""
-        flow = self.feedback.flow(self.system, self.gain, self.delta, self.error)
+        flow = self.feedback.flow(self.system, self.gain, self.delta)
         try:
             flow.lyapunov  # noqa: B018  an unstable sampled loop is refused here, with its reason
         except ReachError as error:

@@ -12,9 +12,9 @@ from functools import cached_property
 
 from flint import arb, arb_mat
 
-from ..files.document import ROUNDED, Document
-from ..kernel.balls import above, absolute, beside, column, exponential, magnitude, sums
-from ..kernel.motion import Motion, Plant, Push
+from ...files.document import ROUNDED, Document
+from ...kernel.balls import above, absolute, beside, column, exponential, magnitude, sums
+from ...kernel.motion import Motion, Plant, Push
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,13 @@ from math import ceil
 
 from flint import arb, arb_mat
 
-from ..files.document import Document
-from ..kernel.arcs import Path
-from ..kernel.balls import absolute, column, largest, smallest, sums
-from ..kernel.verdict import Undecided
+from ...files.document import Document
+from ...kernel.arcs import Path
+from ...kernel.balls import absolute, column, largest, smallest, sums
+from ...kernel.verdict import Undecided
 from .craft import Craft
-from .loop import Memory, Needs
+from .memory import Memory
+from .needs import Needs
 
 ROUNDS, SPARE = 300, 1e-3
 """Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""

@@ -5,12 +5,12 @@ from math import ceil
 
 from flint import arb, arb_mat
 
-from ..files.document import Document
-from ..kernel.balls import above, absolute, column, exponential, identity, matrix, sums
-from ..kernel.motion import Plant, Push
+from ...files.document import Document
+from ...kernel.balls import above, absolute, column, exponential, identity, matrix, sums
+from ...kernel.motion import Plant, Push
+from ..plants import WHOLE
+from ..timing import carried_away, displaced, least_predicted
 from .craft import Craft, Sample
-from .plants import WHOLE
-from .timing import carried_away, displaced, least_predicted
 
 Blocks = dict[int, arb_mat]
 """Entries by block of the loop state; block 0 is the tracking error."""

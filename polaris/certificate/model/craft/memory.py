@@ -1,0 +1,105 @@
+"""How long the loop of a craft remembers, and sums of responses by the age of what caused them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from flint import arb, arb_mat, arb_poly
+
+from ...kernel.balls import column, identity, largest, magnitude, smallest, sums
+from ...kernel.verdict import Imprecise, Undecided
+from .craft import Craft
+
+if TYPE_CHECKING:
+    from .needs import Needs
+
+FORGOTTEN = 1e-6  # what is left of an error once the loop counts as having forgotten it
+
+LONGEST = 20000  # most periods that are followed one by one
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """After how many periods the loop has forgotten what it was.
+
+    With ``z > 0`` and ``|F^N| z <= c z``, c < 1, every undisturbed state of the loop that was within z is
+    within ``c^a z`` at node ``a N``, and this needs nothing but a product of two matrices to be checked.
+    """
+
+    powers: list[arb_mat]  # F^l for l = 0 ... N + 1
+    z: arb_mat  # shape (states, 1)
+    c: arb
+    profile: list[list[arb]] = field(default_factory=list)
+    """Bounds on what is commanded l periods after a hand-over, within limits; the last one holds for ever."""
+    rates: list[Needs] = field(default_factory=list, repr=False)
+    """Of ``e'`` and of ``A e'`` at nodes, once they are known."""
+
+    @property
+    def periods(self) -> int:
+        """N."""
+        return len(self.powers) - 2
+
+    def left(self, box: arb_mat) -> tuple[arb_mat, arb_mat]:
+        """What loop states in a box have become after N periods, and a bound on that after 2 N."""
+        first = magnitude(self.powers[self.periods]) * box
+        share = largest(a / b for a, b in zip(first.entries(), self.z.entries(), strict=True))
+        return magnitude(first), magnitude(self.z * (share * self.c))
+
+    @classmethod
+    def of(cls, craft: Craft, extent: arb_mat, multiple: int, profile: Sequence[list[arb]] = ()) -> Memory:
+        """Find N, a multiple of a number of periods, for errors up to an extent.
+
+        `Undecided` if there is none, `Imprecise` if the powers' own radii, which grow, have come to more.
+        """
+        p, count = craft.supports(identity(craft.F.nrows())), craft.F.nrows()
+        size = zip([*extent.entries(), *craft.box.entries()[extent.nrows() :]], p, strict=True)
+        z0 = column([x + 10 * y + 1e-30 for x, y in size])
+        powers = [identity(count)]
+        while len(powers) < LONGEST:
+            for _ in range(multiple):
+                powers.append(powers[-1] * craft.F)
+            last = magnitude(powers[-1])
+            z = magnitude(z0 + last * z0 + last * (last * z0))
+            c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
+            if c < FORGOTTEN:
+                pairs = (
+                    [smallest(pair) for pair in zip(most, craft.plant.u_max, strict=True)] for most in profile
+                )
+                return cls([*powers, powers[-1] * craft.F], z, c, list(pairs))
+            radii = arb_mat(count, count, [x.rad() for x in powers[-1].entries()]) * z
+            if not largest(a / b for a, b in zip(radii.entries(), z.entries(), strict=True)) < FORGOTTEN:
+                raise Imprecise("recoverable", f"precision is lost within {len(powers)} periods of the loop")
+        raise Undecided("recoverable", f"the loop has not forgotten errors after {LONGEST} periods")
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What units of some channels in a period add along rows, ``[channel][lag][row]``."""
+
+    each: list[list[list[arb]]]
+
+    def summed(self, sizes: list[list[arb]]) -> list[list[arb]]:
+        """Response at node L to sizes of the channels in each period before, from rest, L = 0, 1, ...
+
+        What is older than N periods is left out.
+        """
+        count, series = len(sizes), [arb_poly(list(each)) for each in zip(*sizes, strict=True)]
+        rows, found = len(self.each[0][0]), []
+        for row in range(rows):
+            total = arb_poly()
+            for gains, size in zip(self.each, series, strict=True):
+                total += arb_poly([lag[row] for lag in gains]) * size
+            found.append([arb(0), *(total[i].upper() for i in range(count))])
+        return [list(each) for each in zip(*found, strict=True)] if found else [[]] * (count + 1)
+
+    @cached_property
+    def _all(self) -> list[list[arb]]:
+        """Those of all periods together, ``[channel][row]``."""
+        return [[x.upper() for x in sums(*gains)] for gains in self.each]
+
+    def always(self, sizes: list[arb]) -> list[arb]:
+        """Response to sizes that have always been as large; N periods of them."""
+        return sums(*([x * size for x in each] for each, size in zip(self._all, sizes, strict=True)))
