@@ -76,7 +76,7 @@ class Recovery:
     @cached_property
     def rows(self) -> Array:
         """Facets, then ``+Lambda`` and ``-Lambda``, once or twice (see `PolytopeSets`), shape (r, n)."""
-        return self.sets.carried[3]
+        return np.asarray(self.sets.carried[0][0])
 
     @property
     def lags(self) -> int:

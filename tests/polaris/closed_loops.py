@@ -98,6 +98,30 @@ class Loop:
             if not isinstance(law, AnyThrust)
         }
 
+    @property
+    def remembers(self) -> bool:
+        """Whether what a law takes the state to be is worked out by a `Computer`, not drawn from a box."""
+        timing, phases = self.system.timing, self.system.error_by_step is not None
+        known = self.system.observer is not None
+        boxed = timing.missed or self.system.transients or (phases and timing.delay and not known)
+        return not boxed and (known or timing.delay > 0)
+
+    def noise(self, k: int) -> Array:
+        """What estimates add to commands of their own period in a cell, at most, (m,)."""
+        if not self.remembers:
+            return self.known[k] @ np.abs(self.gain).T
+        timing, n = self.system.timing, self.system.n
+        if self.system.observer is not None:
+            return np.zeros(self.system.m)
+        measured = np.array(timing.measured) + self.moved()
+        return np.abs(self.gain @ held(self.system.A, np.zeros((n, 1)), timing.delay)[0]) @ measured
+
+    def moved(self) -> Array:
+        """How far states may be displaced when they are measured."""
+        off = self.system.timing.delay / (self.dt * self.parts)
+        between = abs(off - round(off)) > 1e-9
+        return self.system.displaced if between else self.system.displaced_at_nodes
+
     def _path(self, chi: Array, nu: Array) -> Array:
         """States at every step of every cell, (cells, per + 1, n); coasting beyond what is known."""
         carried, pushed = held(self.system.A, self.system.B, self.dt)
@@ -131,6 +155,10 @@ class Loop:
         Dd = held(A, D, self.dt)[1]
         limit, eta = self.system.u_max, np.broadcast_to(attack.eta, (self.N, R, n))
         off, errors = np.broadcast_to(attack.off, (self.N, R, m)), self.system.thrusters
+        sees, need = (
+            Computer(self, states, eta, attack.w) if self.remembers else None,
+            np.zeros((self.N, R, n)),
+        )
         for i in range(self.N):
             k, j = divmod(i, self.per)
             modes[i] = flying = who(i, x)
@@ -140,21 +168,27 @@ class Loop:
                 if (mine := flying == number).any()
             ]
 
-            raw = np.empty((R, m))
+            raw, wrong = np.empty((R, m)), eta[i]
+            if sees is not None:
+                if j % self.parts == 0:
+                    sees.look(i)
+                wrong, need[i] = sees.wrong, sees.wrong - sees.noise
             for number, mine in parts:
                 free = number and number not in self.laws
-                seen = x[mine] + eta[i, mine]
+                seen = x[mine] + wrong[mine]
                 raw[mine] = attack.free[i, mine] if free else self.command(number, k, j, seen)
-            fresh = np.clip(raw, -limit, limit)
-            fresh = fresh + off[i] * errors.error(fresh)
+            told = np.clip(raw, -limit, limit)
+            fresh = told + off[i] * errors.error(told)
             if j % self.parts == 0:
-                u, last = fresh, np.abs(raw) > limit
+                u, last, command = fresh, np.abs(raw) > limit, told
             for number, mine in parts:
                 if number not in self.laws:
                     u[mine] = fresh[mine]
             clipped[i] = last
+            if sees is not None:
+                sees.note(i, command, u)
             states[i + 1] = x = x @ Ad.T + u @ Bd.T + attack.w[i] @ Dd.T
-        return Flown(states, clipped, modes)
+        return Flown(states, clipped, modes, need)
 
     def scheduled(self, over: NDArray[np.int_]) -> Who:
         """The schedule, until S takes over at a step of each run's own."""
@@ -240,18 +274,85 @@ class Loop:
                 f = known[k, u]
                 room = (xi @ system.position.T) @ unsafe.normals[f] - b[..., f]
                 share = np.minimum(share, _least(1 - _share(room - out[..., f], room), taken))
-            e = (x - xi)[: self.per : self.parts]
+            e = (x - xi)[: self.per : self.parts] + flown.wrong[at][: self.per : self.parts]
             need = e @ self.gain.T
             mode = flown.modes[k * self.per : (k + 1) * self.per]
             safe = (mode == 0)[:: self.parts]
             raw = np.abs(self.nu[k] - need)
-            most = system.u_max - self.known[k] @ np.abs(self.gain).T  # estimates add to commands
+            most = system.u_max - self.noise(k)
             thrust = np.minimum(thrust, np.where(safe[..., None], most - raw, np.inf).min(axis=0))
             for sign in (1, -1):
                 room = most + sign * self.nu[k]
                 free = 1 - _share(sign * need, np.broadcast_to(room, need.shape)).max(axis=2)
                 share = np.minimum(share, _least(free, taken[: self.per : self.parts]))
         return Outcome(left, thrust / system.u_max, share, printed)
+
+
+class Computer:
+    """Flight computer of many runs: measurements, observer, and predictions over a delay.
+
+    Before the first measurement that counts estimates are off by what the attack says.
+    """
+
+    def __init__(self, loop: Loop, states: Array, eta: Array, w: Array) -> None:
+        self.loop, self.states, self.eta, self.w = loop, states, eta, w
+        system, R = loop.system, states.shape[1]
+        self.A, self.B, self.D, self.delay = system.A, system.B, system.D, system.timing.delay
+        self.told, self.made = np.zeros((2, loop.N, R, system.m))
+        self.wrong, self.noise = np.zeros((2, R, system.n))
+        self.estimate: Array | None = None
+        self.last = 0.0
+
+    def note(self, i: int, told: Array, made: Array) -> None:
+        """Remember what was commanded, and made, over a step."""
+        self.told[i], self.made[i] = told, made
+
+    def look(self, i: int) -> None:
+        """Work out what the state is taken to be at a step."""
+        x, seen, now = self.states[i], self.loop.system.observer, i * self.loop.dt
+        at = now - self.delay
+        self.noise = np.zeros_like(x)
+        if at < -1e-9:
+            self.wrong = self.eta[i]
+            return
+        y = self._state(at)
+        sign = np.where(self.eta[i] < 0, -1.0, 1.0)
+        moved = self.loop.moved()
+        if seen is None:
+            timing = self.loop.system.timing
+            error = sign * (np.array(timing.measured) + moved)
+            carried = self._predict(y, at, now)
+            self.noise = error @ held(self.A, self.B, self.delay)[0].T
+            self.wrong = carried + self.noise - x
+            return
+        noise = (seen.noise + np.abs(seen.measures) @ moved) * np.where(sign @ seen.gain < 0, -1.0, 1.0)
+        if self.estimate is None:
+            settled = seen.settled if seen.settled is not None else self.loop.system.timing.measured
+            first = np.array(settled) if len(settled) else self.loop.system.navigation
+            self.estimate = y + sign * first
+        else:
+            before = self._predict(self.estimate, self.last, at)
+            self.estimate = before + (y @ seen.measures.T + noise - before @ seen.measures.T) @ seen.gain.T
+        self.last = at
+        self.wrong = self._predict(self.estimate, at, now) - x
+
+    def _state(self, t: float) -> Array:
+        """True states at an instant [s]."""
+        i = int(t / self.loop.dt + 1e-6)
+        left = t - i * self.loop.dt
+        if left < 1e-9 * self.loop.dt:
+            return self.states[i]
+        (Ad, Bd), Dd = held(self.A, self.B, left), held(self.A, self.D, left)[1]
+        return self.states[i] @ Ad.T + self.made[i] @ Bd.T + self.w[i] @ Dd.T
+
+    def _predict(self, x: Array, t: float, until: float) -> Array:
+        """States at a later instant under what was commanded."""
+        while until - t > 1e-9 * self.loop.dt:
+            i = int(t / self.loop.dt + 1e-6)
+            length = min((i + 1) * self.loop.dt, until) - t
+            Ad, Bd = held(self.A, self.B, length)
+            x, t = x @ Ad.T + self.told[i] @ Bd.T, t + length
+        return x
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,11 +365,14 @@ class Flown:
     clipped : ndarray of bool, shape (N, R, m)
         Whose command the thrusters clipped over each step.
     modes : ndarray of int, shape (N, R)
+    wrong : ndarray, shape (N, R, n)
+        What laws took the state to be off by, noise of the same period apart.
     """
 
     states: Array
     clipped: NDArray[np.bool_]
     modes: NDArray[np.int8]
+    wrong: Array
 
 
 @dataclass(frozen=True, eq=False)

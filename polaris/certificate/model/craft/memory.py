@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 from flint import arb, arb_mat, arb_poly
 
 from ...kernel.balls import column, identity, largest, magnitude, smallest, sums
 from ...kernel.verdict import Imprecise, Undecided
 from .craft import Craft
-
-if TYPE_CHECKING:
-    from .needs import Needs
 
 FORGOTTEN = 1e-6  # what is left of an error once the loop counts as having forgotten it
 
@@ -34,8 +31,8 @@ class Memory:
     c: arb
     profile: list[list[arb]] = field(default_factory=list)
     """Bounds on what is commanded l periods after a hand-over, within limits; the last one holds for ever."""
-    rates: list[Needs] = field(default_factory=list, repr=False)
-    """Of ``e'`` and of ``A e'`` at nodes, once they are known."""
+    rates: list[Any] = field(default_factory=list, repr=False)
+    """`Needs` of ``e'`` and of ``A e'`` at nodes, once they are known."""
 
     @property
     def periods(self) -> int:
