@@ -1,0 +1,105 @@
+"""Which declarations of errors go together: every pair of them, and triples drawn at random."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from polaris.model.errors import ScenarioError
+from polaris.scenario.scenario import load_scenario
+
+CANTED = [[x, y, z] for x in (-0.8, 0.8) for y in (-0.6, 0.6) for z in (0.0,)]
+CANTED += [[0.0, x, y] for x in (-0.8, 0.8) for y in (-0.6, 0.6)] + [
+    [y, 0.0, x] for x in (-0.8, 0.8) for y in (-0.6, 0.6)
+]
+"""Twelve thrusters in three planes, of which any one may fail."""
+
+SOURCES = {
+    "estimate": ["navigation.position_error_m=0.05", "navigation.velocity_error_m_s=0.002"],
+    "phases": ["navigation.phases=[{from_s=600.0,position_error_m=0.02,velocity_error_m_s=0.001}]"],
+    "camera": ["navigation.measurement.position_error_m=0.1"],
+    "first estimate": [
+        "navigation.measurement.position_error_m=0.1",
+        "navigation.measurement.initial={position_error_m=0.3,velocity_error_m_s=0.01}",
+    ],
+    "delay": ["timing.delay_s=2.0"],
+    "part of a period": ["timing.delay_s=3.0"],
+    "missed periods": ["timing.missed_periods=2"],
+    "jitter": ["timing.jitter_s=0.01"],
+    "clock": ["timing.clock_error_s=0.5"],
+    "magnitude": ["thrusters.magnitude_error=0.05"],
+    "direction": ["thrusters.misalignment_deg=2.0"],
+    "mass": ["thrusters.mass_error=0.03"],
+    "bit": ["thrusters.impulse_bit_N_s=0.005"],
+    "carried bit": ["thrusters.impulse_bit_N_s=0.005", 'thrusters.remainder="carried"'],
+    "pulses": ['thrusters.pulse="centred"'],
+    "layout": [f"thrusters.directions={CANTED}", "thrusters.thrust_max_N=0.15"],
+    "chaser": ["chaser.radius_m=0.5"],
+    "weak thruster": ['faults=[{kind="loss",share=0.2}]'],
+    "weak thruster, late": ['faults=[{kind="loss",share=0.2,isolation_s=4.0}]'],
+    "lost navigation": ['faults=[{kind="navigation_lost",lasts_s=20.0}]'],
+}
+"""Declarations by name."""
+
+ALTERNATIVES = (
+    {"estimate", "camera"},
+    {"estimate", "first estimate"},
+    {"phases", "camera"},
+    {"phases", "first estimate"},
+)
+"""An observer works out what estimates are off by: nobody declares both."""
+
+REFUSED = {
+    frozenset({"jitter", "pulses"}): "not covered with pulses",
+    frozenset({"layout", "pulses"}): "without directions",
+    frozenset({"layout", "magnitude"}): "not covered with directions",
+    frozenset({"layout", "bit"}): "not covered with directions",
+    frozenset({"layout", "carried bit"}): "not covered with directions",
+}
+"""Pairs that are refused, and how the reason reads."""
+
+LATE = {"weak thruster, late", "lost navigation"}
+
+
+def build(*names):
+    """Build the problem of the static scene with some sources declared."""
+    given = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
+    return load_scenario("static").with_assignments(["feedback.period_s=2.0", *given.values()]).problem()
+
+
+def same_table(names):
+    """Return True if two of the names are the same declaration, or replace one another."""
+    keys = [{text.split("=", 1)[0] for text in SOURCES[name]} for name in names]
+    twice = any(a & b for a, b in combinations(keys, 2))
+    return twice or any(each <= set(names) for each in ALTERNATIVES)
+
+
+@pytest.mark.parametrize("pair", [pair for pair in combinations(SOURCES, 2) if not same_table(pair)])
+def test_every_pair_of_declarations_is_accepted_but_a_few(pair):
+    reason = REFUSED.get(frozenset(pair))
+    if reason is None:
+        assert build(*pair).system.n == 6
+        return
+    with pytest.raises(ScenarioError, match=reason):
+        build(*pair)
+
+
+def test_triples_are_refused_for_a_pair_in_them_or_for_one_reason_alone():
+    rng, names, tried, alone = np.random.default_rng(0), list(SOURCES), 0, set()
+    while tried < 200:
+        triple = [names[i] for i in sorted(rng.choice(len(names), 3, replace=False))]
+        if same_table(triple):
+            continue
+        tried += 1
+        pairs = any(pair <= set(triple) for pair in REFUSED)
+        observed = (
+            {"camera", "first estimate"} & set(triple) and "missed periods" in triple and LATE & set(triple)
+        )
+        try:
+            build(*triple)
+        except ScenarioError as error:
+            assert pairs or observed, f"{triple}: {error}"
+            alone |= {str(error).split(": ")[0]} if observed and not pairs else set()
+        else:
+            assert not pairs and not observed, triple
+    assert alone <= {"faults"}
