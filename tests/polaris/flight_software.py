@@ -101,7 +101,7 @@ class Software:
         estimate, out = np.zeros((runs, n)), Record([np.zeros((runs, n))])
         measured, moved = [np.zeros((runs, n))] * age, [np.zeros((runs, m))] * (age + 1)  # newest last
 
-        def past(back):  # made, less the reference's input, `back` periods before the present one
+        def past(back):  # commanded, less the reference's input, `back` periods before the present one
             return moved[-back]
 
         for k in range(periods):
@@ -135,7 +135,7 @@ class Software:
             else:
                 c = 0 * s
             v = (s - c) / h
-            moved = [*moved[1:], v - mu] if age else [v - mu]
+            moved = [*moved[1:], feedback] if age else [feedback]  # what is left of impulses is not known
             out.feedback.append(feedback)
             out.made.append(v)
             r, push = np.broadcast_to(errors(k, v), (CELLS, runs, m)), np.asarray(w(k))
@@ -150,6 +150,8 @@ class Software:
             out.x.extend(ends)
             last = spread[-1]  # from the ends of cells to the end of the period
             measured = [*measured[1:], here] if age else []
+            left = np.concatenate([np.broadcast_to(v - mu - feedback, r.shape), 0 * push], axis=2)
+            extra = extra + left @ cell_held.T
             out.early.append(np.tensordot(extra[:phase], last[:phase], ([0, 2], [0, 2])))
             out.late.append(np.tensordot(extra[phase:], last[phase:], ([0, 2], [0, 2])))
         out.remainder.append(c)

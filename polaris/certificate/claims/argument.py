@@ -77,7 +77,8 @@ class Argument:
         """
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
-        orders = (NETWORK_ORDER, *ORDERS[1:]) if flies & {"neural", "black_box"} else ORDERS
+        orders = [NETWORK_ORDER, *ORDERS[1:]] if flies & {"neural", "black_box"} else [*ORDERS]
+        orders = orders[1:] if self.document.profile else orders  # margins are tight: fewer do not do
         for order in orders:
             merging = Merging(*order)
             try:

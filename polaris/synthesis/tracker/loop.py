@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from reach.numerics.linear import discretize, growth
 
@@ -41,7 +42,7 @@ class Channel:
     noise : ndarray, shape (n, k), optional
         The same value, as it is added to the error that the law sees.
     push : ndarray, shape (m, k), optional
-        The same value, as it is added to the input that is held over the period.
+        The same value, as it is added to the input of the period. The flight computer does not know of it.
     ball : bool
         V is a ball in the 2-norm instead of a box.
     share : callable, optional
@@ -75,7 +76,8 @@ class Loop:
     held : ndarray, shape (N, m)
         What a unit of command, held for a period, adds.
     applied : ndarray, shape (m, N)
-        What the loop state adds to what is applied, beside the command.
+        What the loop state adds to what is applied, beside the command. The flight computer does not know
+        of it.
     known : ndarray, shape (n, N)
         The error that the law sees.
     enter : tuple of (float, float, ndarray)
@@ -147,6 +149,14 @@ class Loop:
         return len(self.free)
 
     @property
+    def made(self) -> Array:
+        """What a unit of input that the flight computer does not know of adds in a period, shape (N, m)."""
+        each = (
+            E @ expm(self.A * (self.h - b)) @ discretize(self.A, self.B, b - a)[1] for a, b, E in self.enter
+        )
+        return np.asarray(sum(each, np.zeros((self.N, self.m))))
+
+    @property
     def offset_measured(self) -> Array:
         """Offset at the instants of measurements, shape (n,)."""
         return self.offset_at_nodes if len(self.enter) == 1 else self.offset
@@ -165,12 +175,11 @@ class Loop:
         known : ndarray, shape (n, s), optional
             What q adds to the error that the law sees.
         applied : ndarray, shape (m, s), optional
-            What q adds to what is applied; it moves the plant as a command does.
+            What q adds to what is applied.
         """
-        s, old = len(own), self.N
+        s = len(own)
         free = np.vstack([np.pad(self.free, ((0, 0), (0, s))), own])
         extra = np.zeros((self.m, s)) if applied is None else applied
-        free[:old, old:] = self.held @ extra
         seen = np.zeros((self.n, s)) if known is None else known
 
         def padded(rows: Array) -> Array:
@@ -233,7 +242,8 @@ class ClosedLoop:
     @property
     def F(self) -> Array:
         """Transition from node to node, shape (N, N)."""
-        return np.asarray(self.loop.free - self.loop.held @ self.K)
+        loop = self.loop
+        return np.asarray(loop.free + loop.made @ loop.applied - loop.held @ self.K)
 
     @property
     def rates(self) -> Array:
@@ -249,13 +259,14 @@ class ClosedLoop:
         answer = -self.gain @ channel.noise
         return np.asarray(answer if channel.push is None else answer + channel.push)
 
-    def sampled(self, channel: Channel) -> Array | None:
+    def sampled(self, channel: Channel) -> Array:
         """Return what a unit of a channel's value adds to the next loop state, rates apart, shape (N, k)."""
-        push = self.pushed(channel)
-        if push is None:
-            return channel.sample
-        moved = self.loop.held @ push
-        return np.asarray(moved if channel.sample is None else moved + channel.sample)
+        moved = np.zeros((self.loop.N, len(channel.size))) if channel.sample is None else channel.sample
+        if channel.noise is not None:
+            moved = moved - self.loop.held @ self.gain @ channel.noise
+        if channel.push is not None:
+            moved = moved + self.loop.made @ channel.push
+        return np.asarray(moved)
 
     def gains(self, channel: Channel, rows: Array) -> Array:
         """Return the largest growth of rows in a period per unit of a channel's sizes.
@@ -270,9 +281,8 @@ class ClosedLoop:
             ``gains @ sizes`` is the support of what the channel adds along each row.
         """
         total: Array | float = 0.0
-        held = self.sampled(channel)
-        if held is not None:
-            total = _norms(rows @ held, channel.ball)
+        if channel.sample is not None or channel.noise is not None or channel.push is not None:
+            total = _norms(rows @ self.sampled(channel), channel.ball)
         if channel.rate is not None:
             for a, b, E in self.loop.enter:
                 total = total + along(rows @ E, self.loop.A, channel.rate, self.loop.h, (a, b), channel.ball)

@@ -88,7 +88,8 @@ class Tracking:
         found, seen = np.array(self.tightening.from_rest(others, self.system.u_max)[-1]), self.system.observer
         if len(found) and seen is not None:
             measured = self.system.timing.measured or self.system.navigation
-            found[-self.system.n :] = measured if seen.settled is None else seen.settled
+            settled = np.asarray(measured if seen.settled is None else seen.settled)
+            found[-self.system.n :] = settled + self.system.carried_away  # of states without what is carried
         return found
 
     @property

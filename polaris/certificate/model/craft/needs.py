@@ -126,9 +126,9 @@ class Needs:
             box += craft.thrust_gains(one) * column(craft.plant.thruster_part(first))
             box += craft.noise_gains(one) * column(craft.lagged(craft.plant.u_max))
         gone, later = self.memory.left(craft.box)
-        most = reduce(_larger, map(magnitude, self.whole[: self.memory.periods]))
         return [
-            x.upper() for x in sums(self.responses[-1], self.late(box), (most * (gone + later)).entries())
+            x.upper()
+            for x in sums(self.responses[-1], self.late(box), (self._reached * (gone + later)).entries())
         ]
 
     @property

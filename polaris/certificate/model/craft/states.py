@@ -6,7 +6,7 @@ from math import ceil
 from flint import arb, arb_mat
 
 from ...files.document import Document
-from ...kernel.balls import above, absolute, column, exponential, identity, matrix, sums
+from ...kernel.balls import above, absolute, column, exponential, identity, magnitude, matrix, sums
 from ...kernel.motion import Plant, Push
 from ..plants import WHOLE
 from ..timing import carried_away, displaced, least_predicted
@@ -32,6 +32,7 @@ class States:
     shown_now: list[arb_mat] = field(default_factory=list)  # the same of the parts of the period
     samples: list[tuple[Blocks, arb_mat, list[arb]]] = field(default_factory=list)
     box: list[arb] = field(default_factory=list)  # bounds on the states, whatever law has flown
+    carries: int = 0  # block of the impulses that are carried, which the flight computer does not know of
 
     @classmethod
     def of(cls, plant: Plant, displaced: list[arb]) -> "States":
@@ -71,7 +72,11 @@ class States:
             for age in range(ages):
                 carried = exponential(plant.A, h * (age + 1) - end)[0]
                 part = replace(plant, h=end - begin).open
-                block = self.add([x.upper() for x in part.gains_over(carried, pushes, 1)[0]])
+                left = magnitude(carried * part.gamma * plant.B) * column(
+                    [2 * plant.carried / h] * plant.B.ncols()
+                )
+                pushed = part.gains_over(carried, pushes, 1)[0]
+                block = self.add([x.upper() for x in sums(pushed, left.entries())])
                 self.known[block] = -one
                 if age:
                     self.moves[block, block - 1] = plant.open.phi
@@ -87,11 +92,21 @@ class States:
 
     def impulses(self) -> None:
         """Carry what is left of the impulses of a period to the next one."""
-        plant, m = self.plant, self.plant.B.ncols()
-        held, unit, left = plant.open.gamma * plant.B * (1 / plant.h), identity(m), [arb(plant.carried)] * m
-        block = self.add(left)
-        self.moves[0, block] = held
-        self.samples.append(({0: -held, block: unit}, unit * (1 / plant.h), left))
+        self.carries = self.add([arb(self.plant.carried)] * self.plant.B.ncols())
+
+    def _carry(self) -> None:
+        """Let them enter what has been put together: the impulse of a period is its rest less the next."""
+        plant, m, block = self.plant, self.plant.B.ncols(), self.carries
+        made: Blocks = {}
+        for begin, end, enters in self.parts:
+            over = exponential(plant.A, plant.h - end)[0]
+            moved = over * replace(plant, h=end - begin).open.gamma * plant.B * (1 / plant.h)
+            for i, each in enters.items():
+                made[i] = made[i] + each * moved if i in made else each * moved
+        for i, each in made.items():
+            self.moves[i, block] = each
+        adds = {i: -each for i, each in made.items()} | {block: identity(m)}
+        self.samples.append((adds, identity(m) * (1 / plant.h), [arb(plant.carried)] * m))
 
     def observer(
         self, gain: arb_mat, measures: arb_mat, noise: list[arb], carry: arb_mat, settled: list[arb]
@@ -110,7 +125,9 @@ class States:
         """Close the loop by a law."""
         plant, n, m = self.plant, self.sizes[0], self.plant.B.ncols()
         motion, K = plant.loop(gain), gain * self.beside(self.known, n)
-        applied = {j: block for (i, j), block in self.moves.items() if i == 0 and j}
+        if self.carries:
+            self._carry()
+        applied = [self.carries] * bool(self.carries)
         held = plant.open.gamma * plant.B
         rows = [
             self.beside({j: b for (i, j), b in self.moves.items() if i == row}, size)
@@ -168,7 +185,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
         measured = list(map(arb, stated.get("settled") or document.measured or document.estimate))
         M = matrix(stated["measures"])
         noise = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
-        states.observer(matrix(stated["gain"]), M, noise, carry, measured)
+        states.observer(matrix(stated["gain"]), M, noise, carry, sums(measured, moved))
     elif delay:
         off = sums(measured, away)
     elif document.estimate:
