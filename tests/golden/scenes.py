@@ -1,5 +1,8 @@
 """Scenes of the golden table: bundled scenarios and random ones, each with and without declared errors."""
 
+import hashlib
+import json
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +15,7 @@ from polaris.scenario.scenario import ScheduleScenario, bundled_files, load_scen
 from ..polaris.random_scenarios import random_scenario
 
 SLOW = (3, 15, 29, 30, 32, 44, 47, 50, 54, 58, 62, 65)
-"""Seeds of scenes that take half a minute or longer, and are left out."""
+"""Seeds that are left out, because their scenes take long."""
 
 SEEDS = tuple(seed for seed in range(72) if seed not in SLOW)
 """Seeds of the 60 random scenes."""
@@ -53,6 +56,12 @@ class Scene:
     name: str
     text: Callable[[], str]
     more: tuple[str, ...]
+
+    def digest(self) -> str:
+        """Return what tells whether the scenario file still says the same, words about it aside."""
+        document = tomllib.loads(self.text())
+        said = {key: value for key, value in document.items() if key not in ("title", "description")}
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:12]
 
     def load(self, folder: Path) -> ScheduleScenario:
         """Write the scenario file into a folder, and load it with its errors."""
