@@ -30,9 +30,10 @@ def make_row(scene: Scene) -> tuple[Row, str]:
     The row holds the digest of the scene, the exit code of ``polaris run``, the verdict of ``polaris verify``
     on its folder, and what `proven` returns.
     """
-    row: Row = {"name": scene.name, "scene": scene.digest()}
+    row: Row = {"name": scene.name}
     with TemporaryDirectory() as folder:
         try:
+            row["scene"] = scene.digest()
             scenario = scene.load(Path(folder))
             schedule = synthesize(scenario)
             verdict = verify(write_run(Path(folder) / "run", scenario, schedule).path)
