@@ -48,9 +48,11 @@ def compare(stored: Row, today: Row) -> list[Difference]:
     """Return all differences between two rows of one scene.
 
     Where U flies more than it did, its schedule is another one: smaller margins, wider tubes and a later goal
-    are then no fault, as long as everything proven stays proven.
+    are then no fault, as long as everything proven stays proven. A scene that is another one is no fault by
+    itself, but may be the reason for others.
     """
-    found = [*_ranked("exit_code", EXITS, stored, today)]
+    found = [("scene", OTHER)] if stored["scene"] != today.get("scene") else []
+    found += _ranked("exit_code", EXITS, stored, today)
     if stored["exit_code"] or today["exit_code"]:
         return _made(found, stored, today)
     for quantity, order in RANKS.items():
@@ -67,7 +69,7 @@ def compare(stored: Row, today: Row) -> list[Difference]:
 
 
 def _made(found: list[tuple[str, str]], stored: Row, today: Row) -> list[Difference]:
-    return [Difference(stored["name"], each, stored[each], today[each], kind) for each, kind in found]
+    return [Difference(stored["name"], each, stored.get(each), today.get(each), kind) for each, kind in found]
 
 
 def _ranked(quantity: str, rank: dict[Any, int], stored: Row, today: Row) -> Iterator[tuple[str, str]]:

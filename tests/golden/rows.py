@@ -27,22 +27,24 @@ TABLE = Path(__file__).with_name("table.json")
 def make_row(scene: Scene) -> tuple[Row, str]:
     """Return the row of a scene, and the message if it has no schedule or is not verified.
 
-    The row holds the exit code of ``polaris run``, the verdict of ``polaris verify`` on its folder, and what
-    `proven` returns.
+    The row holds the digest of the scene, the exit code of ``polaris run``, the verdict of ``polaris verify``
+    on its folder, and what `proven` returns.
     """
+    row: Row = {"name": scene.name}
     with TemporaryDirectory() as folder:
         try:
+            row["scene"] = scene.digest()
             scenario = scene.load(Path(folder))
             schedule = synthesize(scenario)
             verdict = verify(write_run(Path(folder) / "run", scenario, schedule).path)
         except PolarisError as error:
-            return {"name": scene.name, "exit_code": error.exit_code}, str(error)
+            return row | {"exit_code": error.exit_code}, str(error)
         except ReachError as error:
-            return {"name": scene.name, "exit_code": 4}, str(error)
+            return row | {"exit_code": 4}, str(error)
         except Exception as error:  # `polaris run` makes one message of it, too
-            return {"name": scene.name, "exit_code": 1}, f"{type(error).__name__}: {error}"
-    told = f"{verdict.claim}: {verdict.witness}" if verdict.exit_code else ""
-    return {"name": scene.name, "exit_code": 0, "verdict": verdict.outcome, **proven(schedule)}, told
+            return row | {"exit_code": 1}, f"{type(error).__name__}: {error}"
+    message = f"{verdict.claim}: {verdict.witness}" if verdict.exit_code else ""
+    return row | {"exit_code": 0, "verdict": verdict.outcome, **proven(schedule)}, message
 
 
 def proven(schedule: Schedule) -> Row:
