@@ -7,6 +7,7 @@ from scipy.linalg import expm
 from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.tracker.craft_loop import remembers
 from .integration import Integrator
 
 PAST = 100
@@ -157,6 +158,11 @@ class Predicting(Integrator):
 
 
 def flight_of(schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> Integrator:
-    """A flight as attacks fly it: an observer as it is on board, all else by the errors of what it makes."""
-    observed = schedule.safety.problem.system.observer is not None
-    return (Predicting if observed else Integrator)(schedule, modes, substeps)
+    """Return a flight as attacks fly it.
+
+    Observer and delay are flown as they are on board where they are states of the loop that is proven; else
+    estimates are drawn from the box that stands for them, though an observer always filters.
+    """
+    system = schedule.safety.problem.system
+    on_board = system.observer is not None or (system.timing.delay > 0 and remembers(system))
+    return (Predicting if on_board else Integrator)(schedule, modes, substeps)

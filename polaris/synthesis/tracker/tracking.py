@@ -122,11 +122,7 @@ class Tracking:
         )
         left = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
         rows = self.commands[: len(u_max)]
-
-        def demanded(found: Array) -> Array:
-            return self.responses(rows, found) + self.between(rows[:, : self.system.n], found) + self.noise
-
-        return profile(norms, self.level * u_max, left, u_max, demanded)
+        return profile(norms, self.level * u_max, left, u_max, lambda P: self._needs(rows, P) + self.noise)
 
     @property
     def most(self) -> Array:
@@ -327,10 +323,15 @@ class Tracking:
         their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count
         without the `noise` of their own period.
         """
-        found = self.responses(rows, self.profile) + self.between(rows[:, : self.system.n], self.profile)
+        return self._needs(rows, self.profile, failing)
+
+    def _needs(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
+        """Bound what rows need under commands within a profile, see `disturbance`."""
+        plant = rows[:, : self.system.n]
+        found = self.responses(rows, profile) + self.between(plant, profile)
         if failing and self.system.transients:
             ages = np.minimum(np.arange(len(found)) + 2, self.memory + 1)
-            found = found + self.upset(rows[:, : self.system.n])[ages]
+            found = found + self.upset(plant)[ages]
         return found
 
     def response(self, channel: Channel, rows: Array) -> Response:
