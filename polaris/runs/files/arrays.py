@@ -43,7 +43,7 @@ def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
         "transition": tracking.flow.phi,
         "decay": tracking.decay,
         "disturbance_obstacle": tracking.disturbance(rows),
-        "disturbance_thrust": tracking.disturbance(tracking.gain),
+        "disturbance_thrust": tracking.disturbance(tracking.commands[: tracking.system.m]),
         "curvature_obstacle": tracking.curvature(rows),
         "curvature_thrust": tracking.curvature(tracking.gain),
         "weight": tracking.W,
