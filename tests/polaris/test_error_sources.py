@@ -473,8 +473,9 @@ def test_forged_errors_are_refused(tmp_path):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     profile = data["thrust"]["profile"]
     for forged, claim in (
+        ([[(2 * float.fromhex(x)).hex() for x in most] for most in profile], "error_bounds"),
         ([[(0.5 * float.fromhex(x)).hex() for x in most] for most in profile], "recoverable"),
-        ([*profile[:30], *[[(1e-6).hex()] * len(profile[0])] * (len(profile) - 30)], "recoverable"),
+        ([*profile[:-1], [(1e-6).hex()] * len(profile[0])], "recoverable"),
         (profile[::-1], "format"),
     ):
         verdict = forger.judge(

@@ -78,7 +78,8 @@ class Argument:
         path, confirmed = self.reference(), len(self.record.checked)
         flies = {self.document.laws[mode].kind for mode in self.document.modes}
         orders = [NETWORK_ORDER, *ORDERS[1:]] if flies & {"neural", "black_box"} else [*ORDERS]
-        orders = orders[1:] if self.document.profile else orders  # margins are tight: fewer do not do
+        if self.document.profile and len(orders) > 1:  # margins are tight: the fewest do not do
+            orders = orders[1:]
         for order in orders:
             merging = Merging(*order)
             try:
