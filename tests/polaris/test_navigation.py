@@ -26,7 +26,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 from ..kept import kept
 from ..sizes import fewer
 from .closed_loops import attack, attack_monitor
-from .forging import CERTIFICATE, Forger, make
+from .forging import CERTIFICATE, Forger, Lie, make
 from .test_closed_loops import judge, monitored
 from .test_error_sources import exact
 from .test_timing import fly_delayed
@@ -323,6 +323,10 @@ def test_forged_observers_are_refused(more, tmp_path):
     for verdict in (judged({"gain": half}), judged(**(less if more == FORGED else {"estimate_error": less}))):
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     assert judged({"noise": [(0.001).hex()] * 2}).outcome == "REJECTED"
+    if more != FORGED:  # errors that are stated twice: nothing would verify these
+        lie = Lie(forger)
+        lie.certificate["system"]["observer"]["settled"] = [(0.0).hex()] * 4
+        lie.judge({"system"})
     document, honest = Document(forger.honest), forger.tree("scenario.toml")
     assert len(measured_errors(document, honest)) == (13 if more == FORGED else 1)
     forged = copy(document)

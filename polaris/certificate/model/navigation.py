@@ -106,8 +106,10 @@ def _observed(
         raise Rejected("system", "the observer is not the scenario's")
     plant, M, missed = plant_of(document), matrix(measures), document.timing.get("missed", 0)
     gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
-    if len(gains) != missed + 1 or (missed and "settled" in stated):
+    if len(gains) != missed + 1:
         raise Rejected("system", f"the observer is not one of up to {missed} missed periods")
+    if "settled" in stated and (missed or not initial):  # nothing below would verify it
+        raise Rejected("system", "settled errors are stated apart from those of the observer's estimates")
     loop = (identity(n) - gains[0] * M) * exponential(plant.A, plant.h)[0]
     settled = (stated.get("settled") if initial and not missed else document.measured) or [0.0] * n
     noisy = column(sums(map(arb, noise), (absolute(M) * column(displaced(document, delay))).entries()))
