@@ -1,0 +1,221 @@
+"""What S needs after a hand-over, against a flight computer of its own: every unit of every error is flown.
+
+Another law flies before node `BEFORE`, S after it, and neither is told what disturbs. The loop is linear in
+the errors, so the worst case is the sum of what a unit of each of them does, times the largest size that it
+may have in its period: of commands within the thrusters' limits before the hand-over, within the profile
+after it.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from flint import arb
+from scipy.linalg import expm, solve_continuous_are
+
+from polaris.certificate.kernel.balls import column, matrix
+from polaris.certificate.model.craft.memory import Memory
+from polaris.certificate.model.craft.needs import Needs
+from polaris.certificate.model.craft.states import craft_of
+from polaris.certificate.model.plants import plant_of
+from polaris.model.prediction import design, predicting
+from polaris.model.system import LinearSystem
+from polaris.model.thrusters import Thrusters
+from polaris.model.timing import Timing
+from polaris.synthesis.tracker.feedback import Feedback
+from polaris.synthesis.tracker.tracking import Tracking
+
+BEFORE, AFTER = 9, 14  # periods before the hand-over, and after it
+PARTS = 4  # of a period, in each of which errors are constant
+H = 0.5  # control period [s]
+
+
+def hold(A, B, t):
+    """Return ``e^{A t}`` and ``int_0^t e^{A s} ds B``."""
+    n, m = B.shape
+    E = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * t)
+    return E[:n, :n], E[:n, n:]
+
+
+def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=0):
+    """S in the plane, in a frame that turns; `delay` is in periods."""
+    eye = np.eye(2)
+    A = np.block([[0 * eye, eye], [0.02 * eye, np.array([[0, 0.1], [-0.1, -0.1]])]])
+    B = np.vstack([0 * eye, eye])
+    P = solve_continuous_are(A, B, np.diag([1.0, 1, 2, 2]), 2 * eye)
+    errors = Thrusters(0.1, 0.05, 0.004) if proportional else Thrusters()
+    known = None if observer else np.array([0.01, 0.02, 0.004, 0.003])
+    system = LinearSystem(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
+    if observer:
+        system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
+    system = predicting(system, Timing(delay=delay * H, missed=missed, carried=carried), H)
+    return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional else None)
+
+
+class Flight:
+    """Unit errors in one period each, flown side by side; the last axes are errors and states."""
+
+    def __init__(self, s, k, nodes):
+        self.s, self.k, self.nodes = s, k, nodes
+        system = s.system
+        self.A, self.B, self.D, timing = system.A, system.B, system.D, system.timing
+        self.lag = 0 if timing.missed else round(timing.delay / H * PARTS)  # estimates are in a box, then
+        self.part = hold(self.A, np.hstack([self.D, self.B]), H / PARTS)
+        self.seen = len(system.observer.noise) if system.observer else system.n
+        self.count = PARTS * (self.part[1].shape[1]) + self.seen + system.m
+
+    def fly(self):
+        """States at all parts of periods from the hand-over on, and S's commands."""
+        s, (n, m), p = self.s, self.B.shape, self.D.shape[1]
+        Ad, Gd = self.part
+        x, states, made, estimate, last, commands = np.zeros((self.count, n)), [], [], None, 0, []
+        pushes, first = PARTS * (p + m), self.k * PARTS
+        for i in range(self.nodes):
+            now, c = i * PARTS, np.zeros((2, self.count, m))
+            for late in (0, 1):  # the impulse left at node k, the last of all errors
+                c[late, -m:] = np.eye(m) * (i + late == self.k)
+            noise = np.zeros((self.count, self.seen))
+            noise[pushes : pushes + self.seen] = np.eye(self.seen) * (i == self.k)
+            states += [x] * (i == 0)
+            known, at, observer = x, max(now - self.lag, 0), s.system.observer
+            if observer is None:
+                known = states[at] + noise
+            else:
+                estimate = 0 * x if estimate is None else estimate
+                for j in range(last, at):
+                    estimate = estimate @ Ad.T + made[j] @ Gd[:, p:].T
+                y = states[at] @ observer.measures.T + noise
+                estimate = estimate + (y - estimate @ observer.measures.T) @ observer.gain.T
+                known, last = estimate, at
+            for j in range(at, now):
+                known = known @ Ad.T + made[j] @ Gd[:, p:].T
+            u = -known @ s.gain.T if i >= BEFORE else np.zeros((self.count, m))
+            commands.append(u)
+            v = u + (c[0] - c[1]) / H
+            for j in range(now, now + PARTS):
+                made.append(v)
+                x = x @ Ad.T + v @ Gd[:, p:].T
+                if 0 <= (place := j - first) < PARTS:
+                    x = x.copy()
+                    x[place * (p + m) : (place + 1) * (p + m)] += Gd.T
+                states.append(x)
+        return np.array(states)[BEFORE * PARTS :], np.array(commands)[BEFORE:]
+
+
+def worst(s):
+    """Largest ``e - M(t) e_0`` at all parts of periods after a hand-over, of commands alike."""
+    system, p, m, n = s.system, s.system.p, s.system.m, s.system.n
+    most = np.minimum(s._since(s.profile), system.u_max)
+    shift = hold(system.A, system.B, H)[1] / H  # sets of other laws leave carried impulses out
+    states, commands = np.zeros((AFTER * PARTS + 1, n)), np.zeros((AFTER, m))
+    for k in range(BEFORE + AFTER):
+        flight = Flight(s, k, BEFORE + AFTER)
+        x, u = flight.fly()
+        e = x[0].copy()
+        e[-m:] += shift.T * (k == BEFORE)
+        own, place = np.empty_like(x), hold(system.A, system.B, H)
+        for i in range(AFTER + 1):
+            for j in range(PARTS if i < AFTER else 1):
+                free, pushed = hold(system.A, system.B, j * H / PARTS)
+                own[i * PARTS + j] = e @ (free - pushed @ s.gain).T
+            if i < AFTER:
+                u[i] += e @ s.gain.T
+            e = e @ (place[0] - place[1] @ s.gain).T
+        before = system.u_max if k < BEFORE else most[k - BEFORE]
+        thrust = system.thrusters.error(before)
+        if system.observer is not None:
+            noise = system.observer.noise
+        elif system.timing.missed:
+            lag = k - BEFORE - system.timing.hidden
+            noise = system.estimate_off(system.u_max if lag < 0 else most[lag])
+        else:
+            noise = np.array(system.timing.measured)
+        for moved, total in ((x - own, states), (u, commands)):
+            pushes = moved[:, : PARTS * (p + m)].reshape(len(moved), PARTS, p + m, -1)
+            total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
+            total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), thrust)
+            rest = np.concatenate([noise, np.full(m, system.timing.carried)])
+            total += np.einsum("tri,r->ti", np.abs(moved[:, PARTS * (p + m) :]), rest)
+    return states, commands
+
+
+def stated(s):
+    """What a certificate would state of the system, as the checker reads it."""
+    system, errors, timing = s.system, s.system.thrusters, s.system.timing
+    seen, nothing = system.observer, [0.0] * system.n
+    estimate = system.navigation.tolist()
+    found = SimpleNamespace(
+        **{name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")},
+        C=system.position.tolist(),
+        w_max=system.w_max,
+        system_kind="linear",
+        delta=H,
+        q=1,
+        estimate=estimate,
+        measured=list(timing.measured),
+        calmest=estimate,
+        error_by_step=[],
+        thrusters=[errors.along, errors.across, errors.bit],
+        prompt_thrusters=[errors.along, errors.across, timing.bit],
+        timing={"delay": timing.delay, "missed": timing.missed},
+        carried=timing.carried,
+        at_nodes=system.displaced_at_nodes.tolist(),
+        pulsed=nothing,
+        transients=[],
+        observer=None,
+        profile=[],
+    )
+    if seen is not None:
+        found.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
+        found.observer["noise"] = seen.noise.tolist()
+    if s.profile is not None:
+        found.profile = s.profile.tolist()
+    return found
+
+
+def checked(s, rows):
+    """What the checker needs along rows of the error by node, and between nodes, (L, r) each."""
+    document = stated(s)
+    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
+    profile = [[arb(x) for x in most] for most in document.profile]
+    memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
+    needs = Needs(craft, memory, matrix(rows.tolist()) if rows is not None else craft.commands)
+    noise = np.array([float(x) for x in craft.noise])
+    each = (needs.at_nodes[: AFTER + 1], needs.disturbed[: AFTER + 1])
+    return *(np.array([[float(x) for x in need] for need in some]) for some in each), noise
+
+
+CASES = [
+    {},
+    {"delay": 1.0},
+    {"delay": 1.5, "proportional": True},
+    {"delay": 2.75},
+    {"observer": True, "proportional": True},
+    {"observer": True, "delay": 0.5},
+    {"observer": True, "delay": 2.0, "proportional": True},
+    {"carried": 0.02},
+    {"carried": 0.02, "delay": 1.25},
+    {"carried": 0.02, "delay": 1.0, "observer": True},
+    {"missed": 1, "delay": 0.5, "proportional": True},
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case) or "estimate")
+def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
+    s = tracking(**case)
+    states, commands = worst(s)
+    rows, ages = np.eye(s.system.n), np.arange(AFTER + 1)
+    K = s.commands[: s.system.m]
+    by_tracking = s.responses(rows, s.profile)[ages], s.disturbance(rows)[ages]
+    by_checker = checked(s, rows)
+    asked = s.responses(K, s.profile)[:AFTER] + s.noise, checked(s, None)[0][:AFTER] + by_checker[2]
+    within = np.linspace(0, 1, PARTS, endpoint=False)[:, None]
+    for nodes, disturbance in (by_tracking, by_checker[:2]):
+        share = states[::PARTS] / np.maximum(nodes, 1e-12)
+        assert share.max() <= 1 + 1e-6 and share[-2].min() > 0.85
+        chords = [(1 - within) * a + within * b for a, b in zip(disturbance, disturbance[1:], strict=False)]
+        assert np.all(states[:-1] <= np.concatenate(chords) * (1 + 1e-6))
+    for need in asked:
+        share = commands / need
+        assert share.max() <= 1 + 1e-6 and share[-1].min() > 0.9
