@@ -25,6 +25,7 @@ from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking
+from reach.numerics.linear import powers
 
 BEFORE, AFTER = 9, 14  # periods before the hand-over, and after it
 PARTS = 4  # of a period, in each of which errors are constant
@@ -174,14 +175,19 @@ def stated(s):
     return found
 
 
-def checked(s, rows):
-    """What the checker needs along rows of the error by node, and between nodes, (L, r) each."""
+def checker_needs(s, rows):
+    """Build what the checker needs along rows of the error, of commands without rows."""
     document = stated(s)
     craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
     profile = [[arb(x) for x in most] for most in document.profile]
     memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
-    needs = Needs(craft, memory, matrix(rows.tolist()) if rows is not None else craft.commands)
-    noise = np.array([float(x) for x in craft.noise])
+    return Needs(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
+
+
+def checked(s, rows):
+    """Return what the checker needs at nodes and between them, (., r) each, and the noise of commands."""
+    needs = checker_needs(s, rows)
+    noise = np.array([float(x) for x in needs.craft.noise])
     each = (needs.at_nodes[: AFTER + 1], needs.disturbed[: AFTER + 1])
     return *(np.array([[float(x) for x in need] for need in some]) for some in each), noise
 
@@ -219,3 +225,25 @@ def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
     for need in asked:
         share = commands / need
         assert share.max() <= 1 + 1e-6 and share[-1].min() > 0.9
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if "proportional" not in case], ids=str)
+def test_what_is_older_than_the_horizon_counts(case):
+    """Sums over four horizons are within what holds for ever, which one horizon alone does not reach."""
+    s = tracking(**case)
+    limits, closed = s.tightening, s.tightening.closed
+    rows = s.whole(np.eye(s.system.n))
+    carried = rows @ powers(closed.F, 4 * limits.horizon)
+    total = sum(closed.gains(each, carried).sum(axis=0) @ each.size for each in closed.loop.channels)
+    ever = limits.from_rest(rows)
+    assert np.all(total <= ever[-1] * (1 + 1e-12)) and np.all(total > ever[limits.horizon])
+    box = np.concatenate([s.displaced, s.remembered])
+    handed = s._handed(rows)[-1]
+    assert np.all((np.abs(carried) @ box)[limits.horizon + 2 :] <= handed)
+    needs = checker_needs(s, np.eye(s.system.n))
+    last, N, more = needs.whole[-1], needs.memory.periods, np.zeros(s.system.n)
+    for _ in range(N):
+        last = last * needs.craft.F
+        more += [float(x.upper()) for x in needs.craft.supports(last)]
+    beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
+    assert np.all(more <= beyond)
