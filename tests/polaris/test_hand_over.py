@@ -17,12 +17,14 @@ from scipy.linalg import expm, solve_continuous_are
 from polaris.certificate.kernel.balls import column, matrix
 from polaris.certificate.model.craft.memory import Memory
 from polaris.certificate.model.craft.needs import Needs
+from polaris.certificate.model.craft.scheduled import Scheduled as CheckedSchedule
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
-from polaris.model.prediction import design, predicting
+from polaris.model.prediction import design, fading, predicting
 from polaris.model.system import LinearSystem
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
+from polaris.synthesis.safety.demand import Scheduled
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import powers
@@ -247,3 +249,87 @@ def test_what_is_older_than_the_horizon_counts(case):
         more += [float(x.upper()) for x in needs.craft.supports(last)]
     beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
     assert np.all(more <= beyond)
+
+
+def along(s, nu, planned, by_step=()):
+    """What scheduled commands and steps need along states at nodes, on both sides, (2, cells + 1, n)."""
+    cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
+    found = Scheduled(s, SimpleNamespace(nu=nu, cells=cells), planned).along(rows)
+    document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
+    document.known_to = lambda k: document.estimate
+    if len(by_step):
+        document.calmest = np.min(by_step, axis=0).tolist()
+        document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
+    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
+    profile = [[arb(x) for x in most] for most in document.profile]
+    memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
+    arcs = [SimpleNamespace(u=column([arb(x) for x in u])) for u in nu.tolist()]
+    path = SimpleNamespace(planned=planned, arcs=arcs)
+    other = CheckedSchedule(document, craft, memory, path).along(matrix(rows.tolist()))
+    other = np.array([[[float(x) for x in node] for node in cell] for cell in other])
+    return [np.vstack([each[:, 0], each[-1:, 1]]) for each in (found, other)]
+
+
+def units(s, periods):
+    """States by age after a unit of thrust in all parts of a period, and of noise, (periods + 1, ., n)."""
+    x, _ = Flight(s, BEFORE, BEFORE + periods).fly()
+    p, m = s.system.p, s.system.m
+    pushes = np.abs(x[::PARTS, : PARTS * (p + m)]).reshape(periods + 1, PARTS, p + m, -1)[:, :, p:]
+    noise = np.abs(x[::PARTS, PARTS * (p + m) : -m])
+    return pushes.sum(axis=1), noise
+
+
+def test_scheduled_commands_count_until_they_are_measured():
+    """A burst of the reference's thrust is in the errors of estimates of two periods after it."""
+    s, cells = tracking(delay=0.5, missed=1, proportional=True), 12
+    nu = np.zeros((cells, 2))
+    nu[2] = [0.5, -0.6]
+    system = s.system
+    assert system.timing.hidden == 2
+    thrust, noise = units(s, cells)
+    part = system.thrusters.part(np.abs(nu))
+    late = np.array([part[max(k - 2, 0) : k].max(axis=0, initial=0.0) for k in range(cells)])
+    late = late @ np.array(system.timing.unseen).T
+    for found in along(s, nu, cells):
+        for L in range(1, cells + 1):
+            exact = sum(part[k] @ thrust[L - k] + late[k] @ noise[L - k] for k in range(L))
+            assert np.all(found[L] >= exact * (1 - 1e-6)), L
+
+
+def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
+    base = np.array([0.01, 0.02, 0.004, 0.003])
+    by_step = np.outer([3.0, 1, 2, 1, 4, 2], base)
+    s = tracking()
+    s = replace(s, system=replace(s.system, error_by_step=by_step))
+    cells, planned = 9, 5
+    more = np.vstack([by_step[:5], np.tile(by_step[5], (4, 1))]) - base
+    noise = units(s, 60)[1]
+    for found in along(s, np.zeros((cells, 2)), planned, by_step):
+        for L in range(1, cells + 1):
+            exact = sum(more[k] @ noise[L - k] for k in range(L))
+            if planned < L:
+                exact = np.maximum(exact, np.einsum("tri,r->i", noise[1:], more[-1]))
+            assert np.all(found[L] >= exact * (1 - 1e-6)), L
+            assert planned == L or np.all(found[L] <= exact * 1.2 + 1e-2), L
+
+
+def test_a_first_estimate_counts_beside_what_the_loop_remembers():
+    s, first, K = tracking(observer=True, delay=1.5), np.array([0.3, 0.4, 0.1, 0.2]), 6
+    bare = tracking(observer=True).system
+    observer = replace(s.system.observer, initial=first)
+    observer = replace(observer, fading=fading(bare, observer, H, K, 1))
+    system = predicting(replace(bare, observer=observer, timing=Timing()), Timing(delay=1.5 * H), H)
+    s, document = replace(s, system=system), stated(replace(s, system=system))
+    left = observer.rest @ expm(system.A * H)
+    over = np.abs(expm(system.A * 1.5 * H))
+    exact = [over @ np.abs(np.linalg.matrix_power(left, k)) @ first for k in range(3 * K)]
+    np.testing.assert_allclose(s.step_errors[:K], exact[:K], rtol=1e-6)
+    assert np.all(s.step_errors[K] >= np.max(exact[K:], axis=0))
+    document.error_by_step, document.steps = system.error_by_step.tolist(), K
+    document.calmest = system.error_by_step.min(axis=0).tolist()
+    document.known_to = lambda k: document.error_by_step[min(k, K)]
+    document.observer |= {"initial": first.tolist(), "settled": system.observer.settled.tolist()}
+    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
+    for k in range(K):
+        extra = np.array([float(x) for x in craft.extra(document, k)])
+        assert np.all(extra >= exact[k] * (1 - 1e-3)) and np.all(extra <= exact[k] * 1.2 + 1e-2)
