@@ -1,0 +1,335 @@
+"""What S needs after a hand-over, against a flight computer of its own: every unit of every error is flown.
+
+Another law flies before node `BEFORE`, S after it, and neither is told what disturbs. The loop is linear in
+the errors, so the worst case is the sum of what a unit of each of them does, times the largest size that it
+may have in its period: of commands within the thrusters' limits before the hand-over, within the profile
+after it.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from flint import arb
+from scipy.linalg import expm, solve_continuous_are
+
+from polaris.certificate.kernel.balls import column, matrix
+from polaris.certificate.model.craft.memory import Memory
+from polaris.certificate.model.craft.needs import Needs
+from polaris.certificate.model.craft.scheduled import Scheduled as CheckedSchedule
+from polaris.certificate.model.craft.states import craft_of
+from polaris.certificate.model.plants import plant_of
+from polaris.model.prediction import design, fading, predicting
+from polaris.model.system import LinearSystem
+from polaris.model.thrusters import Thrusters
+from polaris.model.timing import Timing
+from polaris.synthesis.safety.demand import Scheduled
+from polaris.synthesis.tracker.feedback import Feedback
+from polaris.synthesis.tracker.tracking import Tracking
+from reach.numerics.linear import powers
+
+BEFORE, AFTER = 9, 14  # periods before the hand-over, and after it
+PARTS = 4  # of a period, in each of which errors are constant
+H = 0.5  # control period [s]
+
+
+def hold(A, B, t):
+    """Return ``e^{A t}`` and ``int_0^t e^{A s} ds B``."""
+    n, m = B.shape
+    E = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * t)
+    return E[:n, :n], E[:n, n:]
+
+
+def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=0):
+    """S in the plane, in a frame that turns; `delay` is in periods."""
+    eye = np.eye(2)
+    A = np.block([[0 * eye, eye], [0.02 * eye, np.array([[0, 0.1], [-0.1, -0.1]])]])
+    B = np.vstack([0 * eye, eye])
+    P = solve_continuous_are(A, B, np.diag([1.0, 1, 2, 2]), 2 * eye)
+    errors = Thrusters(0.1, 0.05, 0.004) if proportional else Thrusters()
+    known = None if observer else np.array([0.01, 0.02, 0.004, 0.003])
+    system = LinearSystem(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
+    if observer:
+        system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
+    system = predicting(system, Timing(delay=delay * H, missed=missed, carried=carried), H)
+    return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional else None)
+
+
+class Flight:
+    """Unit errors in one period each, flown side by side; the last axes are errors and states."""
+
+    def __init__(self, s, k, nodes):
+        self.s, self.k, self.nodes = s, k, nodes
+        system = s.system
+        self.A, self.B, self.D, timing = system.A, system.B, system.D, system.timing
+        self.lag = 0 if timing.missed else round(timing.delay / H * PARTS)  # estimates are in a box, then
+        self.part = hold(self.A, np.hstack([self.D, self.B]), H / PARTS)
+        self.seen = len(system.observer.noise) if system.observer else system.n
+        self.count = PARTS * (self.part[1].shape[1]) + self.seen + system.m
+
+    def fly(self):
+        """States at all parts of periods from the hand-over on, and S's commands."""
+        s, (n, m), p = self.s, self.B.shape, self.D.shape[1]
+        Ad, Gd = self.part
+        x, states, made, estimate, last, commands = np.zeros((self.count, n)), [], [], None, 0, []
+        pushes, first = PARTS * (p + m), self.k * PARTS
+        for i in range(self.nodes):
+            now, c = i * PARTS, np.zeros((2, self.count, m))
+            for late in (0, 1):  # the impulse left at node k, the last of all errors
+                c[late, -m:] = np.eye(m) * (i + late == self.k)
+            noise = np.zeros((self.count, self.seen))
+            noise[pushes : pushes + self.seen] = np.eye(self.seen) * (i == self.k)
+            states += [x] * (i == 0)
+            known, at, observer = x, max(now - self.lag, 0), s.system.observer
+            if observer is None:
+                known = states[at] + noise
+            else:
+                estimate = 0 * x if estimate is None else estimate
+                for j in range(last, at):
+                    estimate = estimate @ Ad.T + made[j] @ Gd[:, p:].T
+                y = states[at] @ observer.measures.T + noise
+                estimate = estimate + (y - estimate @ observer.measures.T) @ observer.gain.T
+                known, last = estimate, at
+            for j in range(at, now):
+                known = known @ Ad.T + made[j] @ Gd[:, p:].T
+            u = -known @ s.gain.T if i >= BEFORE else np.zeros((self.count, m))
+            commands.append(u)
+            v = u + (c[0] - c[1]) / H
+            for j in range(now, now + PARTS):
+                made.append(v)
+                x = x @ Ad.T + v @ Gd[:, p:].T
+                if 0 <= (place := j - first) < PARTS:
+                    x = x.copy()
+                    x[place * (p + m) : (place + 1) * (p + m)] += Gd.T
+                states.append(x)
+        return np.array(states)[BEFORE * PARTS :], np.array(commands)[BEFORE:]
+
+
+def worst(s):
+    """Largest ``e - M(t) e_0`` at all parts of periods after a hand-over, of commands alike."""
+    system, p, m, n = s.system, s.system.p, s.system.m, s.system.n
+    most = np.minimum(s._since(s.profile), system.u_max)
+    shift = hold(system.A, system.B, H)[1] / H  # sets of other laws leave carried impulses out
+    states, commands = np.zeros((AFTER * PARTS + 1, n)), np.zeros((AFTER, m))
+    for k in range(BEFORE + AFTER):
+        flight = Flight(s, k, BEFORE + AFTER)
+        x, u = flight.fly()
+        e = x[0].copy()
+        e[-m:] += shift.T * (k == BEFORE)
+        own, place = np.empty_like(x), hold(system.A, system.B, H)
+        for i in range(AFTER + 1):
+            for j in range(PARTS if i < AFTER else 1):
+                free, pushed = hold(system.A, system.B, j * H / PARTS)
+                own[i * PARTS + j] = e @ (free - pushed @ s.gain).T
+            if i < AFTER:
+                u[i] += e @ s.gain.T
+            e = e @ (place[0] - place[1] @ s.gain).T
+        before = system.u_max if k < BEFORE else most[k - BEFORE]
+        thrust = system.thrusters.error(before)
+        if system.observer is not None:
+            noise = system.observer.noise
+        elif system.timing.missed:
+            lag = k - BEFORE - system.timing.hidden
+            noise = system.estimate_off(system.u_max if lag < 0 else most[lag])
+        else:
+            noise = np.array(system.timing.measured)
+        for moved, total in ((x - own, states), (u, commands)):
+            pushes = moved[:, : PARTS * (p + m)].reshape(len(moved), PARTS, p + m, -1)
+            total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
+            total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), thrust)
+            rest = np.concatenate([noise, np.full(m, system.timing.carried)])
+            total += np.einsum("tri,r->ti", np.abs(moved[:, PARTS * (p + m) :]), rest)
+    return states, commands
+
+
+def stated(s):
+    """What a certificate would state of the system, as the checker reads it."""
+    system, errors, timing = s.system, s.system.thrusters, s.system.timing
+    seen, nothing = system.observer, [0.0] * system.n
+    estimate = system.navigation.tolist()
+    found = SimpleNamespace(
+        **{name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")},
+        C=system.position.tolist(),
+        w_max=system.w_max,
+        system_kind="linear",
+        delta=H,
+        q=1,
+        estimate=estimate,
+        measured=list(timing.measured),
+        calmest=estimate,
+        error_by_step=[],
+        thrusters=[errors.along, errors.across, errors.bit],
+        prompt_thrusters=[errors.along, errors.across, timing.bit],
+        timing={"delay": timing.delay, "missed": timing.missed},
+        carried=timing.carried,
+        at_nodes=system.displaced_at_nodes.tolist(),
+        pulsed=nothing,
+        transients=[],
+        observer=None,
+        profile=[],
+    )
+    if seen is not None:
+        found.observer = {"gain": seen.gain.tolist(), "measures": seen.measures.tolist()}
+        found.observer["noise"] = seen.noise.tolist()
+    if s.profile is not None:
+        found.profile = s.profile.tolist()
+    return found
+
+
+def checker_needs(s, rows):
+    """Build what the checker needs along rows of the error, of commands without rows."""
+    document = stated(s)
+    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
+    profile = [[arb(x) for x in most] for most in document.profile]
+    memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
+    return Needs(craft, memory, craft.commands if rows is None else matrix(rows.tolist()))
+
+
+def checked(s, rows):
+    """Return what the checker needs at nodes and between them, (., r) each, and the noise of commands."""
+    needs = checker_needs(s, rows)
+    noise = np.array([float(x) for x in needs.craft.noise])
+    each = (needs.at_nodes[: AFTER + 1], needs.disturbed[: AFTER + 1])
+    return *(np.array([[float(x) for x in need] for need in some]) for some in each), noise
+
+
+CASES = [
+    {},
+    {"delay": 1.0},
+    {"delay": 1.5, "proportional": True},
+    {"delay": 2.75},
+    {"observer": True, "proportional": True},
+    {"observer": True, "delay": 0.5},
+    {"observer": True, "delay": 2.0, "proportional": True},
+    {"carried": 0.02},
+    {"carried": 0.02, "delay": 1.25},
+    {"carried": 0.02, "delay": 1.0, "observer": True},
+    {"missed": 1, "delay": 0.5, "proportional": True},
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case) or "estimate")
+def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
+    s = tracking(**case)
+    states, commands = worst(s)
+    rows, ages = np.eye(s.system.n), np.arange(AFTER + 1)
+    K = s.commands[: s.system.m]
+    by_tracking = s.responses(rows, s.profile)[ages], s.disturbance(rows)[ages]
+    by_checker = checked(s, rows)
+    asked = s.responses(K, s.profile)[:AFTER] + s.noise, checked(s, None)[0][:AFTER] + by_checker[2]
+    within = np.linspace(0, 1, PARTS, endpoint=False)[:, None]
+    for nodes, disturbance in (by_tracking, by_checker[:2]):
+        share = states[::PARTS] / np.maximum(nodes, 1e-12)
+        assert share.max() <= 1 + 1e-6 and share[-2].min() > 0.85
+        chords = [(1 - within) * a + within * b for a, b in zip(disturbance, disturbance[1:], strict=False)]
+        assert np.all(states[:-1] <= np.concatenate(chords) * (1 + 1e-6))
+    for need in asked:
+        share = commands / need
+        assert share.max() <= 1 + 1e-6 and share[-1].min() > 0.9
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if "proportional" not in case], ids=str)
+def test_what_is_older_than_the_horizon_counts(case):
+    """Sums over four horizons are within what holds for ever, which one horizon alone does not reach."""
+    s = tracking(**case)
+    limits, closed = s.tightening, s.tightening.closed
+    rows = s.whole(np.eye(s.system.n))
+    carried = rows @ powers(closed.F, 4 * limits.horizon)
+    total = sum(closed.gains(each, carried).sum(axis=0) @ each.size for each in closed.loop.channels)
+    ever = limits.from_rest(rows)
+    assert np.all(total <= ever[-1] * (1 + 1e-12)) and np.all(total > ever[limits.horizon])
+    box = np.concatenate([s.displaced, s.remembered])
+    handed = s._handed(rows)[-1]
+    assert np.all((np.abs(carried) @ box)[limits.horizon + 2 :] <= handed)
+    needs = checker_needs(s, np.eye(s.system.n))
+    last, N, more = needs.whole[-1], needs.memory.periods, np.zeros(s.system.n)
+    for _ in range(N):
+        last = last * needs.craft.F
+        more += [float(x.upper()) for x in needs.craft.supports(last)]
+    beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
+    assert np.all(more <= beyond)
+
+
+def along(s, nu, planned, by_step=()):
+    """What scheduled commands and steps need along states at nodes, on both sides, (2, cells + 1, n)."""
+    cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
+    found = Scheduled(s, SimpleNamespace(nu=nu, cells=cells), planned).along(rows)
+    document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
+    document.known_to = lambda k: document.estimate
+    if len(by_step):
+        document.calmest = np.min(by_step, axis=0).tolist()
+        document.known_to = lambda k: document.error_by_step[min(k, document.steps)]
+    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
+    profile = [[arb(x) for x in most] for most in document.profile]
+    memory = Memory.of(craft, column([arb(1)] * s.system.n), 1, profile)
+    arcs = [SimpleNamespace(u=column([arb(x) for x in u])) for u in nu.tolist()]
+    path = SimpleNamespace(planned=planned, arcs=arcs)
+    other = CheckedSchedule(document, craft, memory, path).along(matrix(rows.tolist()))
+    other = np.array([[[float(x) for x in node] for node in cell] for cell in other])
+    return [np.vstack([each[:, 0], each[-1:, 1]]) for each in (found, other)]
+
+
+def units(s, periods):
+    """States by age after a unit of thrust in all parts of a period, and of noise, (periods + 1, ., n)."""
+    x, _ = Flight(s, BEFORE, BEFORE + periods).fly()
+    p, m = s.system.p, s.system.m
+    pushes = np.abs(x[::PARTS, : PARTS * (p + m)]).reshape(periods + 1, PARTS, p + m, -1)[:, :, p:]
+    noise = np.abs(x[::PARTS, PARTS * (p + m) : -m])
+    return pushes.sum(axis=1), noise
+
+
+def test_scheduled_commands_count_until_they_are_measured():
+    """A burst of the reference's thrust is in the errors of estimates of two periods after it."""
+    s, cells = tracking(delay=0.5, missed=1, proportional=True), 12
+    nu = np.zeros((cells, 2))
+    nu[2] = [0.5, -0.6]
+    system = s.system
+    assert system.timing.hidden == 2
+    thrust, noise = units(s, cells)
+    part = system.thrusters.part(np.abs(nu))
+    late = np.array([part[max(k - 2, 0) : k].max(axis=0, initial=0.0) for k in range(cells)])
+    late = late @ np.array(system.timing.unseen).T
+    for found in along(s, nu, cells):
+        for L in range(1, cells + 1):
+            exact = sum(part[k] @ thrust[L - k] + late[k] @ noise[L - k] for k in range(L))
+            assert np.all(found[L] >= exact * (1 - 1e-6)), L
+
+
+def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
+    base = np.array([0.01, 0.02, 0.004, 0.003])
+    by_step = np.outer([3.0, 1, 2, 1, 4, 2], base)
+    s = tracking()
+    s = replace(s, system=replace(s.system, error_by_step=by_step))
+    cells, planned = 9, 5
+    more = np.vstack([by_step[:5], np.tile(by_step[5], (4, 1))]) - base
+    noise = units(s, 60)[1]
+    for found in along(s, np.zeros((cells, 2)), planned, by_step):
+        for L in range(1, cells + 1):
+            exact = sum(more[k] @ noise[L - k] for k in range(L))
+            if planned < L:
+                exact = np.maximum(exact, np.einsum("tri,r->i", noise[1:], more[-1]))
+            assert np.all(found[L] >= exact * (1 - 1e-6)), L
+            assert planned == L or np.all(found[L] <= exact * 1.2 + 1e-2), L
+
+
+def test_a_first_estimate_counts_beside_what_the_loop_remembers():
+    s, first, K = tracking(observer=True, delay=1.5), np.array([0.3, 0.4, 0.1, 0.2]), 6
+    bare = tracking(observer=True).system
+    observer = replace(s.system.observer, initial=first)
+    observer = replace(observer, fading=fading(bare, observer, H, K, 1))
+    system = predicting(replace(bare, observer=observer, timing=Timing()), Timing(delay=1.5 * H), H)
+    s, document = replace(s, system=system), stated(replace(s, system=system))
+    left = observer.rest @ expm(system.A * H)
+    over = np.abs(expm(system.A * 1.5 * H))
+    exact = [over @ np.abs(np.linalg.matrix_power(left, k)) @ first for k in range(3 * K)]
+    np.testing.assert_allclose(s.step_errors[:K], exact[:K], rtol=1e-6)
+    assert np.all(s.step_errors[K] >= np.max(exact[K:], axis=0))
+    document.error_by_step, document.steps = system.error_by_step.tolist(), K
+    document.calmest = system.error_by_step.min(axis=0).tolist()
+    document.known_to = lambda k: document.error_by_step[min(k, K)]
+    document.observer |= {"initial": first.tolist(), "settled": system.observer.settled.tolist()}
+    craft = craft_of(document, plant_of(document), matrix(s.gain.tolist()))
+    for k in range(K):
+        extra = np.array([float(x) for x in craft.extra(document, k)])
+        assert np.all(extra >= exact[k] * (1 - 1e-3)) and np.all(extra <= exact[k] * 1.2 + 1e-2)
