@@ -72,7 +72,7 @@ class Flight:
         """States at all parts of periods from the hand-over on, and S's commands."""
         s, (n, m), p = self.s, self.B.shape, self.D.shape[1]
         Ad, Gd = self.part
-        x, states, made, estimate, last, commands = np.zeros((self.count, n)), [], [], None, 0, []
+        x, states, estimate, last, commands = np.zeros((self.count, n)), [], None, 0, []
         pushes, first = PARTS * (p + m), self.k * PARTS
         for i in range(self.nodes):
             now, c = i * PARTS, np.zeros((2, self.count, m))
@@ -87,17 +87,16 @@ class Flight:
             else:
                 estimate = 0 * x if estimate is None else estimate
                 for j in range(last, at):
-                    estimate = estimate @ Ad.T + made[j] @ Gd[:, p:].T
+                    estimate = estimate @ Ad.T + commands[j // PARTS] @ Gd[:, p:].T
                 y = states[at] @ observer.measures.T + noise
                 estimate = estimate + (y - estimate @ observer.measures.T) @ observer.gain.T
                 known, last = estimate, at
             for j in range(at, now):
-                known = known @ Ad.T + made[j] @ Gd[:, p:].T
+                known = known @ Ad.T + commands[j // PARTS] @ Gd[:, p:].T
             u = -known @ s.gain.T if i >= BEFORE else np.zeros((self.count, m))
             commands.append(u)
             v = u + (c[0] - c[1]) / H
             for j in range(now, now + PARTS):
-                made.append(v)
                 x = x @ Ad.T + v @ Gd[:, p:].T
                 if 0 <= (place := j - first) < PARTS:
                     x = x.copy()
