@@ -110,14 +110,20 @@ class GrowingLP:
         status, kind = self._run(seconds), self._highspy.HighsModelStatus
         if status not in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
             # a stale basis, pivoting once made stricter or huge costs can leave the simplex stuck: once more
-            # in a solver of its own, costs near 1
+            # in a solver of its own, costs near 1, then bounds, too
             stuck, self.highs = self.highs, type(self.highs)()
             self.highs.passOptions(stuck.getOptions())
             self.highs.passModel(stuck.getLp())
             largest = max(np.abs(stuck.getLp().col_cost_).max(), 1.0)
-            self._set(presolve="on", user_objective_scale=-int(np.log2(largest)))
-            status = self._run(seconds)
-            self._set(presolve="off", user_objective_scale=0)
+            scaled = {"presolve": "on", "user_objective_scale": -int(np.log2(largest))}
+            ends = np.abs([*stuck.getLp().col_lower_, *stuck.getLp().col_upper_])
+            widest = max(np.max(ends[np.isfinite(ends)], initial=1.0), 1.0)
+            for tried in (scaled, scaled | {"user_bound_scale": -int(np.log2(widest))}):
+                self._set(**tried)
+                status = self._run(seconds)
+                self._set(presolve="off", user_objective_scale=0, user_bound_scale=0)
+                if status in (kind.kOptimal, kind.kInfeasible, kind.kTimeLimit):
+                    break
         if status == kind.kOptimal:
             return float(self.highs.getObjectiveValue()), np.array(self.highs.getSolution().col_value)
         self.out_of_time = status == kind.kTimeLimit

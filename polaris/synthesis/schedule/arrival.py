@@ -169,7 +169,8 @@ def _needs(
     need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
     need = need + spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
-        need = np.minimum(need, after.along(rows, nodes) + away)
+        flown = after.along(rows, nodes)
+        need = np.minimum(need, flown + spare(tracking, FLOWN) * np.abs(flown) + away)
     return need, centre
 
 
