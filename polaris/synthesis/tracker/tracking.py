@@ -268,7 +268,7 @@ class Tracking:
         limits, box = self.tightening, np.concatenate([self.displaced, self.remembered])
         within = np.abs(limits.carried(rows)) @ box
         size = np.max(box / limits.v)
-        ever = np.minimum(limits.remainder(rows) * size, within.max(axis=0)) if size else 0 * within[-1]
+        ever = limits.remainder(rows) * size
         return np.vstack([within, ever])
 
     def _by_age(self, found: Array) -> Array:
