@@ -189,7 +189,7 @@ def test_bounds_hold_within_a_range_that_is_kept():
     ):
         late = KeepInPolytope("late", box, np.ones(4), begins, ends)
         assert late.timed_polytopes(system, 1.0, 12)[0].static == static  # or nothing is claimed for ever
-    with pytest.raises(SynthesisInfeasible, match="within-1"):
+    with pytest.raises(SynthesisInfeasible, match="margins required from the unsafe sets"):
         synthesize(scene(RANGED[0], RANGED[1].replace("[8.2, 6.2]", "7.0")))
 
 
