@@ -108,12 +108,12 @@ class Attempts:
         short = self.margin.need - self.margin.room
         if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
             return None
-        caused, gain = Scheduled(self.tracking, last, K), self.tracking.gain
+        caused, rows = Scheduled(self.tracking, last, K), self.tracking.commands
         margins = tuple(
             margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.normals @ system.position).max(axis=1)
             for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
         )
-        limit = np.maximum(asked.u_limit - caused.along(gain).max(axis=1), 0.0)
+        limit = np.maximum(asked.u_limit - caused.along(rows[: len(asked.system.u_max)]).max(axis=1), 0.0)
         return replace(asked, margins=margins, u_limit=limit)
 
     def _with_coasting(self, asked: PlanProblem) -> Plan | None:
