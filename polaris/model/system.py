@@ -187,7 +187,7 @@ class LinearSystem:
 
     @cached_property
     def carried_away(self) -> Array:
-        """How far impulses that are carried, and errors of them, displace states at most, shape (n,)."""
+        """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
         if not self.timing.carried:
             return np.zeros(self.n)
         held = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period

@@ -9,7 +9,7 @@ from ..files.artefacts import Stated
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import above, absolute, column, identity, largest, magnitude, matrix, plain, require, sums
-from ..kernel.verdict import Record, Rejected
+from ..kernel.verdict import Record, Rejected, Undecided
 from ..kernel.zonotopes import Merging, Zonotope, widest
 from ..model.bodies import Whereabouts
 from ..model.craft.memory import Memory
@@ -89,6 +89,8 @@ class Argument:
                 if order == orders[-1] or not merging.lossy or error.claim not in NARROWER:
                     raise
                 del self.record.checked[confirmed:]
+        else:
+            raise Undecided("separation", "no number of generators is given")
         self.record.holds("end", check_end(self.document, path))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))

@@ -175,12 +175,12 @@ def _needs(
 
 
 def _left(tracking: Tracking, rows: Array) -> Array:
-    """What is left along rows of a unit of error beyond the memory, shape (r,)."""
+    """Return the rest of a unit of error along rows beyond the memory, shape (r,)."""
     return np.asarray(np.linalg.norm(rows @ tracking.W_inverse, axis=1) * tracking.decay[-1])
 
 
 def long_after(tracking: Tracking, rows: Array, taken: Zonotope) -> Array:
-    """What errors need along rows so `Tracking.long` after S took over a set of them, faults apart, (r,)."""
+    """Bound rows of errors `Tracking.long` after S took over a set of them, faults apart, shape (r,)."""
     once = float(taken.norm_bound(tracking.W)) * (1.0 if tracking.profile is None else tracking.decay[-1])
     return np.asarray(_left(tracking, rows) * once + tracking.settled(rows))
 

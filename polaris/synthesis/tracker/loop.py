@@ -150,7 +150,7 @@ class Loop:
 
     @property
     def made(self) -> Array:
-        """What a unit of input that the flight computer does not know of adds in a period, shape (N, m)."""
+        """Map into the next loop state of inputs that the flight computer does not know of, shape (N, m)."""
         each = (
             E @ expm(self.A * (self.h - b)) @ discretize(self.A, self.B, b - a)[1] for a, b, E in self.enter
         )

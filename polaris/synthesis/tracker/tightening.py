@@ -239,7 +239,7 @@ class Tightening:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What one channel, a box, adds along rows by age.
+    """Response of rows to one channel, a box, by age.
 
     Attributes
     ----------

@@ -94,7 +94,7 @@ class Tracking:
 
     @property
     def displaced(self) -> Array:
-        """How far the error that other laws hand over may be from that of the loop, shape (n,).
+        """Largest distance of the error that other laws hand over from that of the loop, shape (n,).
 
         Sets of other laws leave out impulses that are carried; the loop holds them.
         """
@@ -264,7 +264,7 @@ class Tracking:
         return profile[np.minimum(np.arange(count), len(profile) - 1)]
 
     def _handed(self, rows: Array) -> Array:
-        """What the loop states beside the error add along rows, at node L and ever after, (N + 3, r)."""
+        """Bound rows of the loop states beside the error at node L and ever after, shape (N + 3, r)."""
         limits, box = self.tightening, np.concatenate([self.displaced, self.remembered])
         within = np.abs(limits.carried(rows)) @ box
         size = np.max(box / limits.v)

@@ -65,7 +65,7 @@ class Craft:
         return self.motion.held
 
     def lagged(self, most: Sequence[arb]) -> list[arb]:
-        """What commands up to some sizes add to errors of estimates until it is measured."""
+        """Bounds on errors of estimates by commands up to some sizes that no measurement shows yet, (n)."""
         if not self.lag:
             return [arb(0)] * self.gain.ncols()
         return (self.plant.unseen * column(self.plant.thruster_part(most))).entries()
@@ -82,7 +82,7 @@ class Craft:
         return beside(rows, arb_mat(rows.nrows(), missing)) if missing else rows
 
     def supports(self, rows: arb_mat) -> list[arb]:
-        """What all but commands adds along rows (r, N) in a period."""
+        """Support along rows (r, N) of all that enters in a period, errors that grow with commands apart."""
         found = [arb(0)] * rows.nrows()
         for sample in self.samples:
             found = sums(found, (magnitude(rows * sample.adds) * column(sample.size)).entries())
@@ -91,12 +91,12 @@ class Craft:
         return found
 
     def thrust_gains(self, rows: arb_mat) -> arb_mat:
-        """What a unit of the error of each input adds along rows (r, N) in a period, shape (r, m)."""
+        """Support along rows (r, N) of a unit error of each input over a period, shape (r, m)."""
         gains = [motion.unit_gains(at, 1) for at, motion in self._over(rows)]
         return sum(gains[1:], gains[0])
 
     def noise_gains(self, rows: arb_mat) -> arb_mat:
-        """What a unit of the error of each estimate adds along rows (r, N) in a period, shape (r, n)."""
+        """Support along rows (r, N) of a unit error of each estimate over a period, shape (r, n)."""
         return magnitude(rows * self._seen)
 
     @cached_property
@@ -115,23 +115,26 @@ class Craft:
     def bent(
         self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], off: list[arb], error: list[arb]
     ) -> list[arb]:
-        """How far rows of the error leave the chord of bounds at nodes.
+        """Intersample bound of rows of the error, beside the chord of their bounds at nodes.
 
         `rates` bound ``e'`` and ``A e'`` at nodes; `off` and `error` errors of estimates and of inputs that
         are not counted in them.
         """
-        motion, B = self.motion, self.plant.B
-        held = absolute(self.gain) * column(off) if off else arb_mat(B.ncols(), 1)
-        more = absolute(B) * held, absolute(self.plant.A * B) * held
-        pushes = [Push.in_box(B, error)] if error else []
-        bow = motion.lesser_bow(rows, rates[0] + more[0], rates[1] + more[1])
-        return sums(bow, *(motion.push_bend(rows, push) for push in pushes))
+        held = absolute(self.gain) * column(off) if off else arb_mat(self.gain.nrows(), 1)
+        return self._bent(rows, rates, held, [Push.in_box(self.plant.B, error)] if error else [])
 
     def always_bent(self, rows: arb_mat, rates: tuple[arb_mat, arb_mat]) -> list[arb]:
-        """The same with all that pushes at every instant, and is sampled."""
-        held, B = arb_mat(self.plant.B.ncols(), 1), self.plant.B
+        """Intersample bound under all that is sampled, and all that pushes at every instant."""
+        held = arb_mat(self.gain.nrows(), 1)
         for sample in self.samples:
             held += absolute(sample.push) * column(sample.size)
+        return self._bent(rows, rates, held, self.steady)
+
+    def _bent(
+        self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], held: arb_mat, pushes: list[Push]
+    ) -> list[arb]:
+        """Intersample bound under more inputs up to `held` (m, 1), constant over the period, and pushes."""
+        motion, B = self.motion, self.plant.B
         more = absolute(B) * held, absolute(self.plant.A * B) * held
-        bow = self.motion.lesser_bow(rows, rates[0] + more[0], rates[1] + more[1])
-        return sums(bow, *(self.motion.push_bend(rows, push) for push in self.steady))
+        bow = motion.lesser_bow(rows, rates[0] + more[0], rates[1] + more[1])
+        return sums(bow, *(motion.push_bend(rows, push) for push in pushes))

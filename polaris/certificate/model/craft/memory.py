@@ -1,4 +1,4 @@
-"""How long the loop of a craft remembers, and sums of responses by the age of what caused them."""
+"""Settling of the loop of a craft, and sums of responses by the age of what caused them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LONGEST = 20000  # most periods that are followed one by one
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """After how many periods the loop has forgotten what it was.
+    """Settling horizon N: the number of periods after which the loop has forgotten what it was.
 
     With ``z > 0`` and ``|F^N| z <= c z``, c < 1, every undisturbed state of the loop that was within z is
     within ``c^a z`` at node ``a N``, and this needs nothing but a product of two matrices to be checked.
@@ -40,7 +40,7 @@ class Memory:
         return len(self.powers) - 2
 
     def left(self, box: arb_mat) -> tuple[arb_mat, arb_mat]:
-        """What loop states in a box have become after N periods, and a bound on that after 2 N."""
+        """Bounds on loop states in a box after N periods, and after 2 N."""
         first = magnitude(self.powers[self.periods]) * box
         share = largest(a / b for a, b in zip(first.entries(), self.z.entries(), strict=True))
         return magnitude(first), magnitude(self.z * (share * self.c))
@@ -74,7 +74,7 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What units of some channels in a period add along rows, ``[channel][lag][row]``."""
+    """Support of unit values of some channels along rows, by age, ``[channel][lag][row]``."""
 
     each: list[list[list[arb]]]
 

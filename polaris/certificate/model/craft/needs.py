@@ -1,4 +1,4 @@
-"""The safety controller from a set of errors to the end of time: what its error needs along fixed rows."""
+"""Needs of the safety controller along fixed rows, from a set of errors to the end of time."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .memory import Gains, Memory
 
 @dataclass(frozen=True, eq=False)
 class Needs:
-    """What errors need along fixed rows, lag by lag."""
+    """Bounds on rows of the error under the safety controller, lag by lag."""
 
     craft: Craft
     memory: Memory
     given: arb_mat  # rows of the error, shape (r, n), or of the loop state
     upset: list[list[arb]] = field(default_factory=list)
-    """What a fault that is isolated late needs by the end of the period after node l, once in a flight."""
+    """Need of a fault that is isolated late by the end of the period after node l, once in a flight."""
     _bowed: dict[tuple[int, int], tuple[Zonotope, list[arb]]] = field(default_factory=dict, repr=False)
 
     @property
@@ -49,7 +49,7 @@ class Needs:
 
     @cached_property
     def bend(self) -> list[arb_mat]:
-        """What is booked between nodes per unit of ``|e|`` at the start, for the periods next to node l."""
+        """Intersample bound per unit of ``|e|`` at the start, for the periods next to node l."""
         curved = self.motion.bend(self.rows)
         per = [magnitude(curved * magnitude(rate)) for rate in self.rates[0].carried]
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
@@ -76,12 +76,12 @@ class Needs:
 
     @cached_property
     def thrust(self) -> Gains:
-        """What a unit of an input's error in a period adds so many periods later."""
+        """Gains of errors of the inputs."""
         return Gains(self._by_lag(self.craft.thrust_gains(self._stacked)))
 
     @cached_property
     def noise(self) -> Gains:
-        """What a unit of an estimate's error in a period adds so many periods later."""
+        """Gains of errors of the estimates."""
         return Gains(self._by_lag(self.craft.noise_gains(self._stacked)))
 
     @cached_property
@@ -133,7 +133,7 @@ class Needs:
 
     @property
     def rates(self) -> tuple[Needs, Needs]:
-        """The same of ``e'`` and of ``A e'`` at nodes, which bend the motion between them."""
+        """Needs of ``e'`` and of ``A e'`` at nodes, which bend the motion between them."""
         known, rates = self.memory.rates, self.craft.rates
         if not known:
             known[:] = [Needs(self.craft, self.memory, M) for M in (rates, self.motion.A * rates)]
@@ -164,7 +164,7 @@ class Needs:
     def caused(
         self, gains: Gains, sizes: list[list[arb]], off: bool
     ) -> tuple[list[list[arb]], list[arb], list[arb]]:
-        """What sizes of a channel, period by period from rest, add: at nodes, besides, and between them.
+        """Response to sizes of a channel, period by period from rest: at nodes, besides, and between them.
 
         The second holds for what is older than N periods; `off` says that these are errors of estimates.
         """
@@ -184,51 +184,51 @@ class Needs:
 
     @cached_property
     def forgotten(self) -> list[arb]:
-        """What any undisturbed error within ``z`` at the start still needs after N periods."""
+        """Need of any undisturbed error within ``z`` at the start after N periods."""
         z = column(self.memory.z.entries()[: self.rows.ncols()])
         each = [self.boxed(z, lag) for lag in range(self.memory.periods)]
         return [largest(values) * self.memory.c for values in zip(*each, strict=True)]
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
-        """What any undisturbed error up to a size needs in the periods next to node l."""
+        """Need of any undisturbed error up to a size in the periods next to node l."""
         return list(((magnitude(self.carried[lag]) + self.bend[lag]) * size).entries())
 
     @cached_property
     def _most(self) -> arb_mat:
-        """What a unit of each state's error needs at most in the first N periods."""
+        """Largest need of a unit of each state's error in the first N periods."""
         pairs = zip(self.carried[: self.memory.periods], self.bend, strict=False)
         return reduce(_larger, (magnitude(carried) + bend for carried, bend in pairs))
 
     def still(self, size: arb_mat) -> list[arb]:
-        """The same after N periods."""
+        """Need of any undisturbed error up to a size after N periods."""
         n, missing = size.nrows(), self.craft.F.nrows() - size.nrows()
         first, later = self.memory.left(column([*size.entries(), *[arb(0)] * missing]))
         return list((self._most * column((first + later).entries()[:n])).entries())
 
     def ever(self, size: arb_mat) -> list[arb]:
-        """The same at any time."""
+        """Need of any undisturbed error up to a size at any time."""
         each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.still(size)]
         return list(map(largest, zip(*each, strict=True)))
 
     def tube(self, start: Zonotope) -> list[list[arb]]:
-        """What one set needs at lag l = 0 ... N, disturbance apart: exact support and what is booked."""
+        """Need of one set at lag l = 0 ... N, disturbance apart: exact support and intersample bound."""
         support = self._split(start.support(above(*self.carried[:-1])))
         return [sums(most, self.booked(start, lag)) for lag, most in enumerate(support)]
 
     def booked(self, start: Zonotope, lag: int) -> list[arb]:
-        """What is booked between nodes for one set, for the periods next to node l: no more than `bend`."""
+        """Intersample bound of one set, for the periods next to node l: no more than `bend`."""
         bows = [self._bow(start, at) for at in {lag, max(lag - 1, 0)}]
         return [largest(each) for each in zip(*bows, strict=True)]
 
     def _bow(self, start: Zonotope, lag: int) -> list[arb]:
-        """How far one set bends within the period after node l, once: two lags ask."""
+        """Intersample bound of one set within the period after node l, once: two lags ask."""
         if (id(start), lag) not in self._bowed:
             rate = start.image(self.rates[0].carried[lag])
             self._bowed[id(start), lag] = start, self.motion.closer_bow(self.rows, rate)
         return self._bowed[id(start), lag][1]
 
     def per_norm(self, inverse: arb_mat) -> list[list[arb]]:
-        """What a unit ball of ``norm(V e, 2)`` needs at lag l, given ``V^-1``."""
+        """Need of a unit ball of ``norm(V e, 2)`` at lag l, given ``V^-1``."""
         curved = self.motion.bend(self.rows)
         bent = [norms(curved * magnitude(rate * inverse)) for rate in self.rates[0].carried[:-1]]
         straight = [norms(row * inverse) for row in self.carried[:-1]]

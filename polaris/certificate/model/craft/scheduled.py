@@ -52,7 +52,7 @@ class Scheduled:
         raise Undecided("recoverable", "errors of thrusters feed on themselves along the reference")
 
     def along(self, rows: arb_mat) -> Along:
-        """What they add along rows at every node of every step, such that chords of them hold between."""
+        """Response to them along rows at every node of every step; between nodes chords of it hold."""
         return self._along(Needs(self.craft, self.memory, rows))
 
     def _along(self, needs: Needs) -> Along:

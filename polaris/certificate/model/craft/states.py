@@ -16,7 +16,7 @@ Blocks = dict[int, arb_mat]
 """Entries by block of the loop state; block 0 is the tracking error."""
 
 Noise = tuple[arb_mat, list[arb]]
-"""How errors of estimates enter what the law sees, (n, k), and bounds on them, none without any."""
+"""Map of errors of estimates into what the law sees, (n, k), and bounds on them, none without any."""
 
 
 @dataclass
