@@ -23,6 +23,7 @@ import numpy as np
 
 from polaris.model.scene.distances import signed_distances
 from polaris.model.scene.satellite import true_states
+from polaris.runs.files.arrays import read_arrays
 from polaris.runs.schedule import fly_schedule, write_run
 from polaris.runs.stages import Stages
 from polaris.scenario.scenario import load_scenario
@@ -98,11 +99,6 @@ def residuals(system: Any, flight: Flight, mass: float) -> np.ndarray:
     return np.asarray(np.linalg.norm((flight.states[1:] - expected)[:, 3:], axis=1) / h)
 
 
-def numbers(value: Any) -> np.ndarray:
-    """Arrays of a certificate, whose numbers are hexadecimal."""
-    return np.array([[float.fromhex(x) for x in row] for row in value])
-
-
 class Scene:
     """A run folder, and what its flights are judged by; it is written if it is not there."""
 
@@ -113,8 +109,10 @@ class Scene:
         if (folder / "scenario.toml").read_text() != self.scenario.copy_text():
             raise ValueError(f"{folder}: is of another scenario, or of other settings")
         self.system, self.env = self.scenario.system(), Environment.of(self.scenario)
-        proven = json.loads((folder / "certificate.json").read_text())
-        self.lower, self.upper = (numbers(proven["enclosures"][side]) for side in ("lower", "upper"))
+        tubes = read_arrays(folder / "tubes.npz")
+        half, bow = np.abs(tubes["generators"]).sum(axis=1).transpose(1, 0, 2), tubes["bow"].max(axis=1)
+        self.lower = (tubes["center"] - half).min(axis=1) - bow
+        self.upper = (tubes["center"] + half).max(axis=1) + bow
         self.modes = np.array(FlightSoftware(folder).modes)
 
     def fly(self, seed: int) -> Found:

@@ -241,11 +241,9 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
         ("unsafe_sets", sets, others),
         ("unsafe_sets.offsets", offsets, [each.offsets[:cells] for each in unsafe]),
         ("reference", [document.states, document.inputs], [safety.reference.chi, safety.reference.nu]),
-        ("thrust.profile", document.profile, [] if profile is None else profile),
-        ("schedule.modes", document.modes, schedule.modes),
-        ("end.horizon", document.horizon, end.horizon),
-        ("end.until", document.until, end.until if np.isfinite(end.until) else None),
-        ("end.reason", document.reason, end.reason),
+        ("profile", document.profile, [] if profile is None else profile),
+        ("modes", document.modes, schedule.modes),
+        ("horizon", document.horizon, end.horizon),
         ("guarantee", document.guarantee, schedule.guarantee),
         ("assumptions", document.assumptions, list(schedule.assumptions[:-1])),
         *_aborts(document, schedule),
@@ -256,9 +254,9 @@ def _aborts(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
     """Return the same of flights that are aborted."""
     drift, powered, passive, proven = document.drift, document.powered, schedule.passive, schedule.powered
     clear = [] if drift is None else [parts is not None for parts in drift.steps]
-    stated = [] if powered is None else [way and [way.branch, way.cell, way.delta_v] for way in powered.steps]
+    stated = [] if powered is None else [way and [way.branch, way.cell] for way in powered.steps]
     ways = () if proven is None else proven.ways
-    derived = [None if way.branch is None else [way.branch, way.cell, way.delta_v] for way in ways]
+    derived = [None if way.branch is None else [way.branch, way.cell] for way in ways]
     return [
         ("drift.steps", clear, [] if passive is None else passive.clear.tolist()),
         ("powered.steps", stated, derived),

@@ -6,6 +6,7 @@ from contextlib import suppress
 
 from polaris.certificate.assumptions import Premises
 from polaris.certificate.files.document import digest
+from polaris.certificate.files.parts import last_instant
 
 
 def plain(value):
@@ -25,15 +26,18 @@ def scaled(value, factor):
 
 def restate(data):
     """The assumptions that the format prescribes for changed data: whoever forges it can write them too."""
-    end, sampling, offsets = data["end"], data["sampling"], [item["offsets"] for item in data["unsafe_sets"]]
+    sampling, offsets = data["sampling"], [item["offsets"] for item in data["unsafe_sets"]]
+    until = last_instant(
+        data["horizon"], sampling["steps"], len(data["facets"]), float.fromhex(sampling["step"])
+    )
     period = float.fromhex(sampling["step"]) / sampling["nodes_per_step"]
     data["assumptions"] = Premises(
         float.fromhex(data["system"]["disturbance_max"]),
         period,
         resting=any(all(b == pairs[0][0] for pair in pairs for b in pair) for pairs in offsets),
         satellites=any(line.startswith("other satellites") for line in data["assumptions"]),
-        horizon=end["horizon"],
-        until=None if end["until"] is None else float.fromhex(end["until"]),
+        horizon=data["horizon"],
+        until=until,
         position=plain(data["system"]["C"]),
     ).told()
 
@@ -53,7 +57,7 @@ class Corruptor:
         for key in path[:-1]:
             place = place[key]
         place[path[-1]] = to(place[path[-1]]) if callable(to) else to
-        if path[0] in ("end", "unsafe_sets"):
+        if path[0] in ("horizon", "unsafe_sets"):
             with suppress(TypeError, ValueError, KeyError, IndexError, AttributeError):  # malformed
                 restate(data)
         data["digest"] = digest(data)
@@ -82,24 +86,12 @@ def inner(corrupt):
     for k in range(K):
         moved = change("reference", "inputs", k, 0, to=lambda u: hexed(plain(u) + 1e-3))
         yield f"input {k} off by a thousandth", moved, REFERENCE
-        yield f"set {k} a tenth", change("enclosures", "half_widths", k, to=tenth), {"enclosures"}
-        yield f"set {k} elsewhere", change("enclosures", "center", k, 0, to=(1.0).hex()), {"enclosures"}
-        flown = data["schedule"]["modes"][k]
+        flown = data["modes"][k]
         if k < K - 1:  # S in the last step, inside of what U may do there, would be as safe
-            yield f"mode {k} swapped", change("schedule", "modes", k, to=1 - flown), FLIGHT
-        if flown:
-            yield f"margin {k} raised", change("schedule", "margins", k, to=(0.999).hex()), {"margins"}
+            yield f"mode {k} swapped", change("modes", k, to=1 - flown), FLIGHT
     for k in range(0, K, 3):
-        yield f"tube of step {k} halved", change("error_bounds", "per_step", k, to=halved), {"error_bounds"}
-        yield (
-            f"peak of step {k} beyond the limit",
-            change("thrust", "peak", k, 0, to=(1.01).hex()),
-            {"thrust"},
-        )
-        yield f"peak of step {k} a tenth", change("thrust", "peak", k, 0, to=tenth), {"thrust"}
-        yield f"interval {k} from below", change("enclosures", "lower", k, 0, to=(9.0).hex()), {"enclosures"}
-        yield f"interval {k} from above", change("enclosures", "upper", k, 2, to=(-9.0).hex()), {"enclosures"}
-        yield f"ball {k} tenfold", change("recoverable", "radius", k, to=tenfold), {"recoverable_sets"}
+        beyond = change("reference", "inputs", k, 0, to=(1.01).hex())
+        yield f"input {k} beyond the limit", beyond, REFERENCE | {"thrust"}
     for cell in range(0, cells, 2):
         for o, item in enumerate(data["unsafe_sets"]):
             other = opposite(plain(item["normals"]), data["facets"][cell][o])
@@ -114,16 +106,14 @@ def inner(corrupt):
     )
     yield "positions rotated", change("reference", "states", to=turned), REFERENCE
     yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"assumptions"}
-    yield "modes shifted", change("schedule", "modes", to=shifted), FLIGHT
-    yield "sets shifted", change("enclosures", "center", to=shifted), {"enclosures"}
-    yield "start enlarged", change("initial_set", "generators", to=tenfold), {"enclosures", "separation"}
+    yield "modes shifted", change("modes", to=shifted), FLIGHT
+    yield "start enlarged", change("initial_set", "generators", to=tenfold), FLIGHT
     yield "start moved", change("initial_set", "center", 0, to=(0.1).hex()), REFERENCE
     yield "start in kilometres", change("initial_set", "generators", to=lambda x: scaled(x, 1e3)), FLIGHT
-    yield "thrust limit lowered", change("system", "input_max", to=tenth), {"thrust"}
+    yield "thrust limit lowered", change("system", "input_max", to=tenth), {"thrust", "recoverable"}
     yield "disturbance tenfold", corrupt.with_bound(10.0), FLIGHT
     yield "disturbance shrunk, not said", change("system", "disturbance_max", to=tenth), {"assumptions"}
     yield "an assumption dropped", change("assumptions", to=lambda x: x[1:]), {"assumptions"}
-    yield "settled error halved", change("error_bounds", "settled", to=halved), {"error_bounds"}
     for key in ("A", "B"):
         yield f"{key} negated", change("system", key, to=negated), {"reference", "goal"}
         yield f"{key} larger", change("system", key, to=larger), REFERENCE
@@ -137,11 +127,7 @@ def inner(corrupt):
     yield "anything", anything, FLIGHT
     yield "obstacle in kilometres", change("unsafe_sets", 0, "offsets", to=thousandth), SEPARATION
     yield "obstacle larger", change("unsafe_sets", 0, "offsets", to=lambda x: scaled(x, 1.5)), SEPARATION
-    for horizon in ("infinite", "none"):
-        yield f"claim {horizon}", change("end", "horizon", to=horizon), {"end"}
-    yield "claim for ever", change("end", to=lambda x: x | {"horizon": "infinite", "until": None}), {"end"}
-    yield "later end", change("end", "until", to=tenfold), {"end"}
-    yield "no last instant", change("end", "until", to=None), {"end"}
+    yield "claim for ever", change("horizon", to="infinite"), {"end"}
     yield "no guarantee", change("guarantee", to="none"), {"guarantee"}
 
 
@@ -154,8 +140,7 @@ def against_files(corrupt):
         if name in ("scenario.toml", "schedule.json", "reference.csv", "gains.json"):
             yield f"no hash of {name}", dropped, {"artefacts"}
     for k in range(K):
-        yield f"mode {k}", change("schedule", "modes", k, to=lambda m: 1 - m), {"schedule"}
-        yield f"margin {k}", change("schedule", "margins", k, to=(0.5).hex()), {"margins"}
+        yield f"mode {k}", change("modes", k, to=lambda m: 1 - m), {"schedule"}
     for key in ("A", "B", "C", "D", "input_max", "disturbance_max", "mass"):
         claims = {"system", "assumptions"} if key in ("C", "disturbance_max") else {"system"}
         yield f"{key} tenfold", change("system", key, to=tenfold), claims
@@ -171,9 +156,9 @@ def against_files(corrupt):
         yield f"name of {mode}", change("controllers", mode, "name", to="other"), {"controllers"}
     yield "own reference", change("controllers", 1, "own_inputs", 3, 0, to=(0.01).hex()), {"controllers"}
     yield "unclipped", change("controllers", 1, "kind", to="affine"), {"controllers"}
-    yield "kind of sets", change("recoverable", "kind", to="ball"), {"recoverable_sets"}
+    yield "kind of sets", change("recoverable", to="ball"), {"recoverable_sets"}
     yield "other scenario", change("scenario", "name", to="other"), {"system"}
-    yield "sooner end", change("end", "until", to=halved), {"end"}
+    yield "sooner end", change("horizon", to="none"), {"end"}
     for o, item in enumerate(data["unsafe_sets"]):
         yield f"obstacle {o} dropped", without(change, o), {"unsafe_sets"}
         yield f"obstacle {o} renamed", change("unsafe_sets", o, "name", to="other"), {"unsafe_sets"}
@@ -210,21 +195,21 @@ def malformed(corrupt):
     yield "a row too few", change("reference", "states", to=lambda x: x[:-1]), {"format"}
     yield "a step too few", change("sampling", "steps", to=lambda x: x - 1), {"format"}
     yield "steps are true", change("sampling", "steps", to=True), {"format"}
-    yield "an unknown mode", change("schedule", "modes", 0, to=9), {"format"}
+    yield "an unknown mode", change("modes", 0, to=9), {"format"}
     yield "an unknown facet", change("facets", 0, 0, to=99), {"format"}
     yield "an obstacle without facets", change("unsafe_sets", to=lambda x: x[1:]), {"format"}
     yield "two safety controllers", change("controllers", 1, "kind", to="safety"), {"format"}
-    clipped = [k for k, rows in enumerate(data["enclosures"]["slopes"]) if rows]
+    clipped = [k for k, rows in enumerate(data["slopes"]) if rows]
     for text in ((-0.01).hex(), (1.01).hex(), "nan", "inf", 0.5, None):
-        sloping = change("enclosures", "slopes", clipped[0], 0, 0, to=text)
+        sloping = change("slopes", clipped[0], 0, 0, to=text)
         yield f"a slope is {text!r}", sloping, {"format"}
-    yield "slopes of a step too few", change("enclosures", "slopes", to=lambda x: x[:-1]), {"format"}
-    yield "a slope too few", change("enclosures", "slopes", clipped[0], to=lambda x: x[:-1]), {"format"}
+    yield "slopes of a step too few", change("slopes", to=lambda x: x[:-1]), {"format"}
+    yield "a slope too few", change("slopes", clipped[0], to=lambda x: x[:-1]), {"format"}
     yield "an unknown kind", change("controllers", 1, "kind", to="magic"), {"format"}
 
 
 REFERENCE = {"reference"}
-FLIGHT = {"enclosures", "separation", "controllers", "recoverable"}
+FLIGHT = {"separation", "controllers", "recoverable"}
 SEPARATION = {"separation", "recoverable"}
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.file_keys import REPEATED
+from polaris.certificate.files.parts import last_instant
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 
@@ -105,6 +106,10 @@ def written(name, data):
 # -- several files that agree on the same lie -------------------------------------------------------
 
 
+SETS = {"margins", "separation", "recoverable", "goal"}
+"""Claims that fail of a run whose sets leave something out: what is left of a room, or what there is."""
+
+
 def repeat(certificate, gains):
     """Let ``gains.json`` repeat what the certificate says."""
     gains |= {key: decimals(certificate[key]) for key in REPEATED}
@@ -152,16 +157,17 @@ class Lie:
     def guarantee(self):
         """The certificate's end and assumptions, repeated in the other files."""
         restate(self.certificate)
-        end, claimed = self.certificate["end"], self.schedule["guarantee"]
-        claimed |= {"horizon": end["horizon"], "reason": end["reason"]}
-        claimed["until_s"] = None if end["until"] is None else float.fromhex(end["until"])
+        data, claimed = self.certificate, self.schedule["guarantee"]
+        step, steps = float.fromhex(data["sampling"]["step"]), data["sampling"]["steps"]
+        claimed["horizon"] = data["horizon"]
+        claimed["until_s"] = last_instant(data["horizon"], steps, len(data["facets"]), step)
         claimed["assumptions"] = [*self.certificate["assumptions"], claimed["assumptions"][-1]]
         self.summary["guarantee"] = claimed
 
     def modes(self, modes):
         """Another schedule, everywhere."""
         names = [item["name"] for item in self.certificate["controllers"]]
-        self.certificate["schedule"]["modes"] = self.schedule["modes"] = modes
+        self.certificate["modes"] = self.schedule["modes"] = modes
         for step, mode in zip(self.schedule["steps"], modes, strict=True):
             step["mode"], step["controller"] = mode, names[mode]
         count = sum(a != b for a, b in zip(modes[:-1], modes[1:], strict=True))

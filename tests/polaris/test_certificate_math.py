@@ -161,10 +161,10 @@ def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend():
 def test_any_slopes_give_sets_that_contain_what_is_flown(name):
     schedule, _ = scene(name)
     data, rng = certificate(schedule, "tiny"), np.random.default_rng(6)
-    stored = data["enclosures"]["slopes"]
+    stored = data["slopes"]
     assert any(stored) and not all(stored)
     for change in (lambda rows: None, lambda rows: hexadecimal(rng.random(np.shape(rows)))):
-        data["enclosures"]["slopes"] = [None if rows is None else change(rows) for rows in stored]
+        data["slopes"] = [None if rows is None else change(rows) for rows in stored]
         data["digest"] = digest(data)
         argument = Argument(Document(data), Record())
         for laws in argument.document.facets:  # far wider sets need not be separate

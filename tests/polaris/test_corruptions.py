@@ -60,7 +60,7 @@ def test_the_uncorrupted_ones_verify(folder):
 
 
 def test_modes_of_both_kinds_are_flown():
-    assert set(alone().data["schedule"]["modes"]) == {0, 1}
+    assert set(alone().data["modes"]) == {0, 1}
 
 
 def part_of_inner(part):
@@ -104,7 +104,7 @@ def test_what_is_malformed_is_rejected():
 
 
 def test_blind_edits_are_refused_by_the_digest():
-    data = alone().changed("thrust", "peak", 0, 0, to=(0.1).hex())
+    data = alone().changed("reference", "inputs", 0, 0, to=(0.1).hex())
     data["digest"] = alone().data["digest"]
     verdict = verify_document(data)
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "digest")

@@ -471,16 +471,14 @@ def test_forged_errors_are_refused(tmp_path):
     ideal = [w for w in names if not w.startswith("thrusters")]
     verdict = forger.judge({CERTIFICATE: json.dumps(data | exact | {"assumptions": ideal})})
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
-    profile = data["thrust"]["profile"]
+    profile = data["profile"]
     for forged, claim in (
-        ([[(2 * float.fromhex(x)).hex() for x in most] for most in profile], "error_bounds"),
+        ([[(20 * float.fromhex(x)).hex() for x in most] for most in profile], "margins"),
         ([[(0.5 * float.fromhex(x)).hex() for x in most] for most in profile], "recoverable"),
         ([*profile[:-1], [(1e-6).hex()] * len(profile[0])], "recoverable"),
         (profile[::-1], "format"),
     ):
-        verdict = forger.judge(
-            {CERTIFICATE: json.dumps(data | {"thrust": data["thrust"] | {"profile": forged}})}
-        )
+        verdict = forger.judge({CERTIFICATE: json.dumps(data | {"profile": forged})})
         assert (verdict.outcome, verdict.claim) == ("REJECTED", claim)
     smaller = {"system": data["system"] | {"estimate_error": [(0.001).hex()] * 4}}
     words = [w.replace("[0.01, 0.01, 0.002, 0.002]", "[0.001, 0.001, 0.001, 0.001]") for w in names]

@@ -48,8 +48,8 @@ def test_a_set_at_rest_may_not_move_by_a_bit_so_that_nothing_is_assumed_of_it(li
     pillar = lie.certificate["unsafe_sets"][0]
     rows = pillar["offsets"][3][0]
     pillar["offsets"][3][0] = [np.nextafter(float.fromhex(x), np.inf).hex() for x in rows]
-    end = lie.certificate["end"]
-    end["reason"] = end["reason"].replace("(trolley)", "(pillar, trolley)")
+    told = lie.schedule["guarantee"]
+    told["reason"] = told["reason"].replace("(trolley)", "(pillar, trolley)")
     lie.guarantee()
     assert not any(line.startswith("sets at rest") for line in lie.certificate["assumptions"])
     refused(lie.verdict(), "unsafe_sets")
@@ -66,11 +66,8 @@ def test_a_set_at_rest_may_not_move_by_a_bit_so_that_nothing_is_assumed_of_it(li
 )
 def test_the_words_for_no_claim_after_the_end_are_those_of_a_limit(lie, reason, claim):
     step, K = lie.schedule["step_s"], len(lie.schedule["modes"])
-    lie.certificate["end"] = {
-        "horizon": "none",
-        "until": float(K * step).hex(),
-        "reason": f"not proven after T = {K * step:g} s: {reason}",
-    }
+    lie.certificate["horizon"] = "none"
+    lie.schedule["guarantee"]["reason"] = f"not proven after T = {K * step:g} s: {reason}"
     lie.guarantee()
     verdict = lie.verdict()
     assert verdict.claim == claim and (verdict.outcome == "VERIFIED") == (not claim), verdict.text()
@@ -79,9 +76,9 @@ def test_the_words_for_no_claim_after_the_end_are_those_of_a_limit(lie, reason, 
 @pytest.mark.parametrize(("eta", "how"), [(None, "on a closed orbit"), (1e-3, "at rest")])
 def test_the_words_for_how_the_reference_ends_fit_the_system(eta, how):
     reason = f"the reference ends {how}, and all unsafe sets are static"
-    document = SimpleNamespace(horizon="infinite", until=None, reason=reason, unsafe=[], mean_motion=eta)
+    document = SimpleNamespace(horizon="infinite", until=None, unsafe=[], mean_motion=eta)
     with pytest.raises(Rejected, match="how in the reason"):
-        _check_reason(document)
+        _check_reason(document, reason)
 
 
 def test_what_limits_the_initial_set_is_a_limit(lie):

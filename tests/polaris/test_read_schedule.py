@@ -269,7 +269,7 @@ def test_what_is_no_run_folder_of_a_schedule_is_refused(tmp_path):
 
 
 def flip(data):
-    modes = data["schedule"]["modes"]
+    modes = data["modes"]
     modes[:] = [1] * len(modes)
 
 
@@ -279,16 +279,16 @@ def push(data):
 
 
 def later(data):
-    data["end"]["until"] = (float.fromhex(data["end"]["until"]) - 1.0).hex()
+    data["horizon"] = "none"
     restate(data)
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        (flip, "contradict each other in schedule.modes"),
+        (flip, "contradict each other in modes"),
         (push, "contradict each other in reference|cannot prove"),
-        (later, "contradict each other in end"),
+        (later, "contradict each other in horizon"),
         (lambda data: data["controllers"][0]["gain"][0].__setitem__(0, (9.0).hex()), "in controllers"),
         (lambda data: data["system"].update(mass=(2.0).hex()), "in system"),
     ],
@@ -345,15 +345,15 @@ def fewer_facets(data):
     data["powered"]["branches"][0]["facets"].pop()
 
 
-def cheaper(data):
+def sooner(data):
     way = next(way for way in data["powered"]["steps"] if way)
-    way["delta_v"] = (0.9 * float.fromhex(way["delta_v"])).hex()
+    way["cell"] -= 1
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        (cheaper, "contradict each other in powered.steps"),
+        (sooner, "contradict each other in powered.steps"),
         (fewer_facets, "is damaged|contradict each other|cannot prove"),
     ],
 )

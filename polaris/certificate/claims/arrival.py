@@ -23,9 +23,8 @@ from .spending import spent
 
 SHARE, SOON = 0.05, 0.25
 """Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
-HOLDING = 0.3
-"""By how much more what counts as reached may be than what S needs for ever: it is claimed with less,
-but of a number that others derive a little differently."""
+HELD = 2
+"""How often what S needs for ever may go into what counts as reached, where the scenario gives no length."""
 SLACK = 1e-6  # by how much a claim may fall short of what is derived, relative to it
 MOST = 300  # nodes at which a distance is looked for that is claimed of none in particular
 
@@ -46,7 +45,7 @@ class Arrival:
     spent: arb
     scheduled: Scheduled | None = None
     pilot: Pilot | None = None  # S, where it is flown on
-    merging: Merging = field(default_factory=lambda: Merging(80))
+    merging: Merging = field(default_factory=lambda: Merging(24))
     _flown: list[Flown] = field(default_factory=list, repr=False)
     _joint: dict[int, arb] = field(default_factory=dict, repr=False)
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
@@ -116,7 +115,7 @@ class Arrival:
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
         given = spec.get("tolerance_m")
-        allowed = largest((arb(SHARE) * scale, settled * (1 + arb(HOLDING)))) if given is None else arb(given)
+        allowed = largest((arb(SHARE) * scale, settled * HELD)) if given is None else arb(given)
         told = "the tolerance is more than the scenario's"
         require("goal", allowed * (1 + SLACK) - claim["tolerance_m"], told)
         if claim["reached"] is True:

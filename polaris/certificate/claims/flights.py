@@ -187,8 +187,6 @@ class Flown:
     pilot: Pilot
     start: Zonotope  # errors at its start
     end: Zonotope  # errors at its end
-    lower: list[arb]  # bounds on every state over the whole step
-    upper: list[arb]
     spells: list[Spell]
     nodes: list[Zonotope]  # errors at the nodes within it
 
@@ -210,49 +208,46 @@ def fly(
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
     n, base = start.c.nrows(), pilot.base(k, path)
-    rows, room = identity(n), []
-    heights, bows = base.heights(rows), base.bows(rows)
+    rows = identity(n) if departures is not None else arb_mat(0, n)
+    room, bows, states = [], base.bows(rows), rows.nrows()
     if barrier is not None:
         rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
         added = [[arb(0)] * barrier.rows.nrows(), *((magnitude(barrier.rows) * x).entries() for x in upsets)]
         most = [largest(each) for each in zip(*added, strict=True)]
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
-    lows: list[list[arb]] = [[] for _ in range(n)]
-    highs: list[list[arb]] = [[] for _ in range(n)]
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
         knowing = pilot.after(since)
         period = knowing.period(d, base, k, i)
         since.append(period.commands or pilot.plant.u_max)
         spells.append(knowing.spell(period, d, base.u, k))
-        end, extra = period.ends(d), period.extra(rows, d)
-        if departures is not None:
-            moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
-            bow = [largest((extra[0][x], extra[1][x])) + bows[x][i] for x in range(n)]
-            departures.check(i, base, d, moved, end, bow)
-        for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
-            along = [z, *([] if barrier is None else [z.through(barrier.rows)])]
-            middle = [x for part in along for x in part.c.entries()]
-            spread = [x for part in along for x in part.widths]
-            for axis in range(n):
-                at, room_for = heights[axis][place] + middle[axis], spread[axis] + more[axis] + bows[axis][i]
-                lows[axis].append(at - room_for)
-                highs[axis].append(at + room_for)
+        end = period.ends(d)
+        if rows.nrows():
+            extra = period.extra(rows, d)
+            if departures is not None:
+                moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
+                bow = [largest((extra[0][x], extra[1][x])) + bows[x][i] for x in range(n)]
+                departures.check(i, base, d, moved, end, bow)
             if barrier is not None:
-                needs = sums(middle, spread, more)[n:]
-                if not all(need <= there for need, there in zip(needs, room[place], strict=True)):
-                    needs = sums(middle[n:], z.spread(barrier.rows), more[n:])  # to the last digits
-                for name, need, there in zip(barrier.names, needs, room[place], strict=True):
-                    if not need <= there:
-                        where = f"step {k}, part {i}, under {pilot.law.name}: {name}, needs {plain(need)}"
-                        require("separation", there - need, f"{where} of {plain(there)} m")
-        d = merging.after(end, period.after(end))
+                for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
+                    where = f"step {k}, part {i}, under {pilot.law.name}"
+                    _separate(barrier, z, more[states:], room[place], where)
+        d = merging.after(period.after(end))
         nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
-    return Flown(
-        pilot, start, leave, list(map(smallest, lows)), list(map(largest, highs)), spells, nodes[:-1]
-    )
+    return Flown(pilot, start, leave, spells, nodes[:-1])
+
+
+def _separate(barrier: Barrier, z: Zonotope, more: list[arb], room: list[arb], where: str) -> None:
+    """Check that a set, and more along each facet, is within the room there."""
+    along = z.through(barrier.rows)
+    needs = sums(along.c.entries(), along.widths, more)
+    if not all(need <= there for need, there in zip(needs, room, strict=True)):
+        needs = sums(along.c.entries(), z.spread(barrier.rows), more)  # to the last digits
+    for name, need, there in zip(barrier.names, needs, room, strict=True):
+        if not need <= there:
+            require("separation", there - need, f"{where}: {name}, needs {plain(need)} of {plain(there)} m")
 
 
 def _clipped(

@@ -12,6 +12,7 @@ from typing import Any
 
 from flint import arb, arb_mat
 
+from ..files.artefacts import Stated
 from ..files.document import Document
 from ..files.parts import Branch, Way
 from ..kernel.arcs import Path
@@ -39,7 +40,7 @@ def check_aborts(
     craft: Craft,
     sets: list[Zonotope],
     flown: list[Flown],
-    asked: tuple[dict[str, Any] | None, float | None],
+    stated: Stated,
     late: tuple[list[arb_mat], Callable[[Memory, arb_mat], Needs]],
 ) -> str:
     """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
@@ -47,22 +48,22 @@ def check_aborts(
     So for the tank, of which the scenario tells besides. The sets are those that the schedule reaches; `late`
     is what faults add until isolated, and what errors need with them. Returned is what is confirmed.
     """
-    powered, (orbit, tank), before = document.powered, asked, arb(0)
+    powered, orbit, tank, before = document.powered, stated.orbit, stated.tank, arb(0)
     assert powered is not None
+    most = stated.aborts or [powered.budget] * document.steps
     takeovers, since = dict[int, Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
         spent, step = before, sum((spell.spent for spell in flown[k].spells), arb(0))
         before += step / document.mass
-        if way is not None and tank is not None:
-            left = arb(tank) * (1 + SLACK) - (before if mode else spent) - way.delta_v
+        if way is not None and tank is not None and (needed := most[k]) is not None:
+            left = arb(tank) * (1 + SLACK) - (before if mode else spent) - needed
             require(CLAIM, left, f"abort in step {k}: the tank of {tank:.6g} m/s")
         if way is not None:
             takeovers[k] = Takeover(way, k, (k if mode else since) * document.q, reached)
         since = k + 1 if mode else since
     if every := [z for taken in takeovers.values() for z in taken.sets]:
-        profile = [[arb(x) for x in most] for most in document.profile]
-        memory = Memory.of(craft, widest([*sets, *every], late[0]), document.q, profile)
+        memory = Memory.of(craft, widest([*sets, *every], late[0]), document.q, document.profile)
         facets = [row for branch in powered.branches for row in branch.facets]
         common = Common(craft, memory, facets, orbit, late[1])
         for place, branch in enumerate(powered.branches):
@@ -70,7 +71,7 @@ def check_aborts(
             served = [taken for taken in takeovers.values() if taken.way.branch == place]
             along.recovers(served)
             for taken in served if orbit is not None else ():
-                along.arrives(taken)
+                along.arrives(taken, most[taken.k])
     return f"{len(takeovers)} of {document.steps} steps, along {len(powered.branches)} branches"
 
 
@@ -186,14 +187,15 @@ class Along:
         )
         return rows, needs, more, arrival
 
-    def arrives(self, taken: Takeover) -> None:
-        """The orbit is reached when it is claimed to be, for no more than is claimed and allowed."""
+    def arrives(self, taken: Takeover, most: float | None) -> None:
+        """The orbit is reached when it is claimed to be, for no more than is claimed, or allowed."""
         way, told = taken.way, f"abort in step {taken.k}"
         off = self.distance(taken, way.cell)
         require(CLAIM, self.branch.tolerance * (1 + SLACK) - off, f"{told}: {plain(off)} m off the orbit")
-        spent = self.spent(taken, way.cell)
-        short = f"{told}: {way.delta_v:.6g} m/s claimed, {plain(spent)} derived"
-        require(CLAIM, way.delta_v * (1 + SLACK) - spent, short)
+        if most is not None:
+            spent = self.spent(taken, way.cell)
+            short = f"{told}: {most:.6g} m/s claimed, {plain(spent)} derived"
+            require(CLAIM, arb(most) * (1 + SLACK) - spent, short)
 
     def distance(self, taken: Takeover, cell: int) -> arb:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
@@ -240,7 +242,7 @@ def branched(document: Document, branch: Branch) -> Document:
     doc.steps, doc.cells = branch.step + len(branch.inputs), len(branch.facets)
     coast = [[0.0] * len(doc.u_max)] * (doc.cells - doc.steps)
     doc.inputs = [*document.inputs[: branch.step], *branch.inputs, *coast]
-    doc.facets, doc.horizon, doc.until = branch.facets, branch.horizon, branch.until
+    doc.facets, doc.horizon = branch.facets, branch.horizon
     doc.drift = doc.powered = None
     if document.error_by_step:  # in the tail the largest of all that are met from then on
         later = document.error_by_step[min(doc.steps, document.steps) :]
@@ -248,38 +250,3 @@ def branched(document: Document, branch: Branch) -> Document:
         doc.calmest = least
         doc.error_by_step = [*known, [max(each) for each in zip(*later, strict=True)]]
     return doc
-
-
-def check_asked_abort(document: Document, spec: dict[str, Any]) -> None:
-    """What is claimed of aborts with thrust is what the scenario asks."""
-    powered = document.powered
-    if ("orbit" in spec) != (powered is not None):
-        raise Rejected(CLAIM, "certificate and scenario do not both speak of an abort with thrust")
-    if powered is None:
-        drift, limits = {"drift_s", "drift_orbits"} & set(spec), {"within_s", "delta_v_max_m_s"} & set(spec)
-        if spec and (limits or not drift):
-            raise Rejected(CLAIM, "the scenario asks for an abort, but names neither an orbit nor a drift")
-        return
-    given = spec.get("within_s"), spec.get("delta_v_max_m_s")
-    if (powered.within, powered.budget) != given:
-        raise Rejected(CLAIM, "time and budget are not those of the scenario")
-    if None in powered.steps and spec.get("required", False):
-        raise Rejected(CLAIM, f"step {powered.steps.index(None)} has none, as is required")
-
-
-def told_aborts(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What is told of aborts with thrust; why there is none in a step is no claim."""
-    powered = document.powered
-    if powered is None or stored is None:
-        return None if powered is None else {}
-    steps: list[dict[str, Any]] = []
-    for k, (way, told) in enumerate(zip(powered.steps, stored["steps"], strict=True)):
-        found = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s", "safe_until_s"))
-        if (way is None) == (told["why"] is None):
-            raise Rejected(CLAIM, f"a reason belongs to a step without an abort, unlike {k}")
-        if way is not None:
-            branch, by = powered.branches[way.branch], way.cell * document.delta
-            found = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": way.delta_v}
-            found["safe_until_s"] = branch.until
-        steps.append({"step": k, **found, "why": told["why"]})
-    return {"within_s": powered.within, "delta_v_max_m_s": powered.budget, "steps": steps}

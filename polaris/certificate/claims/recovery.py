@@ -6,7 +6,7 @@ The limits are facets of unsafe sets, and the thrusters'.
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from flint import arb, arb_mat
+from flint import arb
 
 from ..files.document import Document
 from ..kernel.arcs import Path
@@ -161,23 +161,6 @@ class Recovery:
                     told = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
                     require("recoverable", t.room - need[t.row], told)
 
-    def check_balls(self, radii: list[float], inverse: arb_mat) -> None:
-        """Check that every error of a step's ball ``norm(V e, 2) <= radius`` is recoverable."""
-        per = self.needs.per_norm(inverse)
-        coarse = [[float(x.abs_upper()) for x in each] for each in per]
-        for step, radius in enumerate(radii):
-            k = step * self.document.q
-            for lag in range(self.lags(k) + 1) if radius > 0 else ():
-                most, more = coarse[lag], self._disturbed[lag]
-                for t in self._all(k, lag):
-                    row, room, _ = t.least
-                    if most[row] * radius + more[row] <= room:
-                        continue
-                    spare = t.room - self.needs.disturbed[lag][t.row] - per[lag][t.row] * radius
-                    if not spare >= -MARGIN_SLACK * abs(t.room):
-                        where = f"radius {radius:.6g} at {self.time(k)}, {t.name} at {self.time(k + lag)}"
-                        require("recoverable_sets", spare, where)
-
 
 MARGIN_SLACK = 1e-6
-"""Slack of stored margins and radii, as a share of the room: they are results in double precision."""
+"""Slack of claimed margins, as a share of the room: they are results in double precision."""

@@ -4,7 +4,7 @@ import csv
 import math
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -85,12 +85,14 @@ class Stated:
     """Claims of the other files that the certificate itself does not make."""
 
     start_margin: float | None = None  # share of the room left to the initial set
+    margins: list[float] = field(default_factory=list)  # of every step, share of the room that it leaves
     least: float | None = None  # least distance [m] of the drift after all thrust stops
     upkeep: dict[str, Any] | None = None  # what S spends for as long as it flies on
     tank: float | None = None  # velocity change that there is propellant for, by the scenario
     budget: float | None = None  # velocity change that the schedule may spend, by the scenario
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
     orbit: dict[str, Any] | None = None  # that an abort with thrust leads to, by the scenario
+    aborts: list[float | None] = field(default_factory=list)  # velocity change of an abort in every step
 
 
 def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], record: Record) -> Stated:
@@ -101,7 +103,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
     """
     start = None
     try:
-        claimed = check_schedule(document, scenario, folder)
+        claimed, margins = check_schedule(document, scenario, folder)
         check_reference(document, folder / "reference.csv")
         check_gains(document, folder / "gains.json")
         record.holds("schedule", "modes, margins, reference and gains are those of the other files")
@@ -112,14 +114,17 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, csv.Error) as error:
         raise Rejected("artefacts", f"cannot be read: {type(error).__name__}: {error}") from error
     orbit = scenario.get("abort", {}).get("orbit")
+    aborts = claimed.get("powered_abort") or {"steps": []}
     return Stated(
         start,
+        margins,
         least=claimed.get("abort", {}).get("least_m"),
         upkeep=claimed["upkeep"],
         tank=scenario.get("tank", {}).get("delta_v_m_s"),
         budget=scenario.get("schedule", {}).get("delta_v_max_m_s"),
         goal=(claimed["goal"], scenario["goal"]),
         orbit=scenario["goal"] if orbit == {"kind": "goal"} else orbit,
+        aborts=[step["delta_v_m_s"] for step in aborts["steps"]],
     )
 
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -11,11 +10,22 @@ from typing import Any
 from ..assumptions import SATELLITES, Premises
 from ..kernel.verdict import Rejected, Undecided
 from .file_keys import CERTIFICATE, REPEATED
-from .parts import Law, Matrix, Powered, UnsafeSet, Vector, abort_of, check_law, powered_of, unsafe_set
+from .parts import (
+    Law,
+    Matrix,
+    Powered,
+    UnsafeSet,
+    Vector,
+    abort_of,
+    check_law,
+    last_instant,
+    powered_of,
+    unsafe_set,
+)
 from .structure import Lengths, conform, contents, strict_json
 
 FORMAT = "polaris-certificate"
-VERSION = 3
+VERSION = 4
 
 ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
 MOST_NODES = 100_000  # most periods in a step
@@ -136,6 +146,11 @@ class Document:
         branches = () if self.powered is None else self.powered.branches
         return max(self.cells, *(len(branch.facets) for branch in branches), 0)
 
+    @property
+    def until(self) -> float | None:
+        """Last instant of the claim [s]; None if it is for ever."""
+        return last_instant(self.horizon, self.steps, self.cells, self.delta)
+
     def known_to(self, k: int) -> Vector:
         """Errors of estimates in step k, or after the last one."""
         return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
@@ -169,28 +184,15 @@ class Document:
 
     def _take_claims(self, read: dict[str, Any]) -> None:
         self.unsafe = [unsafe_set(item) for item in read["unsafe_sets"]]
-        self.modes: list[int] = read["schedule"]["modes"]
-        self.margins = [-math.inf if x is None else x for x in read["schedule"]["margins"]]
-        self.tube: Matrix = read["error_bounds"]["per_step"]
-        self.settled: Vector = read["error_bounds"]["settled"]
-        self.peaks: Matrix = read["thrust"]["peak"]
+        self.modes: list[int] = read["modes"]
         caused = any(x > 0 for x in self.thrusters[:2])
-        self.profile: Matrix = (read["thrust"].get("profile") or [self.u_max]) if caused else []
+        self.profile: Matrix = (read.get("profile") or [self.u_max]) if caused else []
         falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
         if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
             raise ValueError("what is commanded after a hand-over must not grow, nor be negative")
-        self.recoverable: str = read["recoverable"]["kind"]
-        self.weight: Matrix = read["recoverable"]["weight"]
-        self.radius: Vector = read["recoverable"]["radius"]
-        boxes, end = read["enclosures"], read["end"]
-        self.box_center: Matrix = boxes["center"]
-        self.box_half: Matrix = boxes["half_widths"]
-        self.lower: Matrix = boxes["lower"]
-        self.upper: Matrix = boxes["upper"]
-        self.slopes: list[Matrix | None] = boxes["slopes"]
-        self.horizon: str = end["horizon"]
-        self.until: float | None = end["until"]
-        self.reason: str = end["reason"]
+        self.recoverable: str = read["recoverable"]
+        self.slopes: list[Matrix | None] = read["slopes"]
+        self.horizon: str = read["horizon"]
         self.guarantee: str = read["guarantee"]
         self.scenario: str = read["scenario"]["name"]
         self.artefacts: dict[str, str] = read["artefacts"]
@@ -251,10 +253,6 @@ class Document:
             raise ValueError("bands must not be negative")
         if self.statement and not 0 <= self.statement["outside"] <= self.statement["flights"] <= MOST_FLIGHTS:
             raise ValueError("more flights are outside than there are, or there are too many")
-        if self.cells == self.steps and self.radius[-1] is None:
-            self.radius.pop()  # nothing is claimed of what follows T
-        if None in self.radius:
-            raise ValueError("radii must be numbers")
 
 
 def read(path: Path) -> Document:

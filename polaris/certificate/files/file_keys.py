@@ -89,17 +89,11 @@ CERTIFICATE = {
         **every({"name": NAME}, "any_thrust black_box"),
         "neural": _NETWORK,
     }), 1),
-    "schedule": {"modes": grid("K", Whole()), "margins": grid("K", Either((HEX, None)))},
-    "error_bounds": {"per_step": grid("K 2d+2m"), "settled": grid("2d+2m")},
-    "thrust": {"peak": grid("K m"), "profile?": grid("* m")},
-    "recoverable": {
-        "kind": Text(("polytope", "ball")),
-        "weight": grid("n n"), "radius": grid("K+1", Either((HEX, None))),
-    },
-    "enclosures": {
-        **every(grid("K+1 n"), "center half_widths"), **every(grid("K n"), "lower upper"),
-        "slopes": grid("K", Either((None, grid("q m", UP_TO_1)))),
-    },
+    "modes": grid("K", Whole()),
+    "slopes": grid("K", Either((None, grid("q m", UP_TO_1)))),
+    "profile?": grid("* m"),
+    "recoverable": Text(("polytope", "ball")),
+    "horizon": HORIZON,
     "drift?": {
         "horizon": ABOVE_0, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
             "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
@@ -110,15 +104,14 @@ CERTIFICATE = {
         **every(Either((HEX, None)), "within budget"),
         "branches": Rows({
             "step": Whole(1), "inputs": grid("* m"), "facets": grid("* sets", Whole()), "tail": grid("n"),
-            "tolerance": HEX, "horizon": HORIZON, "until": Either((HEX, None)),
+            "tolerance": HEX, "horizon": HORIZON,
         }),
-        "steps": grid("K", Either((None, {**every(Whole(), "branch cell"), "delta_v": HEX}))),
+        "steps": grid("K", Either((None, every(Whole(), "branch cell")))),
     },
     "samples?": {
         **every(HEX, "probability confidence"), **every(Whole(), "flights outside seed attempts"),
         "fits": grid("K", Either((None, grid("q m n+2")))),
     },
-    "end": {"horizon": HORIZON, "until": Either((HEX, None)), "reason": TEXT},
     "choices?": {
         "thrust_share?": Hexadecimal(Real(above=0, most=1)), "delta_v_unit?": ABOVE_0,
         "library?": Rows({"inputs": grid("K m"), "modes": grid("K", Whole())}, most=1000),

@@ -6,7 +6,6 @@ from typing import Any
 
 from flint import arb, arb_mat
 
-from ..claims.powered import check_asked_abort
 from ..kernel.balls import largest, matrix, require, row_sums
 from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import inner_radius
@@ -47,7 +46,7 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         if moving and "infinite" in (document.horizon, *(branch.horizon for branch in branches)):
             raise Rejected("end", f"safe for ever is claimed, but unsafe sets move: {', '.join(moving)}")
         _check_abort(document, scenario.get("abort"))
-        check_asked_abort(document, scenario.get("abort", {}))
+        _check_orbit(document, scenario.get("abort", {}))
         record.holds("unsafe_sets", f"{count} timed polytopes contain the scenario's sets at all times")
         _check_controllers(document, scenario)
         told = "gains are the stabilising ones of their weights, references the scenario's"
@@ -82,6 +81,25 @@ def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
         raise Rejected("passive", "the scenario asks for keep-in sets, too")
     if None in drift.steps and spec.get("required", False):
         raise Rejected("passive", f"step {drift.steps.index(None)} is not clear, as is required")
+
+
+def _check_orbit(document: Document, spec: dict[str, Any]) -> None:
+    """What is claimed of aborts with thrust is what the scenario asks."""
+    powered = document.powered
+    if ("orbit" in spec) != (powered is not None):
+        raise Rejected("powered_abort", "certificate and scenario do not both speak of an abort with thrust")
+    if powered is None:
+        drift, limits = {"drift_s", "drift_orbits"} & set(spec), {"within_s", "delta_v_max_m_s"} & set(spec)
+        if spec and (limits or not drift):
+            raise Rejected(
+                "powered_abort", "the scenario asks for an abort, but names neither an orbit nor a drift"
+            )
+        return
+    given = spec.get("within_s"), spec.get("delta_v_max_m_s")
+    if (powered.within, powered.budget) != given:
+        raise Rejected("powered_abort", "time and budget are not those of the scenario")
+    if None in powered.steps and spec.get("required", False):
+        raise Rejected("powered_abort", f"step {powered.steps.index(None)} has none, as is required")
 
 
 def _moves(spec: dict[str, Any]) -> bool:

@@ -142,7 +142,15 @@ class Branch:
     tail: Vector  # the state from which it coasts
     tolerance: float  # what counts as reached [m]
     horizon: str  # as that of the schedule
-    until: float | None
+
+    def until(self, delta: float) -> float | None:
+        """Last instant of the claim [s]; steps are `delta` long."""
+        return last_instant(self.horizon, self.step + len(self.inputs), len(self.facets), delta)
+
+
+def last_instant(horizon: str, steps: int, cells: int, delta: float) -> float | None:
+    """Last instant of a claim about a reference whose tail begins after so many steps [s]; None for ever."""
+    return None if horizon == "infinite" else (cells if horizon == "one_period" else steps) * delta
 
 
 @dataclass(frozen=True)
@@ -151,7 +159,6 @@ class Way:
 
     branch: int
     cell: int
-    delta_v: float
 
 
 @dataclass(frozen=True)
@@ -181,8 +188,6 @@ def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
             raise ValueError(f"the abort in step {k} must be along a branch that leaves later")
         if within is not None and not (way.cell - k) * delta <= within * (1 + 1e-9):
             raise Rejected("powered_abort", f"the abort in step {k} takes more than {within:g} s")
-        if budget is not None and not way.delta_v <= budget:
-            raise Rejected("powered_abort", f"the abort in step {k} takes more than {budget:g} m/s")
     return Powered(within, budget, branches, steps)
 
 

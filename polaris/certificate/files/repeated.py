@@ -9,7 +9,6 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from ..claims.powered import told_aborts
 from ..kernel.verdict import Rejected
 from ..model.transients import check_withheld
 from .document import ROUNDED, Document, canonical
@@ -73,8 +72,10 @@ CLAIMS = {
 # -- schedule ---------------------------------------------------------------------------------------
 
 
-def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Compare ``schedule.json`` and ``schedule.csv``; returns the guarantee as they repeat it."""
+def check_schedule(
+    document: Document, scenario: dict[str, Any], folder: Path
+) -> tuple[dict[str, Any], list[float]]:
+    """Compare ``schedule.json`` and ``schedule.csv``; returns the guarantee as they tell it, and margins."""
     stored = conform(strict_json(contents(folder / "schedule.json")), SCHEDULE, "schedule", "schedule.json")
     K, delta, modes, laws = document.steps, document.delta, document.modes, document.laws
     steps, shares = stored["steps"], {law.name: modes.count(mode) / K for mode, law in enumerate(laws)}
@@ -84,14 +85,13 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
         "duration_s": K * delta,
         "steps": [
             {
-                "margin": None if margin == -math.inf else margin,
                 "step": k,
                 "mode": mode,
                 "controller": laws[mode].name,
                 "t_start_s": k * delta,
                 "t_end_s": (k + 1) * delta,
             }
-            for k, (mode, margin) in enumerate(zip(modes, document.margins, strict=True))
+            for k, mode in enumerate(modes)
         ],
         "controllers": [_controller(document, mode) for mode in range(len(laws))],
         "switches": switches(modes),
@@ -104,23 +104,27 @@ def check_schedule(document: Document, scenario: dict[str, Any], folder: Path) -
             "kind": document.guarantee,
             "horizon": document.horizon,
             "until_s": document.until,
-            "reason": document.reason,
             "assumptions": [*document.assumptions, ARITHMETIC],
             **({"statement": document.statement} if document.statement else {}),
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
             "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
-            "powered_abort": told_aborts(document, stored["guarantee"].get("powered_abort")),
+            "powered_abort": _powered(document, stored["guarantee"].get("powered_abort")),
         },
     }
     same("schedule", "schedule.json", expected, stored)
     for k, step in enumerate(steps):
         _check_limit(document, k, step)
-    _check_reason(document)
+    _check_reason(document, stored["guarantee"]["reason"])
     rows = [[row[key] for key in STEP_COLUMNS] for row in steps]
     _same_table("schedule", folder / "schedule.csv", [STEP_COLUMNS, *rows])
-    return dict(stored["guarantee"])
+    return dict(stored["guarantee"]), [_margin(step) for step in steps]
+
+
+def _margin(step: dict[str, Any]) -> float:
+    """Margin of a step; null stands for minus infinity."""
+    return -math.inf if step["margin"] is None else float(step["margin"])
 
 
 def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
@@ -149,6 +153,28 @@ def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] 
     return stored | {"drift_s": drift.horizon, "keep_in": drift.keep_in, "clear_s": spans}
 
 
+def _powered(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What is told of aborts with thrust; why there is none in a step is no claim."""
+    powered = document.powered
+    if powered is None or stored is None:
+        return None if powered is None else {}
+    steps: list[dict[str, Any]] = []
+    for k, (way, told) in enumerate(zip(powered.steps, stored["steps"], strict=True)):
+        found = dict.fromkeys(("leaves_s", "by_s", "delta_v_m_s", "safe_until_s"))
+        if (way is None) == (told["why"] is None):
+            raise Rejected("powered_abort", f"a reason belongs to a step without an abort, unlike {k}")
+        if way is not None:
+            branch, by, spent = powered.branches[way.branch], way.cell * document.delta, told["delta_v_m_s"]
+            if spent is None or (powered.budget is not None and not spent <= powered.budget):
+                raise Rejected(
+                    "powered_abort", f"the abort in step {k} takes {spent} m/s of {powered.budget}"
+                )
+            found = {"leaves_s": branch.step * document.delta, "by_s": by, "delta_v_m_s": spent}
+            found["safe_until_s"] = branch.until(document.delta)
+        steps.append({"step": k, **found, "why": told["why"]})
+    return {"within_s": powered.within, "delta_v_max_m_s": powered.budget, "steps": steps}
+
+
 KINDS = {"any_thrust": "AnyThrust", "neural": "NeuralController", "black_box": "BlackBox"}
 """Kinds of controllers as the readable files call them, those with a gain apart."""
 
@@ -171,7 +197,7 @@ def _check_limit(document: Document, k: int, step: dict[str, Any]) -> None:
     when, last = step["limit_time_s"], document.cells * document.delta
     if when is not None and not 0 <= when <= last * (1 + 1e-9):
         raise Rejected("schedule", f"step {k} is limited at {when} s, of {last} s")
-    need, room, margin = step["need"], step["room"], document.margins[k]
+    need, room, margin = step["need"], step["room"], _margin(step)
     if margin != -math.inf and None in (when, need, room):
         raise Rejected("margins", f"step {k} has a margin of {margin}, but no time, need and room of a limit")
     if when is not None and when < k * document.delta * (1 - 1e-9):
@@ -187,11 +213,11 @@ def limit_names(document: Document) -> set[str]:
     return {item.name for item in document.unsafe} | {*document.input_names, BEYOND}
 
 
-def _check_reason(document: Document) -> None:
+def _check_reason(document: Document, reason: str) -> None:
     """The words for how far the claim reaches fit the claim, the system and the scene."""
-    words = re.fullmatch(REASONS[document.horizon], document.reason)
+    words = re.fullmatch(REASONS[document.horizon], reason)
     if words is None:
-        raise Rejected("end", f"{shown(document.reason)} is no reason for the claim {document.horizon}")
+        raise Rejected("end", f"{shown(reason)} is no reason for the claim {document.horizon}")
     true = {
         "until": f"{document.until:g}" if document.until is not None else "",
         "how": "at rest" if document.mean_motion is None else "on a closed orbit",

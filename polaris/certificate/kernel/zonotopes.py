@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 
@@ -139,48 +139,24 @@ class Zonotope:
         exact = matrix([[row[j] for j in kept] for row in table], len(kept))
         return Zonotope(self.c.mid(), beside(exact, diagonal([x.abs_upper() for x in box])))
 
-    def gathered(self, *added: int) -> Zonotope:
-        """Enclosing set with one generator for each of those, as many in number, that periods added last.
-
-        What periods in a row add hardly turns from one to the next. For any direction c the sum of
-        ``g_l b_l``, every ``|b_l| <= 1``, is within ``c`` times their number either way, and a box that holds
-        ``sum_l |g_l - c|``.
-        """
-        rows, first = self.G.tolist(), self.G.ncols() - sum(added)
-        parts = [[row[at : at + added[0]] for row in rows] for at in range(first, self.G.ncols(), added[0])]
-        blocks = [matrix(part) for part in parts]
-        total = sum(blocks[1:], blocks[0]).mid()
-        rest = sums(*(widths(block - total / len(blocks)) for block in blocks))
-        old = arb_mat(len(rows), first, [x for row in rows for x in row[:first]])
-        return Zonotope(self.c, beside(old, total, diagonal(rest)))
-
 
 @dataclass
 class Merging:
-    """How many generators sets keep, and whether any had to be merged for that."""
+    """Number of generators per dimension that sets keep, and whether any had to be merged for that."""
 
-    order: int  # generators per dimension that are kept
-    together: int = 1  # periods of a step in a row of whose generators one each is made
-    lossy: bool = False  # whether generators that count were merged: with more of them sets are smaller
-    _added: list[int] = field(default_factory=list)  # generators of the last periods, those not yet merged
+    order: int
+    lossy: bool = False  # with more generators sets would be smaller
 
     def reduced(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators, see `Zonotope.reduced`."""
         most = self.order * z.G.nrows()
         found = z.reduced(most)
         self.lossy |= found.G.ncols() >= most
-        self._added.clear()
         return found
 
-    def after(self, end: Zonotope, z: Zonotope) -> Zonotope:
-        """The set at the end of a period with fewer generators; `end` is what it was before it was grown."""
-        self._added.append(z.G.ncols() - end.G.ncols())
-        if len(self._added) == self.together:
-            if self.together > 1 and len(set(self._added)) == 1 and self._added[0] > 0:
-                z, self.lossy = z.gathered(*self._added), True
-            self._added.clear()
-        many = z.G.ncols() > 2 * self.order * z.G.nrows()
-        return self.reduced(z) if many and not self._added else z
+    def after(self, z: Zonotope) -> Zonotope:
+        """The same of a set within a step, once it has twice as many."""
+        return self.reduced(z) if z.G.ncols() > 2 * self.order * z.G.nrows() else z
 
 
 def inner_radius(G: arb_mat) -> arb:

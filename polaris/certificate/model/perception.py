@@ -12,13 +12,11 @@ from flint import arb
 
 from ..files.document import ROUNDED, Document
 from ..files.parts import UnsafeSet
-from ..kernel.balls import absolute, absolute_dot, column, cross, dot, largest, matrix, norms, require
+from ..kernel.balls import absolute, absolute_dot, column, cross, dot, matrix, norms, require
 from ..kernel.verdict import Rejected
 from .allocation import per_axis
 from .navigation import holding
 from .satellites import Satellite
-
-SLACK = 1e-9  # rounding of unit normals: how far one may be turned. What that moves is booked.
 
 SLOPE = 1e-6  # least sine of the angle of a cone, and of the angle between two of its facets
 
@@ -126,8 +124,7 @@ def _ball_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: 
 
 
 def _polytope_support(document: Document, item: UnsafeSet, spec: dict[str, Any], f: int) -> arb:
-    most, moved = _row_support(document, item.normals[f], spec, f, item.name)
-    return most + moved
+    return _row_support(item.normals[f], spec, f, item.name)
 
 
 def _check_count(item: UnsafeSet, count: int) -> None:
@@ -154,26 +151,13 @@ def _length(n: list[arb]) -> arb:
     return dot(n, n).sqrt()
 
 
-def _row_support(
-    document: Document, normal: list[float], spec: dict[str, Any], f: int, name: str
-) -> tuple[arb, arb]:
-    """Support of a facet of a polytope along its normal, and by how much it is moved if that is turned.
-
-    The latter over the positions that matter: ten times as far as anything in the certificate. Rounding of
-    a unit normal is no turn: a facet through the origin has no offset to which it could be compared.
-    """
+def _row_support(normal: list[float], spec: dict[str, Any], f: int, name: str) -> arb:
+    """Support of a facet of a polytope along its normal, which is the scenario's up to rounding."""
     given = [arb(x) for x in spec["normals"][f]]
     length = _length(given)
     off = sum((abs(n - x / length) for n, x in zip(normal, given, strict=True)), arb(0))
-    require("unsafe_sets", SLACK - off, f"a normal of {name} is turned")
-    return spec["offsets_m"][f] / length, arb(0) if off < ROUNDED else off * _reach(document)
-
-
-def _reach(document: Document) -> arb:
-    """Ten times as far from the origin as any position of the certificate."""
-    states = (*document.states, *document.lower, *document.upper)
-    far = [arb(max(map(abs, values))) for values in zip(*states, strict=True)]
-    return 10 * largest(absolute_dot(far, row) for row in document.C)
+    require("unsafe_sets", ROUNDED - off, f"a normal of {name} is turned")
+    return arb(spec["offsets_m"][f]) / length
 
 
 # -- keep-in sets -----------------------------------------------------------------------------------
@@ -188,8 +172,8 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
         if len(facets) != len(spec["normals"]):
             raise Rejected("unsafe_sets", f"{name} has {len(facets)} facets, not {len(spec['normals'])}")
         for f, (row, offset) in enumerate(zip(rows, offsets, strict=True)):
-            most, moved = _row_support(document, row, spec, f, name)
-            spare = most - moved - offset + abs(most) * ROUNDED
+            most = _row_support(row, spec, f, name)
+            spare = most - offset + abs(most) * ROUNDED
             require("unsafe_sets", spare, f"{name}, facet {f}, is too far out")
         return
     d = len(document.C)
@@ -234,7 +218,7 @@ def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, A
     if spec.get("length_m") is not None:
         away = spec["length_m"]
         off = sum((abs(a - b) for a, b in zip(rows[-1], axis, strict=True)), arb(0))
-        require("unsafe_sets", SLACK - off, f"the end of {name} is turned")
+        require("unsafe_sets", ROUNDED - off, f"the end of {name} is turned")
         at, far = dot(axis, apex) + away, absolute_dot(axis, apex) + away
         require("unsafe_sets", at - offsets[-1] + far * ROUNDED, f"the end of {name} is too far out")
         rows, offsets = rows[:-1], offsets[:-1]

@@ -46,7 +46,9 @@ class Memory:
         return magnitude(first), magnitude(self.z * (share * self.c))
 
     @classmethod
-    def of(cls, craft: Craft, extent: arb_mat, multiple: int, profile: Sequence[list[arb]] = ()) -> Memory:
+    def of(
+        cls, craft: Craft, extent: arb_mat, multiple: int, profile: Sequence[Sequence[float]] = ()
+    ) -> Memory:
         """Find N, a multiple of a number of periods, for errors up to an extent.
 
         `Undecided` if there is none, `Imprecise` if the powers' own radii, which grow, have come to more.
@@ -63,7 +65,8 @@ class Memory:
             c = largest(a / b for a, b in zip((last * z).entries(), z.entries(), strict=True))
             if c < FORGOTTEN:
                 pairs = (
-                    [smallest(pair) for pair in zip(most, craft.plant.u_max, strict=True)] for most in profile
+                    [smallest((arb(x), top)) for x, top in zip(most, craft.plant.u_max, strict=True)]
+                    for most in profile
                 )
                 return cls([*powers, powers[-1] * craft.F], z, c, list(pairs))
             radii = arb_mat(count, count, [x.rad() for x in powers[-1].entries()]) * z

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, largest, magnitude, norms, sums
+from ...kernel.balls import above, column, identity, largest, magnitude, sums
 from ...kernel.motion import Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
@@ -210,11 +210,6 @@ class Needs:
         each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.still(size)]
         return list(map(largest, zip(*each, strict=True)))
 
-    def tube(self, start: Zonotope) -> list[list[arb]]:
-        """Need of one set at lag l = 0 ... N, disturbance apart: exact support and intersample bound."""
-        support = self._split(start.support(above(*self.carried[:-1])))
-        return [sums(most, self.booked(start, lag)) for lag, most in enumerate(support)]
-
     def booked(self, start: Zonotope, lag: int) -> list[arb]:
         """Intersample bound of one set, for the periods next to node l: no more than `bend`."""
         bows = [self._bow(start, at) for at in {lag, max(lag - 1, 0)}]
@@ -226,17 +221,6 @@ class Needs:
             rate = start.image(self.rates[0].carried[lag])
             self._bowed[id(start), lag] = start, self.motion.closer_bow(self.rows, rate)
         return self._bowed[id(start), lag][1]
-
-    def per_norm(self, inverse: arb_mat) -> list[list[arb]]:
-        """Need of a unit ball of ``norm(V e, 2)`` at lag l, given ``V^-1``."""
-        curved = self.motion.bend(self.rows)
-        bent = [norms(curved * magnitude(rate * inverse)) for rate in self.rates[0].carried[:-1]]
-        straight = [norms(row * inverse) for row in self.carried[:-1]]
-        before = [bent[0], *bent[:-1]]
-        return [
-            [a + largest((b, c)) for a, b, c in zip(*each, strict=True)]
-            for each in zip(straight, bent, before, strict=True)
-        ]
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
