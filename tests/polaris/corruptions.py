@@ -86,9 +86,12 @@ def inner(corrupt):
     for k in range(K):
         moved = change("reference", "inputs", k, 0, to=lambda u: hexed(plain(u) + 1e-3))
         yield f"input {k} off by a thousandth", moved, REFERENCE
-        flown = data["modes"][k]
-        if k < K - 1:  # S in the last step, inside of what U may do there, would be as safe
-            yield f"mode {k} swapped", change("modes", k, to=1 - flown), FLIGHT
+        for axis in (0, 1):
+            pushed = change("reference", "inputs", k, axis, to=lambda u: hexed(plain(u) - 2e-3))
+            yield f"input {axis} of step {k} less", pushed, REFERENCE
+        for i in (1, 2):
+            moved = change("reference", "states", k + 1, i, to=lambda x: hexed(plain(x) + 1e-6))
+            yield f"state {i} after step {k} off by a millionth", moved, REFERENCE
     for k in range(0, K, 3):
         beyond = change("reference", "inputs", k, 0, to=(1.01).hex())
         yield f"input {k} beyond the limit", beyond, REFERENCE | {"thrust"}
@@ -106,7 +109,11 @@ def inner(corrupt):
     )
     yield "positions rotated", change("reference", "states", to=turned), REFERENCE
     yield "frame rotated", change("system", "C", to=lambda C: C[::-1]), {"assumptions"}
-    yield "modes shifted", change("modes", to=shifted), FLIGHT
+    yield "U in every step", change("modes", to=lambda x: [1] * len(x)), FLIGHT
+    yield "a tail that starts elsewhere", change("reference", "states", K, to=negated), REFERENCE
+    for mode, factor in ((0, 0.2), (0, -0.5), (1, -1.0), (1, 5.0)):
+        scale = change("controllers", mode, "gain", to=lambda x, by=factor: scaled(x, by))
+        yield f"gain {mode} times {factor}", scale, FLIGHT
     yield "start enlarged", change("initial_set", "generators", to=tenfold), FLIGHT
     yield "start moved", change("initial_set", "center", 0, to=(0.1).hex()), REFERENCE
     yield "start in kilometres", change("initial_set", "generators", to=lambda x: scaled(x, 1e3)), FLIGHT

@@ -182,8 +182,6 @@ def test_rounding_of_a_normal_never_widens_a_keep_in_set():
 
     class Certificate:
         C = ((1.0, 0.0), (0.0, 1.0))
-        states = ((0.0, 0.0),)
-        lower = upper = ((-1e15, 1e15),)
 
     spec = {"name": "room", "kind": "polytope", "normals": [[0.0, 1.0]], "offsets_m": [-5000.0]}
     with pytest.raises(Rejected):

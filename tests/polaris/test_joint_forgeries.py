@@ -150,11 +150,12 @@ def test_polytopes_are_no_smaller_than_by_rounding(center):
         _check_obstacle(scene, UnsafeSet("far", False, item.normals, smaller, smaller), spec)
 
 
-def test_a_turned_normal_is_booked_over_positions_whatever_the_states():
-    document = SimpleNamespace(C=[[1e9, 0.0], [0.0, 1e9]], states=[[1.0, -2.0]], lower=[], upper=[])
-    spec = {"normals": [[0.0, 1.0]], "offsets_m": [3.0]}
-    _, moved = _row_support(document, [5e-10, 1.0], spec, 0, "wall")
-    assert moved > 9.99
+@pytest.mark.parametrize("turn", [5e-10, -2e-12])
+def test_a_turned_normal_is_refused(turn):
+    spec = {"normals": [[0.0, 2.0]], "offsets_m": [3.0]}
+    assert _row_support([1e-16, 1.0], spec, 0, "wall") == 1.5
+    with pytest.raises(Rejected, match="turned"):
+        _row_support([turn, 1.0], spec, 0, "wall")
 
 
 def test_a_ball_needs_a_position_that_is_a_choice_of_states():

@@ -10,7 +10,7 @@ from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import largest, magnitude, matrix, plain, require
 from ..kernel.verdict import Record, Rejected
-from ..kernel.zonotopes import Merging, Zonotope, widest
+from ..kernel.zonotopes import Merging, Rows, Zonotope, widest
 from ..model.bodies import Whereabouts
 from ..model.craft.memory import Memory
 from ..model.craft.needs import Needs
@@ -141,9 +141,9 @@ class Argument:
         """Reachable sets of the schedule; every step of an experimental controller is separate."""
         doc = self.document
         start = Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose())
-        sets, flown = [start], []
+        sets, flown, known = [start], [], dict[Any, Rows]()
         for k, mode in enumerate(doc.modes):
-            barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k]) if mode else None
+            barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k], known) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
             pilot = self.pilots[mode].knowing(doc.known_to(k))

@@ -15,7 +15,7 @@ from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Merging, Zonotope
 from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
-from ..model.craft.needs import Needs
+from ..model.craft.needs import Bows, Needs
 from ..model.craft.scheduled import Scheduled
 from .flights import Flown, Pilot, fly
 from .goal_rows import Weighted
@@ -50,7 +50,8 @@ class Arrival:
     _joint: dict[int, arb] = field(default_factory=dict, repr=False)
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
-    _caused: dict[int, tuple[arb_mat, list[list[arb]]]] = field(default_factory=dict, repr=False)
+    _bowed: dict[tuple[Needs, int], Bows] = field(default_factory=dict, repr=False)
+    _caused: dict[Needs, list[list[arb]]] = field(default_factory=dict, repr=False)
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
         """Refuse a claim that does not hold; returns what was confirmed.
@@ -110,7 +111,7 @@ class Arrival:
         """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
         most = sums(needs.settled, off, *needs.upset[-1:])
-        return largest(sums(most, self.from_thrust(needs.given, self._last)) if self.scheduled else most)
+        return largest(sums(most, self.from_thrust(needs, self._last)) if self.scheduled else most)
 
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
@@ -178,17 +179,17 @@ class Arrival:
     def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
         """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
         found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
-        for z, since in self.held:
+        for place, (z, since) in enumerate(self.held):
             lag = since + node
             parts = [(needs.disturbed if around else needs.at_nodes)[min(lag, periods + 1)]]
             if lag > periods:
                 parts.append(needs.still(z.size()))
             else:
                 parts.append(z.support(needs.carried[lag]))
-                parts += [needs.booked(z, lag)] if around else []
+                parts += [self._bows(needs, place).next_to(lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
-        least = sums(least, self.from_thrust(needs.given, node)) if self.scheduled else least
+        least = sums(least, self.from_thrust(needs, node)) if self.scheduled else least
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
@@ -200,6 +201,10 @@ class Arrival:
         pairs = zip(least, self._flown_at(needs.rows, node), strict=True)
         return [smallest(pair) for pair in pairs]
 
+    def _bows(self, needs: Needs, place: int) -> Bows:
+        """Intersample bounds of a set that is held, made once."""
+        return self._bowed.setdefault((needs, place), Bows(needs, self.held[place][0]))
+
     def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
         """What errors need along rows at a node after T in the sets that S flies then."""
         cell, place = divmod(node, self.document.q)
@@ -207,19 +212,19 @@ class Arrival:
         z = step.nodes[place - 1] if place else step.start
         return sums(z.support(rows), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
-    def from_thrust(self, rows: arb_mat, node: int) -> list[arb]:
+    def from_thrust(self, needs: Needs, node: int) -> list[arb]:
         """What errors of scheduled commands add along rows from a node of the tail on."""
-        if id(rows) not in self._caused:
+        if needs not in self._caused:
             assert self.scheduled is not None
-            tail = self.scheduled.along(rows)[min(self.document.steps, self.document.cells - 1) :]
+            tail = self.scheduled.along(needs.given)[min(self.document.steps, self.document.cells - 1) :]
             q = self.document.q
             later = [tail[-1][-1]] * (len(tail) * q + 1)
             most = later[-1]
             for cell, place in product(reversed(range(len(tail))), reversed(range(q + 1))):
                 most = [largest(pair) for pair in zip(most, tail[cell][place], strict=True)]
                 later[cell * q + place] = most
-            self._caused[id(rows)] = rows, later
-        later = self._caused[id(rows)][1]
+            self._caused[needs] = later
+        later = self._caused[needs]
         return later[min(node, len(later) - 1)]
 
     def _state(self, node: int) -> arb_mat:

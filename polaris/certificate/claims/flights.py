@@ -8,23 +8,11 @@ from flint import arb, arb_mat
 
 from ..files.parts import Law, Matrix
 from ..kernel.arcs import Arc, Path
-from ..kernel.balls import (
-    above,
-    column,
-    diagonal,
-    identity,
-    largest,
-    magnitude,
-    matrix,
-    plain,
-    require,
-    smallest,
-    sums,
-)
+from ..kernel.balls import column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
 from ..kernel.motion import Motion, Plant, Push
 from ..kernel.periods import Period, Spell, around, clip, command_ranges, secant
 from ..kernel.verdict import Rejected
-from ..kernel.zonotopes import Merging, Zonotope
+from ..kernel.zonotopes import Merging, Rows, Zonotope
 from ..model.bodies import Whereabouts
 from ..model.limits import Barrier
 from ..model.networks import Policy
@@ -96,9 +84,9 @@ class Pilot:
         return replace(self, before=[largest(each) for each in zip(*told[-hidden:], strict=True)])
 
     @cached_property
-    def commands(self) -> arb_mat:
-        """Rows of its command and, for the other limit, of the negative one."""
-        return above(-self.gain, self.gain)
+    def fed(self) -> Rows:
+        """Rows of what it feeds back."""
+        return Rows(self.gain)
 
     def base(self, k: int, path: Path) -> Arc:
         """The arc of a step about which its motion is described."""
@@ -114,7 +102,7 @@ class Pilot:
         if period.most is not None:
             tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
         elif self.law.kind not in ("any_thrust", "black_box"):
-            tops = self.clipped(command_ranges(u, d.through(self.commands).tops()))
+            tops = self.clipped(command_ranges(u, self.fed, d))
         linear = self.law.kind == "safety" or (self.law.kind in GUESSED and self.slopes[k] is None)
         linear = linear and period.push is None and not plant.jitter
         errors = (self.noise, plant.thruster_error(tops)) if linear else ()
@@ -145,11 +133,11 @@ class Pilot:
             n, rows = d.c.nrows(), fit[i]
             K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
             bands = [arb(row[n + 1]) for row in rows]
-            ranges = zip(plant.u_max, command_ranges(c, d.through(above(K, -K)).tops()), bands, strict=True)
+            ranges = zip(plant.u_max, command_ranges(c, Rows(-K), d), bands, strict=True)
             most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
             error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
             return Period(plant.loop(-K), plant.B * (c - u), push, error, most)
-        found = self.clipped(command_ranges(u, d.through(self.commands).tops()))
+        found = self.clipped(command_ranges(u, self.fed, d))
         for more in GUESSES if plant.thrusters else ():
             guess = [
                 smallest((top, x.upper() * (1 + more) + top * more / 20))
@@ -165,7 +153,7 @@ class Pilot:
         kind, plant = self.law.kind, self.plant
         error = plant.push(sums(self.noise, plant.thruster_error(most)))
         linear = Period(self.loop(), arb_mat(d.c.nrows(), 1), None, error)
-        ranges = command_ranges(u, d.through(self.commands).tops())
+        ranges = command_ranges(u, self.fed, d)
         # What an error of the estimate adds to a command comes after the clip; without one, it counts.
         noise = self.noise if kind == "affine" else [arb(0)] * len(most)
         room = [top - x for top, x in zip(plant.u_max, noise, strict=True)]
@@ -207,12 +195,12 @@ def fly(
     under the safety controller, whose separation follows from recoverability. Departures, if any, are
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
-    n, base = start.c.nrows(), pilot.base(k, path)
-    rows = identity(n) if departures is not None else arb_mat(0, n)
-    room, bows, states = [], base.bows(rows), rows.nrows()
+    base = pilot.base(k, path)
+    room, unit = list[list[arb]](), pilot.plant.unit
+    bows = base.bows(unit.M) if departures is not None else []
     if barrier is not None:
-        rows, room = above(rows, barrier.rows), base.room(barrier.rows, barrier.offsets)
-        added = [[arb(0)] * barrier.rows.nrows(), *((magnitude(barrier.rows) * x).entries() for x in upsets)]
+        rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
+        added = [[arb(0)] * rows.nrows(), *((magnitude(rows) * x).entries() for x in upsets)]
         most = [largest(each) for each in zip(*added, strict=True)]
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
@@ -223,16 +211,14 @@ def fly(
         since.append(period.commands or pilot.plant.u_max)
         spells.append(knowing.spell(period, d, base.u, k))
         end = period.ends(d)
-        if rows.nrows():
-            extra = period.extra(rows, d)
-            if departures is not None:
-                moved = d.image(period.motion.phi - identity(n)).moved(period.motion.gamma * period.g)
-                bow = [largest((extra[0][x], extra[1][x])) + bows[x][i] for x in range(n)]
-                departures.check(i, base, d, moved, end, bow)
-            if barrier is not None:
-                for place, z, more in ((i, d, extra[0]), (i + 1, end, extra[1])):
-                    where = f"step {k}, part {i}, under {pilot.law.name}"
-                    _separate(barrier, z, more[states:], room[place], where)
+        if departures is not None:
+            moved = d.image(period.motion.phi - unit.M).moved(period.motion.gamma * period.g)
+            extra = zip(*period.extra(unit, d), bows, strict=True)
+            departures.check(i, base, d, moved, end, [largest((a, b)) + bow[i] for a, b, bow in extra])
+        if barrier is not None:
+            where = f"step {k}, part {i}, under {pilot.law.name}"
+            for place, z, more in zip((i, i + 1), (d, end), period.extra(barrier.rows, d), strict=True):
+                _separate(barrier, z, more, room[place], where)
         d = merging.after(period.after(end))
         nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
@@ -244,7 +230,7 @@ def _separate(barrier: Barrier, z: Zonotope, more: list[arb], room: list[arb], w
     along = z.through(barrier.rows)
     needs = sums(along.c.entries(), along.widths, more)
     if not all(need <= there for need, there in zip(needs, room, strict=True)):
-        needs = sums(along.c.entries(), z.spread(barrier.rows), more)  # to the last digits
+        needs = sums(along.c.entries(), z.spread(barrier.rows.M), more)  # to the last digits
     for name, need, there in zip(barrier.names, needs, room, strict=True):
         if not need <= there:
             require("separation", there - need, f"{where}: {name}, needs {plain(need)} of {plain(there)} m")
@@ -260,7 +246,7 @@ def _clipped(
     """
     plant = pilot.plant
     commands = list(zip(plant.u_max, u.entries(), strict=True))
-    ranges = command_ranges(u, d.through(pilot.commands).tops())
+    ranges = command_ranges(u, pilot.fed, d)
     slopes = stored or [secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
     known, bands = [], []
     for slope, (lo, hi), (top, x) in zip(slopes, ranges, commands, strict=True):

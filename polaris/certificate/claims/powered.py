@@ -204,7 +204,7 @@ class Along:
         (rows, needs, more, arrival), arcs, doc = self._orbit, self.path.arcs, self.document
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
         parts = [rows.over(state), self._most(needs, taken, cell, cell), more]
-        parts += [arrival.from_thrust(rows.rows, (cell - doc.steps) * doc.q)] if self.scheduled else []
+        parts += [arrival.from_thrust(needs, (cell - doc.steps) * doc.q)] if self.scheduled else []
         return rows.distance(sums(*parts))
 
     def spent(self, taken: Takeover, cell: int) -> arb:

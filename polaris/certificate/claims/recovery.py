@@ -13,7 +13,7 @@ from ..kernel.arcs import Path
 from ..kernel.balls import above, beside, plain, require, row_of, spans, sums
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope
-from ..model.craft.needs import Needs
+from ..model.craft.needs import Bows, Needs
 from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits, Target, levels_of
 
@@ -129,7 +129,7 @@ class Recovery:
     def _check_close(
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
     ) -> float:
-        needs, worst = self.needs, 1.0
+        needs, worst, bows = self.needs, 1.0, Bows(self.needs, z)
         support = z.support(above(*(row_of(needs.carried[lag], row) for lag, row in close)))
         booked = above(*(row_of(needs.bend[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), most, extra in zip(close.items(), support, booked.entries(), strict=True):
@@ -139,7 +139,7 @@ class Recovery:
                 if not room - need >= of * target.whole:  # all of it can be had more exactly
                     at = row_of(needs.carried[lag], row)
                     most = sums((at * z.c).entries(), z.spread(at))[0]
-                    need = most + needs.booked(z, lag)[row] + disturbance
+                    need = most + bows.next_to(lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"
                 where += " under the safety controller"
                 require("recoverable", room - need, f"{where}: needs {plain(need)} of {plain(room)}")

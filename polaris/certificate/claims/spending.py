@@ -21,7 +21,7 @@ TOP = 2 ** (SQUARED + 1)  # the power of the response that it is
 def spent(flights: Iterable[Flown], periods: int | None = None) -> arb:
     """Bound on the integral of the thrust over so many periods on end, of flights that follow each other."""
     total, left = arb(0), periods
-    alike = groupby(flights, lambda one: (id(one.pilot.law), all(spell.errors for spell in one.spells)))
+    alike = groupby(flights, lambda one: (one.pilot.law.name, all(spell.errors for spell in one.spells)))
     for (_, linear), parts in alike:
         run = list(parts)
         spells = list(islice((spell for one in run for spell in one.spells), left))

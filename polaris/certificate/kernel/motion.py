@@ -29,7 +29,7 @@ from .balls import (
     sums,
     widths,
 )
-from .zonotopes import Zonotope, ball_cover
+from .zonotopes import Rows, Zonotope, ball_cover
 
 PARTS = 32
 """Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
@@ -85,6 +85,16 @@ class Plant:
         if not self.unmeasured > 0:
             return arb_mat(self.B.nrows(), self.B.ncols())
         return replace(self, h=self.unmeasured / PARTS).open.unit_gains(identity(self.B.nrows()), PARTS)
+
+    @cached_property
+    def turning(self) -> Rows:
+        """A, as rows of a rate."""
+        return Rows(self.A)
+
+    @cached_property
+    def unit(self) -> Rows:
+        """Rows of the state itself."""
+        return Rows(identity(self.A.nrows()))
 
     @cached_property
     def carry(self) -> list[Push]:
@@ -155,8 +165,7 @@ class Motion:
     closed: arb_mat  # A_c
     held: arb_mat | None = None  # the gain of the input that is held, if there is one
     error: list[arb] = field(default_factory=list)  # bounds on the error of every input, if there is any
-    _asked: dict[int, tuple[arb_mat, list[arb], list[arb]]] = field(default_factory=dict, repr=False)
-    _bent: dict[int, tuple[arb_mat, arb_mat, arb_mat]] = field(default_factory=dict, repr=False)
+    _along: dict[Rows, Along] = field(default_factory=dict, repr=False)
 
     @property
     def A(self) -> arb_mat:
@@ -191,34 +200,16 @@ class Motion:
         """
         return magnitude(rows * self.A * self.over * (self.plant.h**2 / 8))
 
-    def bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
-        """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
+    def along(self, rows: Rows) -> Along:
+        """What is booked along rows, made once."""
+        if rows not in self._along:
+            self._along[rows] = Along(self, rows.M)
+        return self._along[rows]
 
-        The lesser of ``|row A e^{A s}| |rate|`` and ``|row e^{A s}| |A rate|``: A commutes with ``e^{A s}``.
-        """
-        return self.lesser_bow(rows, rate.size(), rate.through(self.A).size())
-
-    def closer_bow(self, rows: arb_mat, rate: Zonotope) -> list[arb]:
-        """The same, or ``|row A rate| + h |row A e^{A s}| |A rate|``, the first part of the whole set."""
-        turned = rate.image(self.A)
-        size, along = turned.size(), turned.image(rows).size() * (self.plant.h**2 / 8)
-        third = (along + self._bends(rows)[0] * size * self.plant.h).entries()
-        return [
-            a if a <= b else b for a, b in zip(self.lesser_bow(rows, rate.size(), size), third, strict=True)
-        ]
-
-    def lesser_bow(self, rows: arb_mat, rate: arb_mat, turned: arb_mat) -> list[arb]:
-        """The same from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
-        bend, more = self._bends(rows)
-        both = (bend * rate).entries(), (more * turned).entries()
-        return [a if a <= b else b for a, b in zip(*both, strict=True)]
-
-    def _bends(self, rows: arb_mat) -> tuple[arb_mat, arb_mat]:
-        """`bend` and the same without A, once for the same rows."""
-        if id(rows) not in self._bent:
-            more = magnitude(rows * self.over * (self.plant.h**2 / 8))
-            self._bent[id(rows)] = rows, self.bend(rows), more
-        return self._bent[id(rows)][1:]
+    @cached_property
+    def rates(self) -> Rows:
+        """``A_c``: rows of the rate at the start of a period."""
+        return Rows(self.closed)
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 
@@ -264,15 +255,6 @@ class Motion:
         rates = push.along(magnitude(rows * self.A * self.over * push.V))
         return [self.plant.h**2 / 8 * rate for rate in rates]
 
-    def disturbance_along(self, rows: arb_mat) -> tuple[list[arb], list[arb]]:
-        """`push_bend` and `push_gain` of the disturbance, once for the same rows: every period asks."""
-        if self.held is not None and not self.error:
-            return self.plant.open.disturbance_along(rows)
-        if id(rows) not in self._asked:
-            bends = [self.push_bend(rows, push) for push in self.disturbances]
-            self._asked[id(rows)] = rows, sums(*bends), self.gains_over(rows, self.disturbances, 1)[0]
-        return self._asked[id(rows)][1:]
-
     @cached_property
     def disturbances(self) -> list[Push]:
         """What disturbs: w, what is carried, and errors of the inputs."""
@@ -296,3 +278,45 @@ class Motion:
     def box_of(self, push: Push) -> arb_mat:
         """The same of a push, shape (n, 1)."""
         return magnitude(column(push.along(magnitude(self.over * push.V))) * self.plant.h)
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """Intersample bounds of a motion along rows."""
+
+    motion: Motion
+    rows: arb_mat
+
+    @cached_property
+    def bends(self) -> tuple[arb_mat, arb_mat]:
+        """`Motion.bend`, and the same without A."""
+        motion = self.motion
+        return motion.bend(self.rows), magnitude(self.rows * motion.over * (motion.plant.h**2 / 8))
+
+    def bow(self, rate: Zonotope) -> list[arb]:
+        """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
+
+        The lesser of ``|row A e^{A s}| |rate|`` and ``|row e^{A s}| |A rate|``: A commutes with ``e^{A s}``.
+        """
+        return self.lesser_bow(rate.size(), rate.through(self.motion.plant.turning).size())
+
+    def closer_bow(self, rate: Zonotope) -> list[arb]:
+        """The same, or ``|row A rate| + h |row A e^{A s}| |A rate|``, the first part of the whole set."""
+        turned, h = rate.image(self.motion.A), self.motion.plant.h
+        size, along = turned.size(), turned.image(self.rows).size() * (h**2 / 8)
+        third = (along + self.bends[0] * size * h).entries()
+        return [a if a <= b else b for a, b in zip(self.lesser_bow(rate.size(), size), third, strict=True)]
+
+    def lesser_bow(self, rate: arb_mat, turned: arb_mat) -> list[arb]:
+        """The same from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
+        both = (self.bends[0] * rate).entries(), (self.bends[1] * turned).entries()
+        return [a if a <= b else b for a, b in zip(*both, strict=True)]
+
+    @cached_property
+    def disturbance(self) -> tuple[list[arb], list[arb]]:
+        """`Motion.push_bend` and `Motion.push_gain` of all that disturbs."""
+        motion = self.motion
+        if motion.held is not None and not motion.error:
+            motion = motion.plant.open
+        bends = [motion.push_bend(self.rows, push) for push in motion.disturbances]
+        return sums(*bends), motion.gains_over(self.rows, motion.disturbances, 1)[0]

@@ -6,7 +6,7 @@ from flint import arb, arb_mat
 
 from .balls import largest, sums
 from .motion import Motion, Push
-from .zonotopes import Zonotope
+from .zonotopes import Rows, Zonotope
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +34,19 @@ class Period:
             pushed.append(self.motion.pushed(self.error))
         return end.grown(*pushed, self.motion.disturbance_set)
 
-    def extra(self, rows: arb_mat, d: Zonotope) -> tuple[list[arb], list[arb]]:
+    def extra(self, rows: Rows, d: Zonotope) -> tuple[list[arb], list[arb]]:
         """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.
 
         They belong to the start and the end of the period; in between, their chord is a bound: what v and
         the disturbance have done grows from nothing.
         """
-        motion = self.motion
-        bend, last = motion.disturbance_along(rows)
-        first = sums(motion.bow(rows, d.through(motion.closed).moved(self.g)), bend)
+        motion, along = self.motion, self.motion.along(rows)
+        bend, last = along.disturbance
+        first = sums(along.bow(d.through(motion.rates).moved(self.g)), bend)
         for push in (self.push, self.error):
             if push is not None:
-                first = sums(first, motion.push_bend(rows, push))
-                last = sums(last, motion.push_gain(rows, push))
+                first = sums(first, motion.push_bend(rows.M, push))
+                last = sums(last, motion.push_gain(rows.M, push))
         return first, sums(first, last)
 
 
@@ -60,10 +60,11 @@ class Spell:
     """Bounds on those of estimates and of thrusters, as inputs; none where the law is not linear, or late."""
 
 
-def command_ranges(u: arb_mat, most: list[arb]) -> list[tuple[arb, arb]]:
-    """Ranges of ``u + y`` from bounds on y and on -y, as exact numbers."""
-    m = u.nrows()
-    return [((u[i, 0] - most[m + i]).lower(), (u[i, 0] + most[i]).upper()) for i in range(m)]
+def command_ranges(u: arb_mat, gain: Rows, d: Zonotope) -> list[tuple[arb, arb]]:
+    """Ranges of ``u - K x`` over a set, as exact numbers."""
+    fed = d.through(gain)
+    middles = (u - fed.c).entries()
+    return [((x - w).lower(), (x + w).upper()) for x, w in zip(middles, fed.widths, strict=True)]
 
 
 def around(low: arb, high: arb) -> tuple[arb, arb]:

@@ -27,12 +27,19 @@ from .balls import (
 NOTHING = 1e-8  # share of a set's extent that generators may come to which are merged whatever their number
 
 
+class Rows:
+    """Rows that many sets and motions are asked along: what they make of them is kept under this object."""
+
+    def __init__(self, M: arb_mat) -> None:
+        self.M = M
+
+
 class Generators:
-    """Generators, what matrices make of them and how far they reach, each made once, part by part."""
+    """Generators, what rows make of them and how far they reach, each made once, part by part."""
 
     def __init__(self, *parts: arb_mat | Generators) -> None:
         self._parts = parts
-        self._images: dict[int, tuple[arb_mat, Generators]] = {}
+        self._images: dict[Rows, Generators] = {}
 
     @cached_property
     def G(self) -> arb_mat:
@@ -45,12 +52,14 @@ class Generators:
         """How far every coordinate may be from the centre's."""
         return sums(*(part.widths if isinstance(part, Generators) else widths(part) for part in self._parts))
 
-    def image(self, M: arb_mat) -> Generators:
-        """Of the set mapped by a matrix."""
-        if id(M) not in self._images:
-            parts = [part.image(M) if isinstance(part, Generators) else M * part for part in self._parts]
-            self._images[id(M)] = M, Generators(*parts)
-        return self._images[id(M)][1]
+    def image(self, rows: Rows) -> Generators:
+        """Of the set mapped by rows."""
+        if rows not in self._images:
+            parts = (
+                part.image(rows) if isinstance(part, Generators) else rows.M * part for part in self._parts
+            )
+            self._images[rows] = Generators(*parts)
+        return self._images[rows]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +78,9 @@ class Zonotope:
         """The set mapped by a matrix."""
         return Zonotope(M * self.c, M * self.G)
 
-    def through(self, M: arb_mat) -> Zonotope:
-        """The same by a matrix that is asked for again, of this set or of it moved."""
-        found = self._made.image(M)
-        return Zonotope(M * self.c, found)
+    def through(self, rows: Rows) -> Zonotope:
+        """The same by rows that are asked for again, of this set or of it moved or grown."""
+        return Zonotope(rows.M * self.c, self._made.image(rows))
 
     @cached_property
     def _made(self) -> Generators:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from flint import arb, arb_mat
 
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import TINY, above, magnitude, matrix, sums
+from ..kernel.zonotopes import Rows
 from .craft.craft import Craft
 from .craft.needs import Needs
 from .craft.scheduled import Along
@@ -42,19 +44,25 @@ class Barrier:
     """The separating facets of one cell."""
 
     names: list[str]  # of the unsafe sets
-    rows: arb_mat  # -n C: an error e, about a path, is separate if row e is less than the path's room
+    rows: Rows  # -n C: an error e, about a path, is separate if row e is less than the path's room
     offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
 
     @classmethod
-    def of(cls, document: Document, position: arb_mat, cell: int, chosen: list[int]) -> Barrier:
-        """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end."""
+    def of(
+        cls, document: Document, position: arb_mat, cell: int, chosen: list[int], known: dict[Any, Rows]
+    ) -> Barrier:
+        """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end.
+
+        Rows that were `known` are the same object for the same facets.
+        """
         facets = list(zip(document.unsafe, chosen, strict=True))
-        rows = _against([item.normals[f] for item, f in facets], position)
+        if (key := tuple(chosen)) not in known:
+            known[key] = Rows(_against([item.normals[f] for item, f in facets], position))
         ends = [
             (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
             for item, f in facets
         ]
-        return cls([item.name for item, _ in facets], rows, [(arb(a), arb(b)) for a, b in ends])
+        return cls([item.name for item, _ in facets], known[key], [(arb(a), arb(b)) for a, b in ends])
 
 
 def _against(normals: list[list[float]], position: arb_mat) -> arb_mat:
@@ -76,9 +84,9 @@ class Limits:
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
         facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
-        targets = []
+        targets, known = [], dict[Any, Rows]()
         for cell, arc in enumerate(path.arcs):
-            barrier = Barrier.of(document, plant.C, cell, chosen[cell])
+            barrier = Barrier.of(document, plant.C, cell, chosen[cell], known)
             error = craft.noise_in(document, cell) * 2
             thrust = sums(plant.u_max * 2, above(arc.u, -arc.u).entries(), [-x for x in error])
             inputs = [
@@ -86,7 +94,7 @@ class Limits:
                 for j, (room, name) in enumerate(zip(thrust, document.input_names * 2, strict=True))
             ]
             nodes = []
-            for i, rooms in enumerate(arc.room(barrier.rows, barrier.offsets)):
+            for i, rooms in enumerate(arc.room(barrier.rows.M, barrier.offsets)):
                 met = [
                     Target(index[o, f], room, barrier.names[o], room)
                     for o, (f, room) in enumerate(zip(chosen[cell], rooms, strict=True))

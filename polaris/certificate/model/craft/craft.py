@@ -14,7 +14,7 @@ from flint import arb, arb_mat
 
 from ...files.document import ROUNDED, Document
 from ...kernel.balls import above, absolute, beside, column, exponential, magnitude, sums
-from ...kernel.motion import Motion, Plant, Push
+from ...kernel.motion import Along, Motion, Plant, Push
 
 
 @dataclass(frozen=True)
@@ -136,5 +136,5 @@ class Craft:
         """Intersample bound under more inputs up to `held` (m, 1), constant over the period, and pushes."""
         motion, B = self.motion, self.plant.B
         more = absolute(B) * held, absolute(self.plant.A * B) * held
-        bow = motion.lesser_bow(rows, rates[0] + more[0], rates[1] + more[1])
+        bow = Along(motion, rows).lesser_bow(rates[0] + more[0], rates[1] + more[1])
         return sums(bow, *(motion.push_bend(rows, push) for push in pushes))

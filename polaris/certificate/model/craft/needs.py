@@ -9,7 +9,7 @@ from itertools import pairwise
 from flint import arb, arb_mat
 
 from ...kernel.balls import above, column, identity, largest, magnitude, sums
-from ...kernel.motion import Motion
+from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
 from .memory import Gains, Memory
@@ -24,7 +24,6 @@ class Needs:
     given: arb_mat  # rows of the error, shape (r, n), or of the loop state
     upset: list[list[arb]] = field(default_factory=list)
     """Need of a fault that is isolated late by the end of the period after node l, once in a flight."""
-    _bowed: dict[tuple[int, int], tuple[Zonotope, list[arb]]] = field(default_factory=dict, repr=False)
 
     @property
     def motion(self) -> Motion:
@@ -210,17 +209,31 @@ class Needs:
         each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.still(size)]
         return list(map(largest, zip(*each, strict=True)))
 
-    def booked(self, start: Zonotope, lag: int) -> list[arb]:
-        """Intersample bound of one set, for the periods next to node l: no more than `bend`."""
-        bows = [self._bow(start, at) for at in {lag, max(lag - 1, 0)}]
+    @cached_property
+    def along(self) -> Along:
+        """Intersample bounds along the rows."""
+        return Along(self.motion, self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Bows:
+    """Intersample bounds of one set under the safety controller, lag by lag."""
+
+    needs: Needs
+    start: Zonotope
+    _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
+
+    def next_to(self, lag: int) -> list[arb]:
+        """Bounds for the periods next to node l: no more than `Needs.bend` says."""
+        bows = [self._within(at) for at in {lag, max(lag - 1, 0)}]
         return [largest(each) for each in zip(*bows, strict=True)]
 
-    def _bow(self, start: Zonotope, lag: int) -> list[arb]:
-        """Intersample bound of one set within the period after node l, once: two lags ask."""
-        if (id(start), lag) not in self._bowed:
-            rate = start.image(self.rates[0].carried[lag])
-            self._bowed[id(start), lag] = start, self.motion.closer_bow(self.rows, rate)
-        return self._bowed[id(start), lag][1]
+    def _within(self, lag: int) -> list[arb]:
+        """Bounds within the period after node l."""
+        if lag not in self._known:
+            rate = self.start.image(self.needs.rates[0].carried[lag])
+            self._known[lag] = self.needs.along.closer_bow(rate)
+        return self._known[lag]
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
