@@ -1,6 +1,5 @@
 """The safety argument, re-derived from the primary data of a certificate."""
 
-from dataclasses import replace
 from typing import Any
 
 from flint import arb, arb_mat
@@ -10,21 +9,18 @@ from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import largest, magnitude, matrix, plain, require
 from ..kernel.verdict import Record, Rejected
-from ..kernel.zonotopes import Merging, Rows, Zonotope, widest
+from ..kernel.zonotopes import Merging, Rows, Zonotope
 from ..model.bodies import Whereabouts
-from ..model.craft.memory import Memory
-from ..model.craft.needs import Needs
-from ..model.craft.scheduled import Scheduled
 from ..model.craft.states import craft_of
-from ..model.limits import Barrier, Limits
+from ..model.limits import Barrier
 from ..model.plants import plant_of, within_limits
-from ..model.transients import lost, misled, moved, upset
+from ..model.transients import moved
 from .arrival import Arrival
-from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path, prolonged
+from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path
+from .continuation import Continuation, Tracker
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .powered import check_aborts
-from .recovery import Recovery
 from .spending import spent
 from .upkeep import check_upkeep
 
@@ -87,36 +83,21 @@ class Argument:
         """Everything that rests on the sets which the schedule reaches."""
         doc = self.document
         sets, flown = self.tubes(path, merging)
-        memory = Memory.of(self.craft, widest(sets, self.upsets), doc.q, doc.profile)
-        further, chosen = prolonged(doc, path, memory)
-        scheduled = None
-        if doc.profile or doc.error_by_step:
-            scheduled = Scheduled(doc, self.craft, memory, further)
-        self.recoverability(further, chosen, memory, sets, flown, scheduled)
+        within = [z for step in flown for z in step.nodes]
+        tracker = Tracker.of(doc, self.craft, self.upsets, [*sets, *within])
+        flight = Continuation(doc, path, tracker)
+        self.recoverability(flight, sets, flown)
         if self.stated.goal is not None:
-            taken = spent(flown) / doc.mass
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
             held = ((sets[last], (self.K - last) * doc.q), (sets[-1], 0))
-            given = doc, path, self.craft, memory, held, taken, scheduled
-            arrival = Arrival(*given, self.pilots[0], merging)
+            arrival = Arrival(flight, held, spent(flown) / doc.mass, self.pilots[0], merging)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.budget is not None:
                 self.record.holds("schedule", arrival.keeps(self.stated.goal[0], self.stated.budget))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
         if doc.powered is not None:
-            late = self.upsets, self._needs
-            known = self.craft, sets, flown, self.stated, late
-            self.record.holds("powered_abort", check_aborts(doc, *known))
-
-    def _needs(self, memory: Memory, rows: arb_mat) -> Needs:
-        """What errors need along rows, a fault that is isolated late included."""
-        needs = Needs(self.craft, memory, rows)
-        boxes, doc = [*self.upsets, *lost(self.document, self.craft, memory)], self.document
-        if not boxes or doc.observer is None:
-            return replace(needs, upset=upset(needs, boxes)) if boxes else needs
-        off = misled(doc, self.plant, len(memory.powers))
-        return replace(needs, upset=upset(needs, boxes, off))
+            self.record.holds("powered_abort", check_aborts(tracker, sets, flown, self.stated))
 
     def reference(self) -> Path:
         """The reference is the exact motion under the stored inputs, and these are within the limits."""
@@ -153,32 +134,20 @@ class Argument:
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")
         return sets, flown
 
-    def recoverability(
-        self,
-        path: Path,
-        chosen: list[list[int]],
-        memory: Memory,
-        sets: list[Zonotope],
-        flown: list[Flown],
-        scheduled: Scheduled | None,
-    ) -> None:
+    def recoverability(self, flight: Continuation, sets: list[Zonotope], flown: list[Flown]) -> None:
         """S keeps to every limit to the end if it takes over before or after any experimental step."""
         doc = self.document
-        limits = Limits.of(doc, path, self.craft, chosen)
-        needs = self._needs(memory, limits.rows)
-        recovery = Recovery.of(doc, path, limits, needs, scheduled)
         margins = self.stated.margins or [0.0] * self.K
         claimed = {0: self.stated.start_margin or 0.0}
         for k, mode in enumerate(doc.modes):
             for at in (k, k + 1) if mode > 0 or margins[k] > 0 else ():
                 claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), margins[k])
-        reached = {node: sets[node // doc.q] for node in claimed if node < recovery.nodes}
+        reached = {node: sets[node // doc.q] for node in claimed if node < flight.recovery.nodes}
         for k, mode in enumerate(doc.modes):  # a fault is isolated at any node
             within = flown[k].nodes if mode > 0 and doc.transients else []
             reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
-        least = recovery.check_sets(reached, claimed)
-        recovery.check_far()
-        ahead = f"{memory.periods} periods ahead and beyond, tightest share {least:.3g}"
+        least = flight.keeps(reached, claimed)
+        ahead = f"{flight.tracker.memory.periods} periods ahead and beyond, tightest share {least:.3g}"
         self.record.holds("recoverable", f"{len(reached)} instants of switching, {ahead}")
         claims = sum(margin > 0 for margin in claimed.values())
         self.record.holds("margins", f"{claims} instants next to experimental steps")

@@ -9,14 +9,11 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..kernel.arcs import Path
 from ..kernel.balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Merging, Zonotope
-from ..model.craft.craft import Craft
-from ..model.craft.memory import Memory
 from ..model.craft.needs import Bows, Needs
-from ..model.craft.scheduled import Scheduled
+from .continuation import Continuation
 from .flights import Flown, Pilot, fly
 from .goal_rows import Weighted
 from .spending import spent
@@ -37,13 +34,9 @@ class Arrival:
     until T; `spent` bounds the velocity change until T [m/s].
     """
 
-    document: Document
-    path: Path
-    craft: Craft
-    memory: Memory
+    flight: Continuation
     held: tuple[tuple[Zonotope, int], ...]
     spent: arb
-    scheduled: Scheduled | None = None
     pilot: Pilot | None = None  # S, where it is flown on
     merging: Merging = field(default_factory=lambda: Merging(24))
     _flown: list[Flown] = field(default_factory=list, repr=False)
@@ -52,6 +45,11 @@ class Arrival:
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
     _bowed: dict[tuple[Needs, int], Bows] = field(default_factory=dict, repr=False)
     _caused: dict[Needs, list[list[arb]]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def document(self) -> Document:
+        """The certificate, with the path for its reference."""
+        return self.flight.document
 
     def check(self, claim: dict[str, Any], spec: dict[str, Any]) -> str:
         """Refuse a claim that does not hold; returns what was confirmed.
@@ -65,7 +63,7 @@ class Arrival:
                 "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
             )
         rows = Weighted.of(spec, self.soon, self.document)
-        needs = Needs(self.craft, self.memory, rows.rows)
+        needs = Needs(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
         self.tolerated(claim, spec, rows.scale, self.holding(needs))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
@@ -111,7 +109,7 @@ class Arrival:
         """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
         most = sums(needs.settled, off, *needs.upset[-1:])
-        return largest(sums(most, self.from_thrust(needs, self._last)) if self.scheduled else most)
+        return largest(sums(most, self.from_thrust(needs, self._last)) if self.flight.scheduled else most)
 
     def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
         """What counts as reached is no more than the scenario says, and what is reached is within it."""
@@ -149,9 +147,9 @@ class Arrival:
         every = range(min(far, self._last) + 1)
         late = bisect_right(every, most, key=lambda node: self.spent + self.correcting(node))
         for node in every[: max(late, 1)]:
-            lag = min(node, self.memory.periods)
+            lag = min(node, self.flight.tracker.memory.periods)
             middle = rows.over(self._state(node))
-            if node <= self.memory.periods:
+            if node <= self.flight.tracker.memory.periods:
                 middle = sums(middle, (needs.carried[lag] * final.c).entries())
             if not rows.distance(middle) > arb(claimed) * (1 + SLACK):
                 reach = (magnitude(needs.carried[lag]) * size).entries()
@@ -168,17 +166,17 @@ class Arrival:
     def after(self, nodes: int) -> list[Flown]:
         """S from T on, for at least so many periods."""
         doc = self.document
-        reached = self.held[-1][0].grown(diagonal(magnitude(self.path.jump).entries()))
+        reached = self.held[-1][0].grown(diagonal(self.flight.jump.entries()))
         assert self.pilot is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
             pilot = self.pilot.knowing(doc.known_to(k))
-            self._flown.append(fly(pilot, start, k, self.path, None, self.merging))
+            self._flown.append(fly(pilot, start, k, self.flight.path, None, self.merging))
         return self._flown
 
     def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
         """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
-        found, periods, jump = [], self.memory.periods, magnitude(self.path.jump)
+        found, periods, jump = [], self.flight.tracker.memory.periods, self.flight.jump
         for place, (z, since) in enumerate(self.held):
             lag = since + node
             parts = [(needs.disturbed if around else needs.at_nodes)[min(lag, periods + 1)]]
@@ -189,7 +187,7 @@ class Arrival:
                 parts += [self._bows(needs, place).next_to(lag)] if around else []
             found.append(sums(*parts))
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
-        least = sums(least, self.from_thrust(needs, node)) if self.scheduled else least
+        least = sums(least, self.from_thrust(needs, node)) if self.flight.scheduled else least
         if not around:  # commands do not answer to what is displaced
             least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
         if node > periods:
@@ -215,8 +213,10 @@ class Arrival:
     def from_thrust(self, needs: Needs, node: int) -> list[arb]:
         """What errors of scheduled commands add along rows from a node of the tail on."""
         if needs not in self._caused:
-            assert self.scheduled is not None
-            tail = self.scheduled.along(needs.given)[min(self.document.steps, self.document.cells - 1) :]
+            assert self.flight.scheduled is not None
+            tail = self.flight.scheduled.along(needs.given)[
+                min(self.document.steps, self.document.cells - 1) :
+            ]
             q = self.document.q
             later = [tail[-1][-1]] * (len(tail) * q + 1)
             most = later[-1]
@@ -230,7 +230,7 @@ class Arrival:
     def _state(self, node: int) -> arb_mat:
         """State of the reference at a node of the tail."""
         cell, place = divmod(node, self.document.q)
-        arcs, at = self.path.arcs, self.document.steps + cell
+        arcs, at = self.flight.path.arcs, self.document.steps + cell
         return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
 
     def _distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
@@ -252,11 +252,13 @@ class Arrival:
     @cached_property
     def _drifting(self) -> Needs:
         row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
-        return Needs(self.craft, self.memory, above(matrix([row]), -matrix([row])))
+        return Needs(
+            self.flight.tracker.craft, self.flight.tracker.memory, above(matrix([row]), -matrix([row]))
+        )
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant = self.document, self.craft.plant
+        doc, plant = self.document, self.flight.tracker.craft.plant
         for node in range(len(self._summed) - 1, nodes):
             most = self.tops(node, doc.inputs[doc.steps + node // doc.q])
             tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
@@ -269,7 +271,7 @@ class Arrival:
         """What S commands at most in the period after a node, about inputs u of the reference."""
         m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
         doc = self.document
-        error = self.craft.noise_in(doc, doc.steps)
+        error = self.flight.tracker.craft.noise_in(doc, doc.steps)
         ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
         return [
             (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
@@ -277,8 +279,7 @@ class Arrival:
 
     @cached_property
     def _commands(self) -> Needs:
-        K = self.craft.commands
-        return Needs(self.craft, self.memory, above(K, -K))
+        return Needs(self.flight.tracker.craft, self.flight.tracker.memory, self.flight.tracker.commands)
 
     def _thrust(self, node: int) -> list[arb]:
         """What S commands for errors, of both signs, in the periods on both sides of a node."""

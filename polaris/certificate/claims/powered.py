@@ -5,8 +5,7 @@ shown along each branch, too, from the sets that the schedule reaches in the ste
 """
 
 import copy
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,40 +14,29 @@ from flint import arb, arb_mat
 from ..files.artefacts import Stated
 from ..files.document import Document
 from ..files.parts import Branch, Way
-from ..kernel.arcs import Path
-from ..kernel.balls import above, absolute, column, largest, magnitude, plain, require, smallest, sums
+from ..kernel.balls import absolute, column, largest, magnitude, plain, require, smallest, sums
 from ..kernel.verdict import Rejected
-from ..kernel.zonotopes import Zonotope, widest
-from ..model.craft.craft import Craft
-from ..model.craft.memory import Memory
+from ..kernel.zonotopes import Zonotope
 from ..model.craft.needs import Needs
-from ..model.craft.scheduled import Scheduled
-from ..model.limits import Limits
 from ..model.plants import within_limits
 from ..model.timing import owed
 from .arrival import SLACK, Arrival
-from .coasting import JUMP_SLACK, check_end, flown_path, prolonged
+from .coasting import JUMP_SLACK, check_end, flown_path
+from .continuation import Continuation, Tracker
 from .flights import Flown
 from .goal_rows import Weighted
-from .recovery import Recovery
 
 CLAIM = "powered_abort"
 
 
-def check_aborts(
-    document: Document,
-    craft: Craft,
-    sets: list[Zonotope],
-    flown: list[Flown],
-    stated: Stated,
-    late: tuple[list[arb_mat], Callable[[Memory, arb_mat], Needs]],
-) -> str:
+def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], stated: Stated) -> str:
     """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
 
-    So for the tank, of which the scenario tells besides. The sets are those that the schedule reaches; `late`
-    is what faults add until isolated, and what errors need with them. Returned is what is confirmed.
+    So for the tank, of which the scenario tells besides. The sets are those that the schedule reaches.
+    Returned is what is confirmed.
     """
-    powered, orbit, tank, before = document.powered, stated.orbit, stated.tank, arb(0)
+    document, tank, before = tracker.document, stated.tank, arb(0)
+    powered = document.powered
     assert powered is not None
     most = stated.aborts or [powered.budget] * document.steps
     takeovers, since = dict[int, Takeover](), 0
@@ -62,15 +50,13 @@ def check_aborts(
         if way is not None:
             takeovers[k] = Takeover(way, k, (k if mode else since) * document.q, reached)
         since = k + 1 if mode else since
-    if every := [z for taken in takeovers.values() for z in taken.sets]:
-        memory = Memory.of(craft, widest([*sets, *every], late[0]), document.q, document.profile)
-        facets = [row for branch in powered.branches for row in branch.facets]
-        common = Common(craft, memory, facets, orbit, late[1])
-        for place, branch in enumerate(powered.branches):
-            along = Along(branched(document, branch), branch, common)
-            served = [taken for taken in takeovers.values() if taken.way.branch == place]
-            along.recovers(served)
-            for taken in served if orbit is not None else ():
+    facets = [row for branch in powered.branches for row in branch.facets]
+    for place, branch in enumerate(powered.branches):
+        served = [taken for taken in takeovers.values() if taken.way.branch == place]
+        if served:
+            along = Along.of(branched(document, branch), branch, tracker, facets, stated.orbit)
+            along.flight.keeps({taken.first + i: z for taken in served for i, z in enumerate(taken.sets)})
+            for taken in served if stated.orbit is not None else ():
                 along.arrives(taken, most[taken.k])
     return f"{len(takeovers)} of {document.steps} steps, along {len(powered.branches)} branches"
 
@@ -96,96 +82,58 @@ class Takeover:
 
 
 @dataclass(frozen=True, eq=False)
-class Common:
-    """What all branches have in common."""
-
-    craft: Craft
-    memory: Memory
-    facets: list[list[int]]  # of all branches, so that they have the same rows of limits
-    orbit: dict[str, Any] | None
-    made: Callable[[Memory, arb_mat], Needs]  # with a fault that is isolated late
-    _known: dict[Any, Needs] = field(default_factory=dict, repr=False)
-
-    def needs(self, of: Any, rows: arb_mat) -> Needs:
-        """What errors need along rows, and a fault that is isolated late, once; `of` tells them apart."""
-        if of not in self._known:
-            self._known[of] = self.made(self.memory, rows)
-        return self._known[of]
-
-
-@dataclass(frozen=True, eq=False)
 class Along:
-    """S along one branch, which `document` has in the place of the reference."""
+    """S along one branch, which the document of its flight has in the place of the reference."""
 
-    document: Document
+    flight: Continuation
     branch: Branch
-    common: Common
+    orbit: dict[str, Any] | None
 
-    @cached_property
-    def path(self) -> Path:
+    @classmethod
+    def of(
+        cls,
+        doc: Document,
+        branch: Branch,
+        tracker: Tracker,
+        facets: list[list[int]],
+        orbit: dict[str, Any] | None,
+    ) -> "Along":
         """The exact motion under the inputs, which are within the limits, and it may coast."""
-        doc, plant = self.document, self.common.craft.plant
-        path = flown_path(doc, plant, self.branch.tail)
+        path = flown_path(doc, tracker.craft.plant, branch.tail)
         size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
         off = largest(magnitude(path.jump).entries())
         require(CLAIM, JUMP_SLACK * max(1.0, *size) - off, "the tail of a branch starts elsewhere")
         within_limits(doc, doc.inputs, CLAIM, "a branch")
         check_end(doc, path)
-        return path
-
-    @cached_property
-    def further(self) -> tuple[Path, list[list[int]]]:
-        """The path and its facets until the loop has forgotten what it was at T."""
-        return prolonged(self.document, self.path, self.common.memory)
-
-    def recovers(self, served: list[Takeover]) -> None:
-        """S keeps to every limit to the end, whenever it takes over."""
-        common, (path, chosen) = self.common, self.further
-        chosen = [*chosen, *common.facets]
-        limits = Limits.of(self.document, path, common.craft, chosen)
-        needs = common.needs(frozenset(pair for row in chosen for pair in enumerate(row)), limits.rows)
-        recovery = Recovery.of(self.document, path, limits, needs, self.scheduled)
-        reached = {taken.first + i: z for taken in served for i, z in enumerate(taken.sets)}
-        recovery.check_sets(reached, {})
-        recovery.check_far()
-
-    @cached_property
-    def scheduled(self) -> Scheduled | None:
-        """Errors by the time of the flight, if any."""
-        if not (self.document.profile or self.document.error_by_step):
-            return None
-        common = self.common
-        return Scheduled(self.document, common.craft, common.memory, self.further[0])
+        return cls(Continuation(doc, path, tracker, facets), branch, orbit)
 
     @cached_property
     def _commands(self) -> tuple[Needs, list[arb]]:
         """What errors need of commands, and what the jump into the tail does."""
-        K = self.common.craft.commands
-        needs = self.common.needs("commands", above(K, -K))
-        return needs, needs.ever(magnitude(self.path.jump))
+        tracker = self.flight.tracker
+        needs = tracker.needs("commands", tracker.commands)
+        return needs, needs.ever(self.flight.jump)
 
     @cached_property
     def _caused(self) -> list[list[arb]]:
         """What errors by the time of the flight need of commands in every cell; empty without any."""
-        if self.scheduled is None:
+        if self.flight.scheduled is None:
             return []
-        every = self.scheduled.along(self._commands[0].given)
+        every = self.flight.scheduled.along(self._commands[0].given)
         return [[largest(each) for each in zip(*nodes, strict=True)] for nodes in every]
 
     @cached_property
     def _orbit(self) -> tuple[Weighted, Needs, list[arb], Arrival]:
         """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
-        doc, common, spec = self.document, self.common, self.common.orbit
+        doc, spec = self.flight.document, self.orbit
         assert spec is not None
-        arrival = Arrival(doc, self.path, common.craft, common.memory, (), arb(0), self.scheduled)
+        arrival = Arrival(self.flight, (), arb(0))
         rows = Weighted.of(spec, arrival.soon, doc)
-        needs = common.needs(("orbit", doc.steps), rows.rows)
+        needs = self.flight.tracker.needs(("orbit", doc.steps), rows.rows)
         claim = {"tolerance_m": self.branch.tolerance, "reached": False}
         arrival.tolerated(claim, spec, rows.scale, arrival.holding(needs))
-        more = sums(
-            needs.ever(magnitude(self.path.jump)), (absolute(rows.rows) * column(doc.at_nodes)).entries()
-        )
-        return rows, needs, more, arrival
+        away = (absolute(rows.rows) * column(doc.at_nodes)).entries()
+        return rows, needs, sums(needs.ever(self.flight.jump), away), arrival
 
     def arrives(self, taken: Takeover, most: float | None) -> None:
         """The orbit is reached when it is claimed to be, for no more than is claimed, or allowed."""
@@ -199,20 +147,22 @@ class Along:
 
     def distance(self, taken: Takeover, cell: int) -> arb:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
-        if not self.document.steps <= cell <= self.document.cells:
+        doc, arcs = self.flight.document, self.flight.path.arcs
+        if not doc.steps <= cell <= doc.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        (rows, needs, more, arrival), arcs, doc = self._orbit, self.path.arcs, self.document
+        rows, needs, more, arrival = self._orbit
         state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
         parts = [rows.over(state), self._most(needs, taken, cell, cell), more]
-        parts += [arrival.from_thrust(needs, (cell - doc.steps) * doc.q)] if self.scheduled else []
+        parts += [arrival.from_thrust(needs, (cell - doc.steps) * doc.q)] if self.flight.scheduled else []
         return rows.distance(sums(*parts))
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
-        doc, plant, m = self.document, self.common.craft.plant, len(self.document.u_max)
+        doc, craft = self.flight.document, self.flight.tracker.craft
+        plant, m = craft.plant, len(doc.u_max)
         (needs, jump), total, unasked = self._commands, owed(plant), [arb(0)]
         for c in range(taken.k, cell):
-            known = self.common.craft.noise_in(doc, c)
+            known = craft.noise_in(doc, c)
             parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
             need = sums(*parts)
             both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)
@@ -226,7 +176,7 @@ class Along:
 
     def _most(self, needs: Needs, taken: Takeover, cell: int, until: int) -> list[arb]:
         """What errors of an abort in a step need along rows between the starts of two cells, or at one."""
-        q, periods, found = self.document.q, self.common.memory.periods, []
+        q, periods, found = self.flight.document.q, self.flight.tracker.memory.periods, []
         lags = taken.window(cell * q, until * q)
         pushed = needs.disturbed if until > cell else needs.at_nodes
         for lag in lags[: max(periods + 1 - lags[0], 0)]:

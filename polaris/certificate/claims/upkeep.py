@@ -13,17 +13,17 @@ from .arrival import SLACK, Arrival
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
     """What S spends for as long as it flies on, and how long the scenario's tank lasts."""
-    doc = arrival.document
+    doc, plant = arrival.document, arrival.flight.tracker.craft.plant
     node = arrival.node_at(claim["settled_s"])
     if any(any(u) for u in doc.inputs[doc.steps :]):
         raise Rejected("upkeep", "the tail does not coast")
-    later = range(node, max(node, arrival.memory.periods + 1) + 1)
+    later = range(node, max(node, arrival.flight.tracker.memory.periods + 1) + 1)
     most = list(map(largest, zip(*(arrival.tops(at, [0.0] * len(doc.u_max)) for at in later), strict=True)))
-    for top, x in zip(arrival.craft.plant.u_max, most, strict=True):
+    for top, x in zip(plant.u_max, most, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
-    rate = arrival.craft.plant.spent(most) / arrival.craft.plant.h / doc.mass
+    rate = plant.spent(most) / plant.h / doc.mass
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
-    ahead = rate * arrival.craft.plant.h if doc.fired else arb(0)  # a pulse ends before its period does
+    ahead = rate * plant.h if doc.fired else arb(0)  # a pulse ends before its period does
     until = arrival.spent + arrival.correcting(node) + ahead
     arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
@@ -31,7 +31,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
         if doc.system_kind != "clohessy_wiltshire":
             raise Rejected("upkeep", "a velocity change per orbit needs Hill's frame")
         turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0)
-        before = owed(arrival.craft.plant) / doc.mass  # what an orbit may find left
+        before = owed(plant) / doc.mass  # what an orbit may find left
         arrival.no_less("velocity change per orbit", orbit, rate * turn + ahead + before)
     if claim["tank_m_s"] != tank or (lasts is not None and tank is None):
         raise Rejected("upkeep", "the tank is not that of the scenario")
