@@ -124,9 +124,9 @@ class FreeFlight:
         return tuple(found)
 
     def _start(self, nodes: Zonotope, bow: Array, first: int, q: int) -> Zonotope:
-        """Enclose, as of the start of a step of q periods, the states in which thrust may stop (Proposition 15).
+        """Enclose the states in which thrust may stop, carried to the start of the step (Proposition 15 (a)).
 
-        In the periods between some nodes, the first of them the node `first` of the step.
+        In the periods between some nodes of a step of q periods, the first of them its node `first`.
         """
         system = self.system
         h = self.delta / q

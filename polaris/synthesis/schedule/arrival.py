@@ -1,4 +1,4 @@
-"""The goal as a claim: when every flight is proven to be within a tolerance of it, or how far off."""
+"""The goal as a claim: when every flight is proven to be near it (docs/theory.md, Proposition 14 (a))."""
 
 from dataclasses import astuple, dataclass
 
