@@ -1,0 +1,44 @@
+"""Choices that are exchanged or left out, and claims beyond what they give: all refused."""
+
+import pytest
+
+pytest.importorskip("flint")
+
+from .choices import forged
+from .forging import QUARTER, Forger, make
+
+ORBIT = '{kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
+ASKED = (
+    QUARTER,
+    f"abort={{orbit={ORBIT},within_s=10.0,delta_v_max_m_s=20.0,drift_s=6.0}}",
+    "thrusters.magnitude_error=0.02",
+    "schedule.bound_programs=0",
+)
+"""A scene with a profile of commands, branches of aborts and drifts, in which U's commands clip."""
+
+PARTS = 8
+
+
+@pytest.fixture(scope="module")
+def forger(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("choices")
+    return Forger(make(ASKED, folder), folder)
+
+
+def test_the_honest_folder_is_verified(forger):
+    assert forger.judge({}).outcome == "VERIFIED"
+
+
+def test_there_are_more_than_a_hundred_of_them(forger):
+    assert len({label for label, _ in forged(forger)}) > 100
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("part", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(1, PARTS))])
+def test_forged_choices_and_bold_claims_are_refused(forger, part):
+    """A part of them with few generators: more of them only take longer to refuse the same."""
+    passed = []
+    for i, (label, files) in enumerate(forged(forger)):
+        if i % PARTS == part and (verdict := forger.judge(files)).outcome == "VERIFIED":
+            passed.append(f"{label}: {verdict.text()}")
+    assert not passed, "\n".join(passed)
