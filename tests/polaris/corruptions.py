@@ -95,6 +95,10 @@ def inner(corrupt):
     for k in range(0, K, 3):
         beyond = change("reference", "inputs", k, 0, to=(1.01).hex())
         yield f"input {k} beyond the limit", beyond, REFERENCE | {"thrust"}
+    for cell in range(K, cells):
+        for axis in (0, 1):
+            pushed = change("reference", "inputs", cell, axis, to=(1e-4).hex())
+            yield f"input {axis} of the tail's cell {cell}", pushed, REFERENCE
     for cell in range(0, cells, 2):
         for o, item in enumerate(data["unsafe_sets"]):
             other = opposite(plain(item["normals"]), data["facets"][cell][o])

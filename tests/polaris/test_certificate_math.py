@@ -276,7 +276,7 @@ def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
             raise Imprecise("recoverable", "too few bits")
         return Memory.of(motion, extent, multiple, *more)
 
-    monkeypatch.setattr("polaris.certificate.claims.argument.Memory", SimpleNamespace(of=of))
+    monkeypatch.setattr("polaris.certificate.claims.continuation.Memory", SimpleNamespace(of=of))
     verdict = verify_document(certificate(scene("clipped")[0], "tiny"))
     assert verdict.outcome == "VERIFIED" and bits(verdict) > 2 * PRECISION, verdict.text()
     assert len({claim for claim, _ in verdict.checked}) == len(verdict.checked), "nothing is told twice"

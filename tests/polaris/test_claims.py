@@ -448,6 +448,7 @@ BETTER = {
     "guarantee.upkeep.until_settled_m_s": [0.0],
     "guarantee.upkeep.rate_m_s2": [0.0],
     "guarantee.upkeep.lasts_s": [1e9, None],
+    "guarantee.powered_abort.steps.*.delta_v_m_s": [0.0, None],
     "guarantee.abort.witness.after_s": [1e9],
     "guarantee.abort.witness.distance_m": [1.0],
     "steps.*.limit_time_s": [None, 0.0, 1e9],

@@ -86,8 +86,8 @@ def test_the_argument_notices_the_rest(part, monkeypatch):
     assert count >= 19
 
 
-def test_they_are_more_than_two_hundred_without_the_slow_ones(folder):
-    cases = [*part_of_inner(0), *against_files(beside(folder)), *malformed(alone())]
+def test_they_are_more_than_two_hundred(folder):
+    cases = [*inner(alone()), *against_files(beside(folder)), *malformed(alone())]
     assert len({label for label, _, _ in cases}) >= 200
 
 

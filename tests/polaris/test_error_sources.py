@@ -473,7 +473,7 @@ def test_forged_errors_are_refused(tmp_path):
     assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
     profile = data["profile"]
     for forged, claim in (
-        ([[(20 * float.fromhex(x)).hex() for x in most] for most in profile], "margins"),
+        ([[(20 * float.fromhex(x)).hex() for x in most] for most in profile], "goal"),
         ([[(0.5 * float.fromhex(x)).hex() for x in most] for most in profile], "recoverable"),
         ([*profile[:-1], [(1e-6).hex()] * len(profile[0])], "recoverable"),
         (profile[::-1], "format"),

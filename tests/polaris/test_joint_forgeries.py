@@ -204,7 +204,7 @@ def test_a_scenario_reads_one_way(lie, start):
     [
         (("system", "input_max"), {(1.0).hex(): 1, (2.0).hex(): 2}),
         (("system", "input_names"), "ab"),
-        (("schedule", "modes"), "01"),
+        (("modes",), "01"),
         (("facets",), {}),
         (("initial_set", "center"), "0000"),
     ],

@@ -144,9 +144,10 @@ def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
     assert 0 < len(left) < 12 and min(left) >= 0 and np.array_equal(schedule.modes, tiny.modes)
     assert any("the tank holds" in way.why for way in schedule.powered.ways)
     document = Document(json.loads(json.dumps(certificate(schedule, "tiny"))))
+    aborts = [way.delta_v for way in schedule.powered.ways]
     for known, outcome in ((tank, True), (0.5 * tank, False)):
         with flint.ctx.workprec(precision_for(document)):
-            argument = Argument(document, Record(), Stated(tank=known))
+            argument = Argument(document, Record(), Stated(tank=known, aborts=aborts))
             if outcome:
                 argument.run()
                 continue

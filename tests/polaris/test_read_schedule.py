@@ -247,10 +247,10 @@ def test_a_certificate_that_lists_too_few_files_is_refused(copied):
         read_schedule(copied)
 
 
-@pytest.mark.parametrize("version", [1, 2, 4, None])
+@pytest.mark.parametrize("version", [1, 2, 3, None])
 def test_another_version_is_refused_in_a_clear_sentence(version, copied):
     forge(copied, lambda data: data.update(schema_version=version))
-    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 3: run the sc"):
+    with pytest.raises(ScenarioError, match=f"schema_version {version} .*reads schema_version 4: run the sc"):
         read_schedule(copied)
 
 
@@ -330,7 +330,7 @@ def test_a_share_of_thrust_that_is_not_told_is_not_guessed(tmp_path):
     scenario = load_scenario(TINY).with_assignments([COARSE, SOFT, *ERRORS])
     folder = written(tmp_path, scenario, synthesize(scenario))
     forge(folder, lambda data: data.pop("choices"))
-    with pytest.raises(ScenarioError, match="contradict each other in thrust.profile|cannot prove"):
+    with pytest.raises(ScenarioError, match="contradict each other in profile|cannot prove"):
         read_schedule(folder)
 
 
