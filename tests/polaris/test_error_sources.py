@@ -315,7 +315,7 @@ def test_what_the_reference_commands_is_booked_where_it_acts():
 
 NEARLY = (
     *("thrusters.misalignment_deg=20", "tracking.thrust_share=0.5", "recoverable.recourse=none"),
-    *("horizon.step_s=90", "feedback.period_s=9"),
+    *("horizon.step_s=90", "feedback.period_s=6"),
 )
 """Errors of thrusters that nearly feed on themselves: what bounds them takes long to be found."""
 
