@@ -92,7 +92,7 @@ class Forger:
 
     def _verify(self, files):
         """Verdict on the forged folder."""
-        if files and not self.needed and not CAMPAIGN:
+        if files and not self.needed and len(argument.ORDERS) > 1 and not CAMPAIGN:
             self._honest(self.run)
         with patch.object(argument, "ORDERS", self.needed or argument.ORDERS):
             return verify(self.folder) if files or CAMPAIGN else self._honest(self.folder)
