@@ -104,7 +104,7 @@ class LinearFlow:
         """Zonotope enclosing ``{int_0^h e^{A_x s} B v(s) ds}`` for measurable v in a set about zero.
 
         The mean of v lies in the set, as it is convex; the rest is bounded by ``h^2/3 sup |B v|``
-        times the Lipschitz constant of ``e^{A_x s}`` (docs/theory.md, Lemma 11).
+        times the Lipschitz constant of ``e^{A_x s}`` (docs/theory.md, Proposition 9 (c)).
 
         Parameters
         ----------

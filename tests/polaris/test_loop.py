@@ -412,7 +412,7 @@ CARRIED = [("", 0), ("estimate", 0), ("estimate", 1.4), ("observer", 0.5)]
 )
 @pytest.mark.parametrize(("nav", "delay"), CARRIED)
 def test_no_flight_exceeds_the_bounds_with_carried_impulses(plant, errors, nav, delay):
-    """Errors act on what is made. A law that sees the true state needs their displacement too (Lemma 37)."""
+    """Errors act on what is made. A law that sees the true state needs their displacement too (Lemma 6)."""
     errors, L = Thrusters(*errors) if errors else THRUSTERS, 40
     base, reached = software(plant, nav, delay, True), []
     n, m = base.B.shape

@@ -141,7 +141,7 @@ class AffineController(AffineLaw):
         nodes = self.powers @ d + self.disturbance
         bow = affine_bow(self, nodes[:-1], k)
         commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
-        # Without a clip, what the estimate adds to a command counts; else it comes after the clip (Lemma 21).
+        # Without a clip, what the estimate adds to a command counts; else it comes after the clip (Proposition 5).
         noise = self.system.command_error(self.gain)
         over = commanded + (0.0 if self.clips else noise) - self.system.u_max
         excess, axis = float(over.max()), int(np.argmax(over))
