@@ -34,6 +34,11 @@ CHOSEN = "feedback={}"
 """Where tests do not care about the period: it is chosen, and fewer steps are flown."""
 
 
+def quick(name):
+    """Overrides for a bundled scenario whose period is not cared about; none for those that are quick."""
+    return [CHOSEN] if name in ("static", "dynamic") else []
+
+
 @cache
 def digest():
     """Of every source and scenario, of what makes scenes for tests, and of what runs them."""

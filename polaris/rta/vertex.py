@@ -5,7 +5,6 @@ For programs whose rows are so nearly dependent that a solver's tolerances decid
 
 from typing import Any
 
-import flint
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +46,8 @@ def lowest(G: Array, need: Array, free: NDArray[np.bool_], exact: bool = True) -
             return np.linalg.solve(A[near], b[near]), multipliers[:M]
         except np.linalg.LinAlgError:
             return None
+    import flint  # few programs come this far
+
     whole = np.rint(np.ldexp(np.column_stack([A, b]), BITS)).astype(object)
     table = flint.fmpz_mat([[int(value) for value in row] for row in whole])
     for basis in (near, first):
@@ -77,6 +78,8 @@ def _near(A: Array, b: Array, rows: int) -> list[int] | None:
 
 def _exact(table: Any, basis: list[int]) -> tuple[Array, list[int], Array] | None:
     """Dual simplex from a basis with multipliers >= 0: the row missed by most, later by Bland's rule."""
+    import flint
+
     rows = table.tolist()
     n = table.ncols() - 1
     unit = flint.fmpz_mat([[0]] * (n - 1) + [[1 << BITS]])

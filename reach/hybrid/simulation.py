@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from ..brief import brief
 from ..numerics.checks import Array, as_array, checked
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import dense
+from ..numerics.exponentials import bordered, dense
 from ..sets.polytope import HPolytope
 from .automaton import HybridAutomaton, Mode, Transition
 
@@ -144,8 +144,7 @@ class _Motion:
         system = mode.system
         n = system.dim
         self.mode, self.u, self.dt, self.n = mode, u, dt, n
-        self.M = np.zeros((n + 1, n + 1))
-        self.M[:n, :n], self.M[:n, n] = dense(system.A), np.asarray(system.B @ u).ravel() + system.c
+        self.M = bordered(dense(system.A), (np.asarray(system.B @ u).ravel() + system.c)[:, None])
         self.z, self.size = np.r_[x, 1.0], np.abs(x)
 
     def at(self, s: float) -> Array:

@@ -149,6 +149,13 @@ def dense(M: Any) -> Array:
     return M if isinstance(M, np.ndarray) else np.asarray(M.toarray())
 
 
+def bordered(A: Any, B: Any, corner: Any = None) -> Any:
+    """``[[A, B], [0, corner]]`` for a square A, dense or sparse as A is; a corner of zeros by default."""
+    rest = sparse.csr_matrix((B.shape[1], B.shape[1])) if corner is None else corner
+    out: Any = sparse.bmat([[sparse.csr_matrix(A), sparse.csr_matrix(B)], [None, rest]], format="csr")
+    return out if sparse.issparse(A) else out.toarray()
+
+
 def scaled(M: Any, s: Array) -> Any:
     """Rows of M, dense or sparse, times numbers s."""
     return M * s[:, None] if isinstance(M, np.ndarray) else sparse.csr_matrix(sparse.diags(s) @ M)

@@ -9,7 +9,7 @@ from ..numerics.checks import Array, require_sets
 from ..numerics.errors import ReachError
 from .ellipsoid import Ellipsoid
 from .interval import Interval
-from .lazy import AffineImage, OfParts
+from .lazy import OfSets
 from .zonotope import Zonotope
 
 OUTLINE = 128  # supporting lines that a round set is drawn with; it is overestimated by 0.03 %
@@ -18,15 +18,14 @@ SAME = 1e-9  # points this close, in sizes of the set, are one vertex
 
 def is_round(X: Any) -> bool:
     """Whether there is an ellipsoid in the set."""
-    inner = (X.base,) if isinstance(X, AffineImage) else X.parts if isinstance(X, OfParts) else ()
-    return isinstance(X, Ellipsoid) or any(map(is_round, inner))
+    return isinstance(X, Ellipsoid) or (isinstance(X, OfSets) and any(map(is_round, X.made_of)))
 
 
 def outline(X: Any) -> Array:
     """Polygon around a planar set, counter-clockwise, shape (k, 2): exact unless the set is round."""
     require_sets(X)
     _require_planar(X)
-    return round_outline(X) if is_round(X) else np.asarray(X.vertices_2d())
+    return _round_outline(X) if is_round(X) else np.asarray(X.vertices_2d())
 
 
 def _require_planar(X: Any) -> None:
@@ -79,11 +78,11 @@ def _by_chords(X: Any) -> Array:
     return np.asarray(np.array(out or corners[:1]) * size + hull.center)
 
 
-def round_outline(X: Any, count: int = OUTLINE) -> Array:
-    """Polygon of supporting lines around a planar set, counter-clockwise, shape (count, 2)."""
+def _round_outline(X: Any) -> Array:
+    """Polygon of supporting lines around a planar set, counter-clockwise, shape (OUTLINE, 2)."""
     hull = X.interval_hull()
     size = np.where(hull.half_widths > 0, hull.half_widths, 1.0)
-    angles = 2 * np.pi * np.arange(count) / count
+    angles = 2 * np.pi * np.arange(OUTLINE) / OUTLINE
     normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     offsets = X.support(normals / size) - (normals / size) @ hull.center
     return np.asarray(polygon(offsets, normals) * size + hull.center)

@@ -18,7 +18,7 @@ from scipy import sparse
 
 from ..numerics.checks import Array, require_single
 from ..numerics.errors import ReachError, Unresolved
-from ..numerics.exponentials import FLUSHED, scaled, times
+from ..numerics.exponentials import FLUSHED, bordered, scaled, times
 from ..sets.convex import ConvexSet
 from ..sets.interval import Interval
 from ..sets.lazy import AffineImage
@@ -217,15 +217,9 @@ def augmented(system: LinearSystem, start: Any) -> tuple[LinearSystem, Any]:
     if not np.any(drift):
         return replace(system, U=inputs or None, c=None), start
     n, m = system.dim, system.inputs
-    one = 1.0 if system.discrete else 0.0
-    A: Any = np.zeros((n + 1, n + 1))
-    if system.sparse:
-        A = sparse.bmat([[system.A, drift[:, None]], [None, [[one]]]], format="csr")
-        B = sparse.vstack([system.B, sparse.csr_matrix((1, m))])
-    else:
-        A[:n, :n], A[:n, n], A[n, n] = system.A, drift, one
-        B = np.vstack([sparse.csr_matrix(system.B).toarray(), np.zeros((1, m))])
-    around = replace(system, A=A, B=B, U=inputs or None, c=None)
+    A = bordered(system.A, drift[:, None], [[1.0 if system.discrete else 0.0]])
+    B: Any = sparse.vstack([sparse.csr_matrix(system.B), sparse.csr_matrix((1, m))])
+    around = replace(system, A=A, B=B if system.sparse else B.toarray(), U=inputs or None, c=None)
     if isinstance(start, Interval):
         return around, Interval(np.r_[start.lo, 1.0], np.r_[start.hi, 1.0])
     if isinstance(start, Generated):

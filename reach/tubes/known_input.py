@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from ..numerics.checks import Array
-from ..numerics.exponentials import times
+from ..numerics.exponentials import bordered, times
 from .rows import Rows
 from .systems import LinearSystem, Signal
 
@@ -78,13 +76,7 @@ class _Substeps:
 def _follow(system: LinearSystem, D: Array, substeps: _Substeps) -> tuple[Array, Array]:
     """The trajectory at the ends of all sub-steps, and its largest second derivative along D in each."""
     n, m = system.dim, system.inputs
-    blocks = [
-        [sparse.csr_matrix(system.A), sparse.csr_matrix(system.B), None],
-        [None, sparse.csr_matrix((m, m)), sparse.identity(m)],
-        [None, None, sparse.csr_matrix((m, m))],
-    ]
-    A: Any = sparse.bmat(blocks, format="csr")
-    A = A if system.sparse else A.toarray()
+    A = bordered(bordered(system.A, system.B), np.eye(n + m, m, -n))  # of states, inputs and their slopes
     forward, across = Rows(LinearSystem(A)), Rows(LinearSystem(A.T))
     D2 = times(times(np.hstack([D, np.zeros((len(D), 2 * m))]), A), A)
     D4 = np.abs(times(times(D2, A), A)) * forward.scale

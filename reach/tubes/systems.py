@@ -12,6 +12,7 @@ from scipy import sparse
 from ..brief import brief
 from ..numerics.checks import Array, as_array, as_numbers, finite_fields, require_single
 from ..numerics.errors import ReachError
+from ..numerics.exponentials import bordered
 
 FILLED = 0.25  # share of entries from which a matrix in a sparse container is handled as a dense one
 FILLED_MOST = 1000  # most states for which it is: beyond, exponentials cost more than they save
@@ -185,9 +186,7 @@ class LinearSystem:
         m = self.inputs
         if len(self.U) != 1 or m == 0:
             raise ReachError(f"an input can be constant only if it has one set, got {len(self.U)}")
-        keep = sparse.identity(m) if self.discrete else sparse.csr_matrix((m, m))
-        A = sparse.bmat([[sparse.csr_matrix(self.A), self.B], [None, keep]], format="csr")
-        A = A if self.sparse else A.toarray()
+        A = bordered(self.A, self.B, sparse.identity(m) if self.discrete else None)
         drift, B = np.r_[self.c, np.zeros(m)], None
         if self.nominal is not None:
             B = sparse.vstack([self.B, sparse.csr_matrix((m, m))], format="csr")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from scipy.sparse.linalg import expm_multiply
 from ..brief import brief
 from ..numerics.checks import Array, as_array, checked, require_single
 from ..numerics.errors import ReachError
-from ..numerics.exponentials import dense, times
+from ..numerics.exponentials import bordered, dense, times
 from ..sets.convex import ConvexSet
 from .known_input import known_response
 from .stepping import Steps, row_bounds
@@ -83,14 +82,12 @@ def _discrete(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
 
 
 def _dense(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
-    n, m = system.dim, system.inputs
-    block = np.zeros((n + m + 1,) * 2)
-    block[:n] = np.hstack([dense(system.A), dense(system.B), system.c[:, None]])
+    block = bordered(dense(system.A), np.hstack([dense(system.B), system.c[:, None]]))
     drive, lengths = np.hstack([u, np.ones((len(u), 1))]), np.diff(t)
     # Steps that differ by the rounding of their ends only share the exponential of their mean.
     alike = np.unique([float(f"{h:.9g}") for h in lengths], return_inverse=True)[1]
     means = np.bincount(alike, lengths) / np.bincount(alike)
-    maps = [expm(block * h)[:n] for h in means]
+    maps = [expm(block * h)[: system.dim] for h in means]
     for k, kind in enumerate(alike):
         states[k + 1] = maps[kind] @ np.concatenate([states[k], drive[k]])
 
@@ -100,8 +97,7 @@ def _sparse(system: LinearSystem, states: Array, t: Array, u: Array) -> None:
     k = 0
     for f, run in groupby(range(len(force)), key=lambda i: force[i].tobytes()):
         count = len(list(run))
-        drift = sparse.csr_matrix(np.frombuffer(f)[:, None])
-        block: Any = sparse.bmat([[A, drift], [None, sparse.csr_matrix((1, 1))]], format="csr")
+        block = bordered(A, np.frombuffer(f)[:, None])
         for i in range(k, k + count):
             step = block * (t[i + 1] - t[i])
             states[i + 1] = expm_multiply(step, np.r_[states[i], 1.0], traceA=step.diagonal().sum())[:-1]

@@ -275,7 +275,7 @@ def test_harsh_primaries_find_no_period_without_a_proven_answer(kind):
 def test_consensus_is_proven_too():
     states, suns = drawn(2)
     f = make("explicit", sun=suns[1], sharing="consensus")
-    least, unproven, _ = fly(f, states[1], suns[1], Harsh(Q, "deputy", suns[1]), 40.0)
+    least, unproven, _ = fly(f, states[1], suns[1], Harsh(Q, "deputy", suns[1]), fewer(40.0, 15.0))
     assert unproven == 0 and least >= 0
 
 

@@ -25,6 +25,7 @@ from polaris.inspection.inspection import Inspection
 from polaris.model import compiled
 from polaris.model.errors import ScenarioError
 
+from ..sizes import fewer
 from .test_always import KINDS, Q, drawn, make
 
 ONE, TWO = Inspection(deputies=1), Inspection(deputies=2)
@@ -85,7 +86,7 @@ def test_the_primary_may_lead_the_way_back_as_under_the_plain_filter(kind):
 def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, monkeypatch):
     monkeypatch.setattr(compiled, "wanted", lambda: loops)
     rng, count = np.random.default_rng(4), 0
-    for _ in range(20):
+    for _ in range(fewer(20, 12)):
         x = rng.uniform(-1, 1, (2, 6)) * np.repeat([900.0, 0.8], 3)
         f, wanted = make(kind, TWO), rng.uniform(-1.5, 1.5, (2, 3))
         answer = f.filter(0.0, x, wanted)
@@ -97,7 +98,7 @@ def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, mo
             assert np.array_equal(answer.u, expected.u) and answer.missed == expected.missed
             batch = f.recovery.filtering.batch(x[None], np.zeros(1), wanted[None])
             assert np.array_equal(batch.u[0], answer.u) or expected.status == "backup"
-    assert count > 5
+    assert count > fewer(5, 3)
 
 
 def test_at_rest_in_the_plane_at_985_m_nothing_is_violated():
@@ -231,7 +232,7 @@ def test_calls_a_millisecond_off_are_proven():
     for period, clock in ((1.0, "jitter"), (0.2, "jitter"), (1.0, "fast"), (1.0, "slow")):
         rng, x, late = np.random.default_rng(2), states[2], 0.0
         f, aim = make("explicit", period=period, sun=suns[2]), Harsh(Q, "mixed", suns[2], 20.0)
-        for k in range(round(60 / period)):
+        for k in range(round(fewer(60, 20) / period)):
             now = k * period + late
             answer = f.filter(now, x, aim(now, x))
             assert not answer.unproven, (period, clock, k, answer.fallback)

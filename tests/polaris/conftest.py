@@ -19,9 +19,9 @@ from reach.sets.zonotope import Zonotope
 from ..kept import kept, scheduled
 
 
-def synthesised(name):
-    """(scenario, schedule) of a bundled scenario."""
-    return scheduled(name)
+def synthesised(name, *more):
+    """(scenario, schedule) of a bundled scenario, with overrides."""
+    return scheduled(name, *more)
 
 
 @cache

@@ -16,6 +16,7 @@ from polaris.runs.schedule import SCHEDULE, FlownSchedule
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
+from ..kept import CHOSEN
 from .conftest import synthesised
 from .tiny import TINY, flown
 
@@ -33,7 +34,7 @@ SATELLITE = {
 def scene(name):
     """Scenario and schedule of variants of the tiny scene."""
     if name == "static":
-        return synthesised("static")
+        return synthesised("static", CHOSEN)
     data = tomllib.loads(TINY.read_text(encoding="utf-8"))
     if name == "satellite only":
         data["obstacles"] = [SATELLITE]

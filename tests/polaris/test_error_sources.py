@@ -206,7 +206,9 @@ def test_bad_tables_are_refused_by_name(assignment, field):
 
 
 def test_less_feedback_is_tried_where_errors_of_thrusters_leave_no_safe_reference():
-    scenario = load_scenario("keep_out").with_assignments(["thrusters.misalignment_deg=22"])
+    scenario = load_scenario("keep_out").with_assignments(
+        ["thrusters.misalignment_deg=22", "horizon.step_s=60"]
+    )
     with pytest.raises(SynthesisInfeasible, match="cross-track thrust"):
         get_safety(scenario.set("tracking.thrust_share", 0.5).problem())
     found = get_safety(scenario.problem())

@@ -27,7 +27,7 @@ from polaris.synthesis.schedule.synthesize import synthesize
 from reach.networks.layers import Activation, Affine
 from reach.networks.network import Network
 
-from ..kept import CHOSEN, printed
+from ..kept import CHOSEN, printed, quick
 from ..paper.printed_ball import take_printed_balls
 from ..sizes import fewer
 from .conftest import synthesised
@@ -59,9 +59,10 @@ def flight_of(schedule, tail=False, substeps=1):
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "static")) for n in BUNDLED]
 )
 def test_nothing_breaks_a_proven_schedule(name):
-    found = falsify(synthesised(name)[1], 250, seed=1)
+    schedule = synthesised(name, *quick(name))[1]
+    found = falsify(schedule, 250, seed=1)
     assert found.failure is None and found.runs == 250
-    obstacles = len(synthesised(name)[1].safety.clearance.unsafe)
+    obstacles = len(schedule.safety.clearance.unsafe)
     assert np.all(found.least[:obstacles] >= found.proven[:obstacles] - EXACT_M)
     assert np.all(found.least >= 0)
 
@@ -97,7 +98,7 @@ def test_same_seed_same_search():
 @pytest.mark.parametrize("name", ["static", pytest.param("hold_point", marks=pytest.mark.slow)])
 def test_adjoint_reaches_what_the_tube_of_s_allows(name):
     """No run goes further along a row than the tube, and the closed-form worst case nearly gets there."""
-    schedule = synthesised(name)[1]
+    schedule = synthesised(name, *quick(name))[1]
     safety = schedule.safety
     modes = np.zeros(12, dtype=int)
     flight = Integrator(schedule, modes, 1)
@@ -187,7 +188,7 @@ def test_printed_ball_without_thrust_limits_is_caught(tmp_path, monkeypatch):
 
 
 def test_a_schedule_that_ignores_its_proof_collides():
-    schedule = synthesised("static")[1]
+    schedule = synthesised("static", CHOSEN)[1]
     step = next(step for step in schedule.steps if step.mode == 1)
     reckless = replace(schedule, steps=tuple(replace(s, mode=step.mode) for s in schedule.steps))
     found = falsify(reckless, 500)
@@ -283,7 +284,7 @@ def test_gradients_of_a_network_find_what_chance_does_not(monkeypatch):
 
 def test_a_disturbance_beyond_its_bound_breaks_the_margin():
     """The claim rests on the bound: with ten times the disturbance the same search gets through."""
-    schedule = synthesised("static")[1]
+    schedule = synthesised("static", CHOSEN)[1]
     claims, flight = flight_of(schedule)
     attack = Attacker(claims, flight, np.random.default_rng(0)).worst(100)
     assert attained(claims, attack.fly(flight)).below.max() <= EXACT_M

@@ -17,6 +17,7 @@ from polaris.certificate.kernel.verdict import Rejected, Undecided
 from polaris.certificate.model.perception import _check_cone, _check_keep_in
 from polaris.runs.certificate import certificate
 
+from ..kept import CHOSEN
 from .conftest import synthesised as bundled
 from .tiny import TINY
 
@@ -77,7 +78,7 @@ def test_a_run_folder_is_compared_whatever_the_certificate_names(forge, named):
 
 @pytest.mark.parametrize("value", [-1.2e-3, 0.0])
 def test_a_mean_motion_that_is_not_positive_is_refused(value):
-    scenario, schedule = bundled("static")
+    scenario, schedule = bundled("static", CHOSEN)
     data = json.loads(canonical(certificate(schedule, scenario.name)))
     data["system"]["mean_motion"] = float(value).hex()
     data["digest"] = digest(data)

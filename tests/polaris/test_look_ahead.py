@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.look_ahead import APART, EACH, LookAhead, rungs
 from polaris.synthesis.schedule.search import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -194,6 +195,6 @@ def test_the_case_that_was_found_in_dynamic():
 
 
 def test_beam_is_set_in_the_file():
-    scenario = bundled("static")[0]
+    scenario = load_scenario("static")
     assert scenario.switching_rules() == replace(SwitchingRules(min_dwell=2), weights=(1.0,))
     assert scenario.with_assignments(["schedule.beam=7"]).switching_rules().beam == 7

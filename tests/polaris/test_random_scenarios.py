@@ -27,7 +27,7 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
-from ..kept import printed
+from ..kept import CHOSEN, printed
 from ..sizes import fewer
 from .corruptions import restate
 from .random_scenarios import random_scenario, synthesised
@@ -155,7 +155,7 @@ def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest(
 
 
 def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
-    scenario, schedule = printed("static")
+    scenario, schedule = printed("static", CHOSEN)
     assert schedule.safety.end.horizon == "infinite"
 
     def change(copy):

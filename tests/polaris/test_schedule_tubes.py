@@ -13,7 +13,7 @@ from polaris.synthesis.tracker.intersample import at_nodes
 from reach import Ellipsoid, LinearSystem, Zonotope, support_tube
 from reach.numerics.linear import powers
 
-from ..kept import printed
+from ..kept import CHOSEN, printed
 
 WIDER = 1.05
 """Most by which the width of a stored set along an axis may exceed what is attained there."""
@@ -34,15 +34,18 @@ def reached(law, start, rows):
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "more"),
     [
-        "static",
-        "dynamic",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("keep_out", "hold_point", "robot")),
+        ("static", CHOSEN),
+        ("dynamic", CHOSEN),
+        *(
+            pytest.param(n, "", marks=pytest.mark.slow)
+            for n in ("static", "dynamic", "keep_out", "hold_point", "robot")
+        ),
     ],
 )
-def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name):
-    _, schedule = printed(name)
+def test_every_stored_set_contains_the_exact_one_and_is_hardly_larger(name, more):
+    _, schedule = printed(name, *filter(None, [more]))
     rng, wider = np.random.default_rng(0), []
     for k, step in enumerate(schedule.steps):
         law, stored = schedule.controllers[step.mode], step.tube

@@ -21,6 +21,7 @@ from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.methods.fixed import ExperimentalAlone
 from polaris.runs.certificate import certificate
+from polaris.runs.read_schedule import read_schedule
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
@@ -214,8 +215,13 @@ def made(tmp_path_factory):
     return run(scene(folder), folder / "run")
 
 
-def test_a_run_verifies_flies_and_holds_under_attack(made):
-    verdict, schedule = verify(made.path), synthesize(made.scenario)
+@pytest.fixture(scope="module")
+def schedule(made):
+    return read_schedule(made)
+
+
+def test_a_run_verifies_flies_and_holds_under_attack(made, schedule):
+    verdict = verify(made.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert made.summary["synthesis"]["experimental_share"] > 0.3
     assert made.summary["polaris"]["collided"] is False
@@ -246,11 +252,10 @@ def test_other_runs_verify(seed, more, tmp_path):
     verdict = verify(found.path)
     assert verdict.outcome == "VERIFIED", verdict.text()
     assert 1 in found.json("schedule.json")["modes"]
-    assert falsify(synthesize(found.scenario), 300).failure is None
+    assert falsify(read_schedule(found), 300).failure is None
 
 
-def test_flights_read_the_truth_and_are_judged_by_it(made):
-    schedule = synthesize(made.scenario)
+def test_flights_read_the_truth_and_are_judged_by_it(schedule):
     runs = simulate(schedule, 8, 3)
     law, q, k = schedule.controllers[1], schedule.safety.tracking.feedback.nodes_per_cell, None
     k = schedule.modes.tolist().index(1)
@@ -267,9 +272,8 @@ def test_flights_read_the_truth_and_are_judged_by_it(made):
     assert evaluate(far).min_distance.min() >= evaluate(runs).min_distance.min()
 
 
-def test_what_is_told_is_steered_by_the_gradient(made):
+def test_what_is_told_is_steered_by_the_gradient(schedule):
     """The readings that the adjoint chooses move a state further than any drawn at random."""
-    schedule = synthesize(made.scenario)
     modes = np.ones(schedule.safety.problem.K, dtype=int)
     flight, rows = Integrator(schedule, modes, 1), np.vstack([np.eye(4), -np.eye(4)])
     told, target = flight.columns[-1], flight.steps // 2
@@ -286,8 +290,8 @@ def test_what_is_told_is_steered_by_the_gradient(made):
         assert np.all(moved > chance)
 
 
-def test_the_arena_flies_it(made):
-    grid = DecisionGrid.of(synthesize(made.scenario), 0.5, 0.0, None)
+def test_the_arena_flies_it(schedule):
+    grid = DecisionGrid.of(schedule, 0.5, 0.0, None)
     flown = fly(grid, ExperimentalAlone(grid), Conditions.draw(grid, 6, 0))
     assert np.ptp(flown.inputs[:, 0], axis=0).max() > 0, "told different things at once"
     assert fly(grid, ExperimentalAlone(grid), Conditions.undisturbed(grid)).states.shape[0] == 1

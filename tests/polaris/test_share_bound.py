@@ -19,6 +19,7 @@ from polaris.synthesis.schedule.undisturbed import FREE, Flights
 from reach.numerics.linear import discretize
 
 from ..kept import printed as bundled
+from ..kept import quick
 from ..sizes import fewer
 from .random_scenarios import synthesised as random_schedule
 from .tiny import TINY
@@ -180,7 +181,7 @@ def test_the_integer_program_finds_the_fewest_steps(seed):
 
 @pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
 def test_where_u_alone_collides_less_than_everything_is_reached(name):
-    scenario, schedule = bundled(name)
+    scenario, schedule = bundled(name, *quick(name))
     bound = share_bound(schedule, scenario.switching_rules(), scenario.model.schedule.bound_programs)
     assert schedule.share() <= bound.share == 58 / 60
     assert bound.ended == "reached" and bound.programs < 100

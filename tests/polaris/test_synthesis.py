@@ -15,7 +15,7 @@ from polaris.synthesis.safety.get_safety import get_recover, get_safety
 from polaris.synthesis.schedule.search import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 
-from ..kept import printed
+from ..kept import CHOSEN, printed, quick
 from ..sizes import fewer
 from .conftest import small_controllers, small_problem, small_safety, synthesised
 from .tiny import TINY
@@ -42,9 +42,9 @@ def facet_slack(schedule, runs):
     return least
 
 
-def attack(name, n, seed):
+def attack(name, n, seed, *more):
     """Fly one scenario's schedule, S alone with its tail; check every claim made of them."""
-    scenario, schedule = synthesised(name)
+    scenario, schedule = synthesised(name, *more)
     safety = schedule.safety
     assert schedule.guarantee == "proved"
     flown = {}
@@ -73,7 +73,7 @@ def attack(name, n, seed):
     ],
 )
 def test_no_run_breaks_the_claim(name):
-    attack(name, 250, 1)
+    attack(name, 250, 1, *quick(name))
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_many_runs_do_not_break_the_claim(name):
 
 @pytest.mark.parametrize("name", ["static", pytest.param("dynamic", marks=pytest.mark.slow)])
 def test_u_alone_collides_and_s_alone_does_not(name):
-    scenario, schedule = printed(name)
+    scenario, schedule = printed(name, *quick(name))
     assert distances(schedule, simulate(schedule, 50, 0, mode=1), scenario) < 0
     assert distances(schedule, simulate(schedule, 50, 0, mode=0), scenario) > 0
 
@@ -99,7 +99,7 @@ def test_u_alone_collides_and_s_alone_does_not(name):
     ],
 )
 def test_schedule_uses_the_experimental_controllers_for_a_real_part_of_the_time(name):
-    _, schedule = printed(name)
+    _, schedule = printed(name, *quick(name))
     assert schedule.share() > 0.3
     assert schedule.share() == pytest.approx(
         sum(schedule.share(m) for m in range(1, len(schedule.controllers)))
@@ -116,7 +116,7 @@ def test_schedule_uses_the_experimental_controllers_for_a_real_part_of_the_time(
     ],
 )
 def test_what_is_proven_after_t(name, horizon):
-    assert printed(name)[1].safety.end.horizon == horizon
+    assert printed(name, *quick(name))[1].safety.end.horizon == horizon
 
 
 def test_infeasible_scenario_names_the_condition_and_what_to_relax():
@@ -158,7 +158,7 @@ def pulses(modes):
 def test_dwell_and_cap_are_kept(strategy, dwell, cap):
     safety, laws = small_safety(), [small_controllers()["coasting"]]
     if strategy == "greedy":  # a search for the best takes long there
-        _, schedule = printed("static")
+        _, schedule = printed("static", CHOSEN)
         safety, laws = schedule.safety, schedule.controllers[1:]
     other = synthesize(None, safety, laws, SwitchingRules(strategy, dwell, cap, (1.0,)))
     assert cap is None or other.switches <= cap
@@ -170,7 +170,7 @@ def test_dwell_and_cap_are_kept(strategy, dwell, cap):
 
 
 def test_no_switch_allowed_means_s_throughout_unless_u_lasts():
-    scenario, schedule = printed("static")
+    scenario, schedule = printed("static", CHOSEN)
     never = synthesize(scenario, schedule.safety, schedule.controllers[1:], SwitchingRules(max_switches=0))
     assert not never.modes.any(), "one switch is always held back for the return to S"
 
@@ -190,7 +190,7 @@ def test_progress_goes_through_the_steps_once(strategy):
 
 
 def test_mode_at_a_time():
-    _, schedule = synthesised("static")
+    _, schedule = synthesised("static", CHOSEN)
     delta, switch = schedule.safety.problem.delta, int(np.flatnonzero(np.diff(schedule.modes))[0]) + 1
     assert schedule.mode_at(0.0) == schedule.modes[0]
     assert schedule.mode_at(switch * delta - 1e-3) == schedule.modes[switch - 1]

@@ -30,12 +30,11 @@ HALF = 0.01
 @cache
 def monitor(latency=0.0, trust="thrust_limits", half=HALF):
     """The bundled scenario ``static``: 1800 decisions, one per second."""
-    schedule = _static(0.5 if latency else 1.0)
-    return Monitor(DecisionGrid.of(schedule, 1.0, latency, half), trust)
+    return Monitor(DecisionGrid.of(_static(), 1.0, latency, half), trust)
 
 
-def _static(period=1.0):
-    return printed("static", f"feedback.period_s={period}")[1]
+def _static():
+    return printed("static", "feedback.period_s=1.0")[1]
 
 
 class Flight:
@@ -277,7 +276,7 @@ def test_two_calls_for_one_decision():
 
 
 def test_latency_is_what_calls_may_be_late_by():
-    late = Flight(monitor(latency=0.5))
+    late = Flight(monitor(latency=1.0))
     assert [late.step(k, now=k + 0.3, reference=k + 0.3).mode for k in range(4)][-1] == 1
 
 
@@ -338,8 +337,8 @@ def test_the_monitors_own_exceptions_and_deadline_mean_s(monkeypatch):
 
 
 def test_a_call_that_ends_after_the_moment_of_effect_is_too_late():
-    ticks = iter([0.0, 0.3, 1.0, 1.3])
-    flight = Flight(monitor(latency=0.5), timer=lambda: next(ticks))
+    ticks = iter([0.0, 0.8, 1.0, 1.8])
+    flight = Flight(monitor(latency=1.0), timer=lambda: next(ticks))
     assert flight.step(0, now=0.1).mode == 1
     assert flight.step(1, now=1.3, reference=None).reason == "monitor: deadline missed"
 

@@ -100,14 +100,14 @@ class RuntimeOptions:
         period, most = grid.period, 0.499 * grid.period
         if self.tolerance is not None and self.tolerance > most:
             raise ScenarioError("tolerance", self.tolerance, f"must be below half the period of {period:g} s")
-        max_age = _default(self.max_age, period)
+        max_age = self.max_age or period
         return Limits(
             max_age,
-            max(_default(self.memory, 10 * period), max_age, period),
-            _default(self.tolerance, max(min(grid.latency, most), 1e-6 * period)),
-            _default(self.drift, period / 100),
-            _default(self.deadline, grid.latency or period),
-            _default(self.budget, period),
+            max(self.memory or 10 * period, max_age, period),
+            self.tolerance or max(min(grid.latency, most), 1e-6 * period),
+            self.drift or period / 100,
+            self.deadline or grid.latency or period,
+            self.budget or period,
         )
 
 
@@ -121,10 +121,6 @@ class Limits:
     drift: float
     deadline: float
     budget: float
-
-
-def _default(value: float | None, other: float) -> float:
-    return other if value is None else value
 
 
 @dataclass(frozen=True, slots=True)
