@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
+from ..model.checks import MAX_STEPS
 from ..model.errors import ScenarioError
 from ..model.scene.keep_in import KeepIn
 from ..model.scene.obstacle import Obstacle, directions
@@ -19,7 +20,7 @@ from ..model.scene.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
 from .tables import scene as scene
 from .tables import schedule as models
-from .tables.fields import MAX_STEPS, check_length, in_file_terms, whole_parts
+from .tables.fields import check_length, in_file_terms, whole_parts
 from .tables.goals import StationaryGoal, hill_rate
 
 MAX_SPEED_M_S = 100.0
@@ -76,10 +77,10 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
                 if (vector := getattr(part, name, None)) is not None:
                     check_length(f"{path}.{name}", vector, count)
     for path, obstacle in model.scene_parts():
-        if isinstance(obstacle, scene.PolytopeObstacle | scene.KeepInPolytope):
-            for row, normal in enumerate(obstacle.normals):
+        if (normals := getattr(obstacle, "normals", None)) is not None:
+            for row, normal in enumerate(normals):
                 check_length(f"{path}.normals[{row}]", normal, d)
-            check_length(f"{path}.offsets_m", obstacle.offsets_m, len(obstacle.normals))
+            check_length(f"{path}.offsets_m", obstacle.offsets_m, len(normals))
     for path, spec in model.controllers():
         if not isinstance(spec, scene.Affine):
             continue

@@ -4,17 +4,23 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cached_property
 from itertools import product
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from ..checks import halfspaces, positive, vector, whole
 from ..errors import ScenarioError, quoted
+from ..keys import Key, Matrix, Name, Vector, Whole, check_fields
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
 from .shapes import FLAT, Ball, Polytope, Shape
 from .timed_polytope import TimedPolytope
+
+NAME = Key("name", "-", Name)
+NORMALS, OFFSETS = Key("normals", "-", Matrix), Key("offsets_m", "m (for unit normals)", Vector)
+FACETS = Key("facets", "-", Annotated[Whole, Field(ge=3, le=64)])
 
 
 class Obstacle(ABC):
@@ -30,6 +36,9 @@ class Obstacle(ABC):
 
     name: str
     chaser_radius = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, self.path)
 
     def grown(self, radius: float) -> Self:
         """The set that the centre of a chaser within a ball of a radius [m] must stay out of.
@@ -190,12 +199,9 @@ class RigidObstacle(Anchored):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
 
-    def _put(self, d: int, **fields: object) -> None:
-        """Set the fields as checked, and check the velocity of an obstacle with d axes."""
+    def _check_velocity(self, d: int) -> None:
         if self.velocity is not None:
-            fields["velocity"] = vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+            vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
 
     def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d).

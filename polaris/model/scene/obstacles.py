@@ -8,43 +8,50 @@ on and which contain the true set at every instant of every cell, and the true s
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import positive, vector
+from ..checks import vector
 from ..errors import ScenarioError
+from ..keys import Flag, Key, Positive, Vector, WidthVector
 from ..system import Array, LinearSystem
-from .obstacle import Obstacle, RigidObstacle, directions, solid
+from .obstacle import FACETS, NAME, NORMALS, OFFSETS, Obstacle, RigidObstacle, directions, solid
 from .shapes import Ball, Box, Polytope
 from .timed_polytope import TimedPolytope
+
+CENTER, VELOCITY = Key("center_m", "m", Vector), Key("velocity_m_s", "m/s", Vector)
 
 
 @dataclass(frozen=True, eq=False)
 class BoxObstacle(RigidObstacle):
-    """Axis-aligned box.
+    """An axis-aligned box, at rest or moving straight.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    center, half_widths : array_like, shape (d,)
-        Centre at t = 0 and half widths [m], > 0.
+        Its name in messages and figures.
+    center : array_like, shape (d,)
+        Centre at t = 0, d numbers.
+    half_widths : array_like, shape (d,)
+        Half-width per axis, d numbers > 0.
     velocity : array_like, shape (d,), optional
-        Constant velocity [m/s]; default at rest.
+        Constant velocity, d numbers; at rest without it.
     """
 
-    name: str
-    center: ArrayLike
-    half_widths: ArrayLike
-    velocity: ArrayLike | None = None
+    name: Annotated[str, NAME]
+    center: Annotated[ArrayLike, CENTER]
+    half_widths: Annotated[ArrayLike, Key("half_widths_m", "m", WidthVector)]
+    velocity: Annotated[ArrayLike | None, VELOCITY] = None
 
     def __post_init__(self) -> None:
-        center = vector(f"{self.path}.center", self.center)
-        half = vector(f"{self.path}.half_widths", self.half_widths, len(center), "center has")
+        super().__post_init__()
+        d = len(vector(f"{self.path}.center", self.center))
+        half = vector(f"{self.path}.half_widths", self.half_widths, d, "center has")
+        self._check_velocity(d)
         if np.any(half <= 0):
             raise ScenarioError(f"{self.path}.half_widths", half.tolist(), "must all be > 0 [m]")
-        self._put(len(center), center=center, half_widths=half)
 
     @cached_property
     def shape(self) -> Box:
@@ -57,33 +64,34 @@ class BoxObstacle(RigidObstacle):
 
 @dataclass(frozen=True, eq=False)
 class BallObstacle(RigidObstacle):
-    """Ball, covered by a circumscribed polytope.
+    """A ball, at rest or moving straight; it is planned around as a circumscribed polytope.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
+        Its name in messages and figures.
     center : array_like, shape (d,)
-        Centre at t = 0 [m].
+        Centre at t = 0, d numbers.
     radius : float
-        [m], > 0.
+        Radius.
     velocity : array_like, shape (d,), optional
-        Constant velocity [m/s]; default at rest.
+        Constant velocity, d numbers; at rest without it.
     facets : int, optional
-        See `directions`. More facets are tighter and cost the planner more.
+        Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane
+        (default 12). More are tighter and cost the planner more.
     """
 
-    name: str
-    center: ArrayLike
-    radius: float
-    velocity: ArrayLike | None = None
-    facets: int | None = None
+    name: Annotated[str, NAME]
+    center: Annotated[ArrayLike, CENTER]
+    radius: Annotated[float, Key("radius_m", "m", Positive)]
+    velocity: Annotated[ArrayLike | None, VELOCITY] = None
+    facets: Annotated[int | None, FACETS] = None
 
     def __post_init__(self) -> None:
-        center = vector(f"{self.path}.center", self.center)
-        radius = positive(f"{self.path}.radius", self.radius, "m")
-        directions(len(center), self.facets, f"{self.path}.facets")
-        self._put(len(center), center=center, radius=radius)
+        super().__post_init__()
+        d = len(vector(f"{self.path}.center", self.center))
+        directions(d, self.facets, f"{self.path}.facets")
+        self._check_velocity(d)
 
     @cached_property
     def shape(self) -> Ball:
@@ -102,33 +110,41 @@ class BallObstacle(RigidObstacle):
 
 @dataclass(frozen=True, eq=False)
 class PolytopeObstacle(RigidObstacle):
-    """Any convex polytope ``H p <= b`` with an interior.
+    """The positions p with ``H p <= b``, at rest or moving straight.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    H, b : array_like, shapes (F, d) and (F,)
-        Facets at t = 0, b in m per unit of row length; rows are scaled to unit length.
+        Its name in messages and figures.
+    H : array_like, shape (F, d)
+        Outward facet normals, F rows of d numbers; any length but 0.
+    b : array_like, shape (F,)
+        Offsets at t = 0, F numbers.
     velocity : array_like, shape (d,), optional
-        Constant velocity [m/s]; default at rest.
+        Constant velocity, d numbers; at rest without it.
     unbounded : bool
-        Must be True for a set that is not bounded (a wall, a wedge): one that is so by a forgotten
-        row is refused.
+        Must be true for a set without bounds (a wall), so that a forgotten row is noticed.
+
+    Notes
+    -----
+    H and b are scaled so that the rows of H have length 1.
     """
 
-    name: str
-    H: ArrayLike
-    b: ArrayLike
-    velocity: ArrayLike | None = None
-    unbounded: bool = False
+    name: Annotated[str, NAME]
+    H: Annotated[ArrayLike, NORMALS]
+    b: Annotated[ArrayLike, OFFSETS]
+    velocity: Annotated[ArrayLike | None, VELOCITY] = None
+    unbounded: Annotated[bool, Key("unbounded", "-", Flag)] = False
 
     def __post_init__(self) -> None:
         polytope = solid(self.path, self.H, self.b)
+        object.__setattr__(self, "H", polytope.H)
+        object.__setattr__(self, "b", polytope.b)
+        super().__post_init__()
+        self._check_velocity(polytope.d)
         if not self.unbounded and not polytope.bounded:
             rule = "must bound the set (or unbounded = true)"
             raise ScenarioError(f"{self.path}.H", polytope.H.tolist(), rule)
-        self._put(polytope.d, H=polytope.H, b=polytope.b)
 
     @cached_property
     def shape(self) -> Polytope:

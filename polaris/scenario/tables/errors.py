@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from ...model import keys as f
 from ...model.allocation import Allocation, axis_pairs
 from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
@@ -16,9 +17,8 @@ from ...model.timing import Timing as Delays
 from ...model.timing import Transient
 from ...synthesis.safety.passive import Abort as AbortOptions
 from ...synthesis.safety.problem import PoweredAbort
-from . import fields as f
 from .faults import Fault
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, ScenarioPart, per_axis, unit
 from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
@@ -120,7 +120,7 @@ def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
     if directions is None or limits is None:
         pairs = axis_pairs(u_max)
         return Allocation.of(*pairs, u_max, failed) if failed else None
-    most = f.per_axis("thrusters.thrust_max_N", limits, len(directions))
+    most = per_axis("thrusters.thrust_max_N", limits, len(directions))
     return Allocation.of(np.array(directions), most, u_max, failed)
 
 
@@ -159,7 +159,7 @@ class GoalOrbit(ScenarioPart):
     kind: Literal["goal"] = unit("-", "The goal of the schedule.")
 
 
-Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *f.BY_KIND]
+Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
 
 
 class Abort(ScenarioPart):

@@ -14,9 +14,9 @@ from ...inspection.filters.build import build_filter
 from ...inspection.filters.explicit import CENTRALIZED, make_filter
 from ...inspection.flights.simulation import BatchFilter, OneFlight
 from ...inspection.inspection import Inspection
+from ...model import keys as f
 from ...rta.one_call import RunTimeFilter
-from . import fields as f
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, ScenarioPart, unit
 
 Family = Literal[
     "chief_separation",
@@ -191,7 +191,7 @@ class SimplexImplicitFilter(_Switching):
         return {**release, "dwell": self.dwell_s}
 
 
-Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]
+Filter = Annotated[CentralizedFilter | DecentralizedFilter, *BY_KIND]
 """Those of a Monte Carlo: they answer for many runs at once."""
 
 FlightFilter = Annotated[
@@ -201,6 +201,6 @@ FlightFilter = Annotated[
     | ImplicitFilter
     | SimplexExplicitFilter
     | SimplexImplicitFilter,
-    *f.BY_KIND,
+    *BY_KIND,
 ]
 """Those of one flight."""

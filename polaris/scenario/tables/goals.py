@@ -5,11 +5,11 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
+from ...model import keys as f
 from ...model.errors import ScenarioError
 from ...model.system import LinearSystem
 from ...planning import goals
-from . import fields as f
-from .fields import ScenarioPart, in_file_terms, unit
+from .fields import BY_KIND, ScenarioPart, in_file_terms, unit
 
 USUAL_RATE = 1e-2  # rate [rad/s] by which velocities are weighed against positions where there is no orbit
 
@@ -105,4 +105,4 @@ class BoxGoal(GoalTable):
     """Half-width per state, n numbers >= 0; inf where any value will do."""
 
 
-Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *f.BY_KIND]
+Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *BY_KIND]

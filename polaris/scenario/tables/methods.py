@@ -2,7 +2,8 @@
 
 from typing import Literal
 
-from . import fields as f
+from ...model import keys as f
+from ...model.checks import MAX_STEPS
 from .fields import ScenarioPart, unit
 
 
@@ -67,7 +68,7 @@ class Schedule(ScenarioPart):
     strategy: Literal["greedy", "look_ahead"] = unit("-", default="greedy")
     """`greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use
     over the whole horizon, by weight."""
-    min_dwell_steps: f.Whole = unit("steps", default=1, ge=1, le=f.MAX_STEPS)
+    min_dwell_steps: f.Whole = unit("steps", default=1, ge=1, le=MAX_STEPS)
     """Fewest steps between two switches."""
     max_switches: f.Whole | None = unit(
         "-", "Most switches in the run; no cap without it.", default=None, ge=0

@@ -14,13 +14,14 @@ import numpy as np
 from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
+from ...model import keys as f
+from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import LinearSystem
-from . import fields as f
 from .errors import Abort, Chaser, Tank, Thrusters, Timing
 from .faults import Fault
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, Head, ScenarioPart, per_axis, unit
 from .goals import Goal
 from .methods import Planner, Recoverable, Schedule, Tracking
 from .navigation import Navigation
@@ -41,7 +42,7 @@ class ClohessyWiltshire(ScenarioPart):
 
     def build(self) -> LinearSystem:
         """The controlled system."""
-        limit = f.per_axis("system.thrust_max_N", self.thrust_max_N, 3)
+        limit = per_axis("system.thrust_max_N", self.thrust_max_N, 3)
         return clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
 
 
@@ -66,7 +67,7 @@ class Linear(ScenarioPart):
 
     def build(self) -> LinearSystem:
         """The controlled system."""
-        limit = f.per_axis("system.input_max", self.input_max, len(self.B[0]))
+        limit = per_axis("system.input_max", self.input_max, len(self.B[0]))
         C = None if self.C is None else np.array(self.C)
         if self.position_states is not None:
             C = np.eye(len(self.A))[list(self.position_states)]
@@ -74,7 +75,7 @@ class Linear(ScenarioPart):
         return LinearSystem(A, B, D, limit, self.disturbance_max, C, self.mass_kg)
 
 
-System = Annotated[ClohessyWiltshire | Linear, *f.BY_KIND]
+System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]
 
 
 class Orbit(ScenarioPart):
@@ -164,7 +165,7 @@ class InitialZonotope(_Initial):
         return Zonotope(np.array(self.center, dtype=float), np.array(self.generators, dtype=float).T)
 
 
-InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *f.BY_KIND]
+InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *BY_KIND]
 
 
 class Horizon(ScenarioPart):
@@ -172,8 +173,7 @@ class Horizon(ScenarioPart):
 
     duration_s: f.Positive = unit("s", "Time T covered by the reference and the schedule.")
     step_s: f.Positive = unit(
-        "s",
-        f"Step delta of the plan and of the schedule. Must divide duration_s; at most {f.MAX_STEPS} steps.",
+        "s", f"Step delta of the plan and of the schedule. Must divide duration_s; at most {MAX_STEPS} steps."
     )
 
 
@@ -194,7 +194,7 @@ class Simulation(ScenarioPart):
     seed: f.Seed = unit("-", "Seed; the same seed and scenario give the same results.", default=0)
 
 
-class ScenarioModel(f.Head):
+class ScenarioModel(Head):
     """A whole scenario file."""
 
     system: System = unit("-", "The controlled system.")
