@@ -131,6 +131,7 @@ class Key:
     name: str
     unit: str
     type: Any
+    required: bool = False  # in a file, though the class has a default
 
     @cached_property
     def adapter(self) -> TypeAdapter[Any]:

@@ -2,17 +2,18 @@
 
 from abc import ABC, abstractmethod
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from pydantic import Field
 
 from ..model.acceleration import speeds
-from ..model.checks import exact, non_negative, number, positive, whole
+from ..model.checks import exact, positive, whole
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem, as_finite
+from ..model.keys import Key, NonNegative, Number, OpenWidthVector, Positive, Vector, Whole, check_fields
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import GOAL
 
 
@@ -72,37 +73,23 @@ class Goal(ABC):
         return (0.0, "") if relative <= GOAL else (relative, name)
 
 
-@dataclass(frozen=True, eq=False)
-class Box(Goal):
-    """End within a box of states.
+class _StateGoal(Goal):
+    """Base of goals that bound every state: `center`, `half_widths` (n,), and a `rate` for residuals."""
 
-    Parameters
-    ----------
-    center, half_widths : array_like, shape (n,)
-        Half-widths may be infinite where any value will do.
-    rate : float
-        Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
-    """
-
-    center: Array
-    half_widths: Array
-    rate: float = 1e-2
-    speeds: Array = field(init=False, repr=False)  # of a unit of each state [m/s]; 0 until `of` a system
+    center: Any
+    half_widths: Any
+    rate: float
+    _speeds: Array | None = None  # of a unit of each state [m/s]; none until `of` a system
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center", as_finite("goal.center", self.center, 1))
-        widths = np.array(self.half_widths, dtype=float)
-        if widths.shape != self.center.shape or not np.all(widths >= 0):
-            raise ScenarioError("goal.half_widths", self.half_widths, f"must be {self.n} numbers >= 0")
-        object.__setattr__(self, "half_widths", widths)
+        check_fields(self, "goal")
         positive("goal.rate", self.rate, "1/s")
-        object.__setattr__(self, "speeds", np.zeros(self.n))
 
     def of(self, system: LinearSystem) -> Self:
-        """Return the same box, its velocities those of a system."""
+        """Return the same goal, its velocities those of a system."""
         found = copy(self)
         found.__dict__.pop("conditions", None)
-        object.__setattr__(found, "speeds", speeds(system.A, system.position))
+        object.__setattr__(found, "_speeds", speeds(system.A, system.position))
         return found
 
     @property
@@ -114,7 +101,8 @@ class Box(Goal):
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
         center, widths = self.center, self.half_widths
-        weight = np.where(self.speeds > 0, self.speeds * (1 / self.rate), 1.0)
+        speeds = np.zeros(self.n) if self._speeds is None else self._speeds
+        weight = np.where(speeds > 0, speeds * (1 / self.rate), 1.0)
         W, middle = np.diag(weight), weight * center
         fixed, boxed = widths == 0, np.isfinite(widths) & (widths > 0)
         rows, reach = W[boxed], weight[boxed] * widths[boxed]
@@ -124,34 +112,62 @@ class Box(Goal):
 
     def describe(self) -> str:
         """One line for messages."""
-        return "box about (" + ", ".join(f"{s:g}" for s in self.center) + ")"
+        word = "stationary point" if isinstance(self, StationaryPoint) else "box about"
+        return f"{word} (" + ", ".join(f"{s:g}" for s in self.center) + ")"
 
 
-class StationaryPoint(Box):
-    """End exactly at a state. In Hill's frame only rest on the along-track axis needs no thrust after.
+@dataclass(frozen=True, eq=False)
+class Box(_StateGoal):
+    """End anywhere in a box of states.
 
     Parameters
     ----------
-    state : array_like, shape (n,)
+    center : array_like, shape (n,)
+        Centre, n numbers.
+    half_widths : array_like, shape (n,)
+        Half-width per state, n numbers >= 0; inf where any value will do.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
 
-    def __init__(self, state: ArrayLike, rate: float = 1e-2) -> None:
-        point = as_finite("goal.state", state, 1)
-        super().__init__(point, np.zeros(len(point)), rate)
+    center: Annotated[Any, Key("center", "m, m/s (state order)", Vector)]
+    half_widths: Annotated[Any, Key("half_widths", "m, m/s (state order)", OpenWidthVector)]
+    rate: float = 1e-2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.half_widths.shape != self.center.shape:
+            raise ScenarioError("goal.half_widths", self.half_widths, f"must be {self.n} numbers >= 0")
+
+
+@dataclass(frozen=True, eq=False)
+class StationaryPoint(_StateGoal):
+    """End at rest, at a state that keeps itself without input (A x = 0).
+
+    Parameters
+    ----------
+    state : array_like, shape (n,)
+        State to end in, n numbers. In Hill's frame: on the along-track axis, at rest. For a point that needs
+        holding, use kind box.
+    rate : float
+        Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
+    """
+
+    state: Annotated[Any, Key("state", "m, m/s (state order)", Vector)]
+    rate: float = 1e-2
 
     @property
-    def state(self) -> Array:
+    def center(self) -> Array:
         """Where to end, shape (n,)."""
-        return self.center
+        return np.asarray(self.state)
 
-    def describe(self) -> str:
-        """One line for messages."""
-        return super().describe().replace("box about", "stationary point")
+    @property
+    def half_widths(self) -> Array:
+        """Zeros, shape (n,)."""
+        return np.zeros(self.n)
 
 
-class _HillGoal(Goal):
+class HillGoal(Goal):
     """A goal in Hill's frame; subclasses have a `mean_motion` and the number of `sides` of their polygons."""
 
     mean_motion: float
@@ -159,6 +175,7 @@ class _HillGoal(Goal):
     n = 6
 
     def __post_init__(self) -> None:
+        check_fields(self, "goal")
         positive("goal.mean_motion", self.mean_motion, "rad/s")
         whole("goal.sides", self.sides, 4)
 
@@ -184,38 +201,39 @@ def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple
 
 
 @dataclass(frozen=True)
-class EllipticalNMT(_HillGoal):
-    """End on a closed ellipse about the target (eqs. 20-22, outward normals).
+class EllipticalNMT(HillGoal):
+    """End on a closed ellipse about the target that needs no thrust (eqs. 20-22). Hill's frame only.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s].
-    inner_semi_minor, outer_semi_minor : float
-        Radial semi-axes [m] between which the ellipse must lie; inner 0 means no inner bound.
+    inner_semi_minor : float
+        Radial semi-axis of the inner ellipse; 0 for none.
+    outer_semi_minor : float
+        Radial semi-axis of the outer ellipse.
     sides : int
-        Sides of the polygons; the outer one is inscribed and the inner one circumscribed, so that a
-        state that meets the polygons meets the ellipses.
-    cross_track_max : float or None
-        Bound [m] on ``|r_z|`` and on ``|v_z| / eta``; None asks for no cross-track motion.
+        Sides of the polygons that stand for the ellipses.
+    cross_track_max : float, optional
+        Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0.
+
+    Notes
+    -----
+    The outer polygon is inscribed, the inner one circumscribed: what meets them meets the ellipses.
     """
 
     mean_motion: float
-    inner_semi_minor: float
-    outer_semi_minor: float
-    sides: int = 16
-    cross_track_max: float | None = None
+    inner_semi_minor: Annotated[float, Key("inner_semi_minor_m", "m", NonNegative)]
+    outer_semi_minor: Annotated[float, Key("outer_semi_minor_m", "m", Positive)]
+    sides: Annotated[int, Key("sides", "-", Annotated[Whole, Field(ge=4, le=64)])] = 16
+    cross_track_max: Annotated[float | None, Key("cross_track_max_m", "m", Positive)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        non_negative("goal.inner_semi_minor", self.inner_semi_minor, "m")
-        positive("goal.outer_semi_minor", self.outer_semi_minor, "m")
         room = self.outer_semi_minor * np.cos(np.pi / self.sides)
         if self.inner_semi_minor >= room:
             rule = f"must be below {exact(room)} m (the {self.sides}-sided outer polygon reaches no further)"
             raise ScenarioError("goal.inner_semi_minor", self.inner_semi_minor, rule)
-        if self.cross_track_max is not None:
-            positive("goal.cross_track_max", self.cross_track_max, "m")
 
     @cached_property
     def conditions(self) -> GoalConditions:
@@ -257,30 +275,25 @@ class EllipticalNMT(_HillGoal):
 
 
 @dataclass(frozen=True)
-class LinearNMT(_HillGoal):
-    """End on a cross-track oscillation through ``(0, along_track, 0)``.
+class LinearNMT(HillGoal):
+    """End on a cross-track oscillation through a point of the along-track axis. Hill's frame only.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s].
     amplitude_max : float
-        Largest amplitude [m].
+        Largest amplitude of the oscillation.
     along_track : float
-        Along-track position [m].
+        Along-track position r_y.
     sides : int
         Sides of the polygon inscribed in the amplitude circle.
     """
 
     mean_motion: float
-    amplitude_max: float
-    along_track: float = 0.0
+    amplitude_max: Annotated[float, Key("amplitude_max_m", "m", Positive)]
+    along_track: Annotated[float, Key("along_track_m", "m", Number)] = 0.0
     sides: int = 16
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive("goal.amplitude_max", self.amplitude_max, "m")
-        number("goal.along_track", self.along_track)
 
     @cached_property
     def conditions(self) -> GoalConditions:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -159,7 +159,10 @@ class GoalOrbit(ScenarioPart):
     kind: Literal["goal"] = unit("-", "The goal of the schedule.")
 
 
-Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
+if TYPE_CHECKING:
+    Orbit: TypeAlias = Any
+else:
+    Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
 
 
 class Abort(ScenarioPart):

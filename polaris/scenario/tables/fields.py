@@ -117,16 +117,19 @@ class Described(ScenarioPart):
         """Return what Python calls the keys of the class."""
         return {key.name: name for name, key in f.keys_of(cls.MAKES).items()}
 
-    def build(self, path: str, **known: Any) -> Any:
+    def make(self, path: str, **known: Any) -> Any:
         """Return what the table at a path describes; `known` is what the file says elsewhere."""
         with in_file_terms(path, self):
             return self.MAKES(**self.arguments(), **known)
 
 
-def table(makes: type, kind: str = "", says: str = "", name: str = "", base: Any = Described) -> Any:
+def table(
+    module: str, makes: type, kind: str = "", says: str = "", name: str = "", base: Any = Described
+) -> Any:
     """Return the model of the table that a class is in files: its fields with a `Key`, as its docstring says.
 
-    `kind` is the word that chooses the table, and `says` what that word stands for.
+    `kind` is the word that chooses the table, and `says` what that word stands for; `module` and `name` are
+    those of the variable that holds the model.
     """
     text = cleandoc(makes.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
     about, _, rest = text.partition("\n\nParameters\n----------\n")
@@ -135,10 +138,11 @@ def table(makes: type, kind: str = "", says: str = "", name: str = "", base: Any
     defaults = {field.name: field.default for field in fields(makes)}
     model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
     for field, key in f.keys_of(makes).items():
-        default = ... if defaults[field] is MISSING else defaults[field]
+        default: Any = ... if key.required or defaults[field] is MISSING else defaults[field]
+        default = math.degrees(default) if key.name.endswith("_deg") and default is not ... else default
         kinds = key.type | None if default is None else key.type
         model[key.name] = kinds, unit(key.unit, means[field], default=default)
-    made = create_model(name or makes.__name__, __base__=base, __doc__=about, **model)
+    made = create_model(name or makes.__name__, __base__=base, __module__=module, __doc__=about, **model)
     setattr(made, "MAKES", makes)  # noqa: B010 - a class variable
     return made
 

@@ -1,10 +1,11 @@
 """The scenario file's models of the methods: tracking, recoverable sets, planner, switching schedule."""
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from ...model import keys as f
 from ...model.checks import MAX_STEPS
-from .fields import ScenarioPart, unit
+from ...planning.problem import Objective, PlannerOptions
+from .fields import Described, ScenarioPart, table, unit
 
 
 class Tracking(ScenarioPart):
@@ -37,10 +38,10 @@ class Recoverable(ScenarioPart):
     safety controller acts only where it must. `none`: the one of the printed Algorithm 1."""
 
 
-class Planner(ScenarioPart):
-    """The mixed-integer program behind the reference (section III-C)."""
+class PlannerTable(Described):
+    """What is asked of the planner, beside its options."""
 
-    objective: Literal["margin_then_fuel", "distance", "fuel"] = unit("-", default="margin_then_fuel")
+    objective: Objective = unit("-", default="margin_then_fuel")
     """`margin_then_fuel`: reach extra_margin_m where there is room, then least fuel. `fuel`: least fuel.
     `distance`: eq. 19, largest clearance at any price."""
     extra_margin_m: f.NonNegative = unit("m", default=0.0)
@@ -48,18 +49,12 @@ class Planner(ScenarioPart):
     thrust_reserve: f.Real = unit("-", default=0.2, ge=0, lt=1)
     """Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; room
     for the experimental controller, as extra_margin_m is."""
-    solver: Literal["facets", "highs", "gurobi"] = unit("-", default="facets")
-    """Who chooses the side on which to pass: `facets`, the planner's own branch and bound, whose linear
-    programs HiGHS solves; or `highs` or `gurobi` on the same program with binary variables (gurobi needs the
-    extra of that name)."""
-    max_linear_programs: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
-    """Most linear programs that `facets` solves, in all stages."""
-    max_nodes: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
-    """Most branch-and-bound nodes of `highs` or `gurobi`, in all stages."""
-    time_limit_s: f.Real | None = unit("s", default=None, gt=0, le=1e6)
-    """Wall time for each plan; no clock without it. What a clock cuts short depends on the machine, and the
-    run says so."""
-    gap: f.Real = unit("-", "Relative optimality gap at which the search stops.", default=1e-3, ge=0, lt=1)
+
+
+if TYPE_CHECKING:
+    Planner: TypeAlias = PlannerTable
+else:
+    Planner = table(__name__, PlannerOptions, name="Planner", base=PlannerTable)
 
 
 class Schedule(ScenarioPart):

@@ -6,16 +6,16 @@ from ...model import keys as f
 from ...model.scene import keep_in, obstacles, satellite
 from .fields import BY_KIND, ScenarioPart, table, unit
 
-BoxObstacle = table(obstacles.BoxObstacle, "box", "Axis-aligned box.")
-BallObstacle = table(obstacles.BallObstacle, "ball", "Ball.")
+BoxObstacle = table(__name__, obstacles.BoxObstacle, "box", "Axis-aligned box.")
+BallObstacle = table(__name__, obstacles.BallObstacle, "ball", "Ball.")
 PolytopeObstacle = table(
-    obstacles.PolytopeObstacle, "polytope", "Convex polytope; may be unbounded (a wall is one row)."
+    __name__, obstacles.PolytopeObstacle, "polytope", "Convex polytope; may be unbounded (a wall is one row)."
 )
 SatelliteObstacle = table(
-    satellite.SatelliteObstacle, "satellite", "Another body that obeys the system's dynamics."
+    __name__, satellite.SatelliteObstacle, "satellite", "Another body that obeys the system's dynamics."
 )
-KeepInPolytope = table(keep_in.KeepInPolytope, "polytope", "Convex polytope to stay inside.")
-KeepInCone = table(keep_in.KeepInCone, "cone", "Cone to stay inside.")
+KeepInPolytope = table(__name__, keep_in.KeepInPolytope, "polytope", "Convex polytope to stay inside.")
+KeepInCone = table(__name__, keep_in.KeepInCone, "cone", "Cone to stay inside.")
 
 if TYPE_CHECKING:
     Obstacle: TypeAlias = Any

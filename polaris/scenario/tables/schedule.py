@@ -7,7 +7,7 @@ States are written in the order of the system's state vector; in Hill's frame th
 """
 
 from abc import abstractmethod
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -19,9 +19,10 @@ from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import LinearSystem
+from ...simulation.orbit.environment import Environment
 from .errors import Abort, Chaser, Tank, Thrusters, Timing
 from .faults import Fault
-from .fields import BY_KIND, Head, ScenarioPart, per_axis, unit
+from .fields import BY_KIND, Head, ScenarioPart, per_axis, table, unit
 from .goals import Goal
 from .methods import Planner, Recoverable, Schedule, Tracking
 from .navigation import Navigation
@@ -78,34 +79,10 @@ class Linear(ScenarioPart):
 System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]
 
 
-class Orbit(ScenarioPart):
-    """The target's real orbit: near a circle of the system's mean motion, perturbed by J2 and drag.
-
-    What is declared here bounds the difference between Hill's linear equations and the nonlinear motion;
-    `polaris model-error` works it out, and the system's disturbance bound must cover it. The target must stay
-    within the deviations from the circle for as long as a guarantee is to hold.
-    """
-
-    inclination_max_deg: f.Real = unit("deg", default=90.0, ge=0, le=90)
-    """Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
-    counts from its own side. 90 covers every orbit."""
-    radius_deviation_max_m: f.NonNegative = unit("m")
-    """How far the target's distance from the Earth's centre may be off that of the circle."""
-    radial_rate_max_m_s: f.NonNegative = unit("m/s", "Largest rate at which that distance changes.")
-    rate_deviation_max: f.Real = unit("-", ge=0, le=0.1)
-    """How far the frame's rate about the orbit normal may be off, as a share of it."""
-    density_kg_m3: f.NonNegative = unit(
-        "kg/m^3", "Density of the air at the radius of the circle; 0 for none."
-    )
-    scale_height_m: f.Positive = unit("m")
-    """Height over which the density falls by a factor of e, the smallest that may occur."""
-    ballistic_coefficient_m2_kg: f.NonNegative = unit("m^2/kg")
-    """Drag coefficient times area over mass of the target."""
-    ballistic_difference_max_m2_kg: f.NonNegative = unit("m^2/kg")
-    """How far any other craft's may be off the target's."""
-    other_acceleration_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
-    radiation pressure, plumes, higher harmonics."""
+if TYPE_CHECKING:
+    Orbit: TypeAlias = Any
+else:
+    Orbit = table(__name__, Environment, name="Orbit")
 
 
 class _Initial(ScenarioPart):
