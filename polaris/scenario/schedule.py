@@ -209,7 +209,7 @@ class ScheduleScenario(Scenario):
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:
         """Neural networks and their files, by the name of their controller."""
-        if not any(isinstance(spec, (Neural, BlackBox)) for spec in self.model.experimental):
+        if not any(isinstance(spec, Neural) for spec in self.model.experimental):
             return {}
         from .experimental import read_policies
 
