@@ -1,6 +1,5 @@
 """Keys of scenario files: the types of their values, and the fields of classes that are tables of a file."""
 
-import math
 import re
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
@@ -195,14 +194,14 @@ def check_fields(table: Any, path: str) -> None:
         given = getattr(table, name)
         if given is None:
             continue
+        turned = key.name.endswith("_deg") and isinstance(given, int | float | np.number)
+        given = float(np.degrees(given)) if turned else given
         try:
-            turned = key.name.endswith("_deg") and isinstance(given, float)
-            value = key.adapter.validate_python(math.degrees(given) if turned else _plain(given))
+            value = key.adapter.validate_python(_plain(given))
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
-            unit = "" if key.unit == "-" else f" [{key.unit}]"
-            rule = broken_rule(problem, problem["input"])
-            raise ScenarioError(f"{path}.{name}", given, rule + unit) from None
+            rule = broken_rule(problem, problem["input"]) + ("" if key.unit == "-" else f" [{key.unit}]")
+            raise ScenarioError(f"{path}.{name}", given, rule) from None
         if isinstance(value, tuple):
             value = np.array(value, dtype=float)
             value.setflags(write=False)

@@ -1,8 +1,7 @@
 """Goals: where a plan must end. To the planner each is a few linear conditions on the last state."""
 
 from abc import ABC, abstractmethod
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Self
 
@@ -79,7 +78,8 @@ class _StateGoal(Goal):
     center: Any
     half_widths: Any
     rate: float
-    _speeds: Array | None = None  # of a unit of each state [m/s]; none until `of` a system
+    _word = "box about"
+    _speeds: Array = np.zeros(1)  # of a unit of each state [m/s]; 0 until `of` a system
 
     def __post_init__(self) -> None:
         check_fields(self, "goal")
@@ -87,8 +87,7 @@ class _StateGoal(Goal):
 
     def of(self, system: LinearSystem) -> Self:
         """Return the same goal, its velocities those of a system."""
-        found = copy(self)
-        found.__dict__.pop("conditions", None)
+        found: Self = replace(self)  # type: ignore[type-var]
         object.__setattr__(found, "_speeds", speeds(system.A, system.position))
         return found
 
@@ -100,9 +99,8 @@ class _StateGoal(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
-        center, widths = self.center, self.half_widths
-        speeds = np.zeros(self.n) if self._speeds is None else self._speeds
-        weight = np.where(speeds > 0, speeds * (1 / self.rate), 1.0)
+        center, widths, speeds = self.center, self.half_widths, self._speeds
+        weight = np.where(speeds > 0, speeds * (1 / self.rate), np.ones(self.n))
         W, middle = np.diag(weight), weight * center
         fixed, boxed = widths == 0, np.isfinite(widths) & (widths > 0)
         rows, reach = W[boxed], weight[boxed] * widths[boxed]
@@ -112,8 +110,7 @@ class _StateGoal(Goal):
 
     def describe(self) -> str:
         """One line for messages."""
-        word = "stationary point" if isinstance(self, StationaryPoint) else "box about"
-        return f"{word} (" + ", ".join(f"{s:g}" for s in self.center) + ")"
+        return f"{self._word} (" + ", ".join(f"{s:g}" for s in self.center) + ")"
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,16 +152,12 @@ class StationaryPoint(_StateGoal):
 
     state: Annotated[Any, Key("state", "m, m/s (state order)", Vector)]
     rate: float = 1e-2
+    _word = "stationary point"
 
-    @property
-    def center(self) -> Array:
-        """Where to end, shape (n,)."""
-        return np.asarray(self.state)
-
-    @property
-    def half_widths(self) -> Array:
-        """Zeros, shape (n,)."""
-        return np.zeros(self.n)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "center", self.state)
+        object.__setattr__(self, "half_widths", np.zeros(self.n))
 
 
 class HillGoal(Goal):
@@ -216,10 +209,6 @@ class EllipticalNMT(HillGoal):
         Sides of the polygons that stand for the ellipses.
     cross_track_max : float, optional
         Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0.
-
-    Notes
-    -----
-    The outer polygon is inscribed, the inner one circumscribed: what meets them meets the ellipses.
     """
 
     mean_motion: float
@@ -237,7 +226,7 @@ class EllipticalNMT(HillGoal):
 
     @cached_property
     def conditions(self) -> GoalConditions:
-        """Two equalities, the outer polygon, and one side of the inner polygon."""
+        """Two equalities, the outer polygon (inscribed), and one side of the inner one (circumscribed)."""
         r, v = self._rows
         E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], list[Array](), list[float]()
         if self.cross_track_max is None:

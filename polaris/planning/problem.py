@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +19,6 @@ from .goals import Goal
 
 Count = Annotated[Whole, Field(ge=1, le=10**9)]
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
-OBJECTIVES = ("margin_then_fuel", "distance", "fuel")
 SOLVERS = {
     "facets": "facet search, linear programs by HiGHS",
     "highs": "mixed-integer program by HiGHS",
@@ -61,7 +60,7 @@ class PlanProblem:
         whole("planner.tail_cells", self.tail_cells, 0)
         positive("planner.delta", self.delta, "s")
         non_negative("planner.extra_margin", self.extra_margin, "m")
-        one_of("planner.objective", self.objective, OBJECTIVES)
+        one_of("planner.objective", self.objective, get_args(Objective))
         put(self, "x0", shaped("planner.x0", self.x0, (sys.n,)))
         put(self, "u_limit", shaped("planner.u_limit", self.u_limit, (self.K, sys.m)))
         if np.any(self.u_limit < 0):
