@@ -141,7 +141,7 @@ def table(
         default: Any = ... if key.required or defaults[field] is MISSING else defaults[field]
         default = math.degrees(default) if key.name.endswith("_deg") and default is not ... else default
         kinds = key.type | None if default is None else key.type
-        model[key.name] = kinds, unit(key.unit, means[field], default=default)
+        model[key.name] = kinds, unit(key.unit, means.get(field), default=default)
     made = create_model(name or makes.__name__, __base__=base, __module__=module, __doc__=about, **model)
     setattr(made, "MAKES", makes)  # noqa: B010 - a class variable
     return made
