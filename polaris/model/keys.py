@@ -18,8 +18,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from .checks import counted, exact
-from .errors import ScenarioError, quoted
+from .errors import ScenarioError, counted, exact, quoted
 
 LARGEST = 1e12  # largest magnitude of any number in a scenario: beyond it, double precision loses millimetres
 

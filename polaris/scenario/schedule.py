@@ -20,7 +20,7 @@ from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
 from .reading import write_toml
-from .tables.errors import Timing, allocation, transients
+from .tables.errors import Timing, allocation, timed, transients
 from .tables.fields import whole_parts
 from .tables.scene import BlackBox, Neural
 from .tables.schedule import ScenarioModel, Simulation
@@ -111,10 +111,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, u_max=allocation.u_max)
         if (model.navigation, model.thrusters, model.timing) == (None, None, None):
             return system
-        period, timing = self.period(), model.timing or Timing()
+        period, timing = self.period(), (model.timing or Timing()).make("timing")
         if model.navigation is not None:
             system = model.navigation.known(system, (self.steps, self.step), period, timing)
-        return timing.build(system, period, model.thrusters, limits)
+        return timed(system, timing, period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:

@@ -10,7 +10,7 @@ from ...model.errors import ScenarioError
 from ...model.prediction import design, fading, observing
 from ...model.scene.keep_in import INSTANT, KeepInPolytope, during
 from ...model.system import Array, LinearSystem
-from .errors import Timing
+from ...model.timing import Timing
 from .fields import ScenarioPart, check_length, per_axis, unit
 
 MOST_MISSED = 20  # most periods without a measurement that an observer is designed for
@@ -86,16 +86,16 @@ class Measurement(ScenarioPart):
         self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing
     ) -> LinearSystem:
         """The system whose estimates are an observer's; see `Navigation.known`."""
-        if timing.missed_periods > MOST_MISSED:
+        if timing.missed > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
-            raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
-        observer = design(system, *self.build(system), period, timing.missed_periods)
+            raise ScenarioError("timing.missed_periods", timing.missed, rule)
+        observer = design(system, *self.build(system), period, timing.missed)
         first = np.zeros(system.n)
         if self.initial is not None:
             first = self.initial.build(system, "navigation.measurement.initial")
         if np.any(first):
             observer, (steps, step) = replace(observer, initial=first), horizon
-            if not timing.missed_periods:
+            if not timing.missed:
                 left = fading(system, observer, period, steps, max(round(step / period), 1))
                 observer = replace(observer, fading=left)
         return observing(system, observer, period)
@@ -133,7 +133,7 @@ class Navigation(Estimate):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         bounds, (steps, step) = np.array([declared, *later]), horizon
-        oldest = timing.delay_s + timing.missed_periods * period
+        oldest = timing.delay + timing.missed * period
         start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
         met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
         rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
