@@ -119,21 +119,14 @@ def transients(
 
     `asked` says whether there are black boxes.
     """
-    found, steep = [], np.max(networks, axis=0) if len(networks) else None
+    flown = np.max(np.abs(gains), axis=0), asked, np.max(networks, axis=0) if len(networks) else None
+    found = []
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
             thrust = made.directions * made.limits[:, None]
-        known = (
-            fault.name,
-            fault.isolation,
-            thrust,
-            1 - fault.left,
-            np.max(np.abs(gains), axis=0),
-            asked,
-            steep,
-        )
-        found += [Transient(*known)] if fault.isolation > 0 else []
+        if fault.isolation > 0:
+            found.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *flown))
     return tuple(found)
 
 
