@@ -16,7 +16,7 @@ from ..errors import ScenarioError, quoted
 from ..keys import Key, Positive, Real, Vector
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
-from .obstacle import FACETS, NAME, NORMALS, OFFSETS, Anchored, solid
+from .obstacle import FACETS, NAME, Anchored, Faceted
 from .shapes import Polytope, Shape, _directed, _in_time
 from .timed_polytope import TimedPolytope
 
@@ -139,7 +139,7 @@ class KeepIn(Anchored):
 
 
 @dataclass(frozen=True, eq=False)
-class KeepInPolytope(KeepIn):
+class KeepInPolytope(Faceted, KeepIn):
     """The chaser must stay where ``H p <= b``.
 
     Parameters
@@ -158,17 +158,8 @@ class KeepInPolytope(KeepIn):
     H and b are scaled so that the rows of H have length 1.
     """
 
-    name: Annotated[str, NAME]
-    H: Annotated[ArrayLike, NORMALS]
-    b: Annotated[ArrayLike, OFFSETS]
     begins: float = -np.inf
     ends: float = np.inf
-
-    def __post_init__(self) -> None:
-        polytope = solid(self.path, self.H, self.b)
-        object.__setattr__(self, "H", polytope.H)
-        object.__setattr__(self, "b", polytope.b)
-        super().__post_init__()
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """As of all keep-in sets, in the steps in which it holds."""
@@ -195,20 +186,15 @@ class KeepInPolytope(KeepIn):
     def _grown(self, radius: float) -> "KeepInPolytope":
         return replace(self, b=np.asarray(self.b) - radius)
 
-    @cached_property
+    @property
     def inside(self) -> Polytope:
         """The polytope."""
-        return Polytope(np.asarray(self.H), np.asarray(self.b))
+        return self.polytope
 
     @cached_property
     def shape(self) -> Shape:
         """Its outside."""
         return Outside(self.inside)
-
-    @cached_property
-    def anchor(self) -> Array:
-        """The origin: the facets are given in absolute position."""
-        return np.zeros(self.inside.d)
 
 
 @dataclass(frozen=True, eq=False)

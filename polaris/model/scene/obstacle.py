@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import Annotated, Any, Self
@@ -171,6 +172,31 @@ class Anchored(Obstacle):
         """Position [m] and velocity [m/s], the same at all times."""
         centre = self.anchor + np.asarray(t, dtype=float)[..., None] * self._v
         return centre, np.broadcast_to(self._v, centre.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Faceted(Anchored):
+    """A polytope ``H p <= b`` in absolute position at t = 0, its rows scaled to length 1."""
+
+    name: Annotated[str, NAME]
+    H: Annotated[ArrayLike, NORMALS]
+    b: Annotated[ArrayLike, OFFSETS]
+
+    def __post_init__(self) -> None:
+        polytope = solid(self.path, self.H, self.b)
+        object.__setattr__(self, "H", polytope.H)
+        object.__setattr__(self, "b", polytope.b)
+        super().__post_init__()
+
+    @cached_property
+    def polytope(self) -> Polytope:
+        """The polytope at t = 0."""
+        return Polytope(np.asarray(self.H), np.asarray(self.b))
+
+    @cached_property
+    def anchor(self) -> Array:
+        """The origin: the facets are given in absolute position."""
+        return np.zeros(self.polytope.d)
 
 
 class RigidObstacle(Anchored):

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from ..checks import vector
 from ..errors import ScenarioError
 from ..keys import Flag, Key, Positive, Vector, WidthVector
-from ..system import Array, LinearSystem
-from .obstacle import FACETS, NAME, NORMALS, OFFSETS, Obstacle, RigidObstacle, directions, solid
+from ..system import LinearSystem
+from .obstacle import FACETS, NAME, Faceted, Obstacle, RigidObstacle, directions
 from .shapes import Ball, Box, Polytope
 from .timed_polytope import TimedPolytope
 
@@ -109,7 +109,7 @@ class BallObstacle(RigidObstacle):
 
 
 @dataclass(frozen=True, eq=False)
-class PolytopeObstacle(RigidObstacle):
+class PolytopeObstacle(Faceted, RigidObstacle):
     """The positions p with ``H p <= b``, at rest or moving straight.
 
     Parameters
@@ -130,34 +130,23 @@ class PolytopeObstacle(RigidObstacle):
     H and b are scaled so that the rows of H have length 1.
     """
 
-    name: Annotated[str, NAME]
-    H: Annotated[ArrayLike, NORMALS]
-    b: Annotated[ArrayLike, OFFSETS]
     velocity: Annotated[ArrayLike | None, VELOCITY] = None
     unbounded: Annotated[bool, Key("unbounded", "-", Flag)] = False
 
     def __post_init__(self) -> None:
-        polytope = solid(self.path, self.H, self.b)
-        object.__setattr__(self, "H", polytope.H)
-        object.__setattr__(self, "b", polytope.b)
         super().__post_init__()
-        self._check_velocity(polytope.d)
-        if not self.unbounded and not polytope.bounded:
+        self._check_velocity(self.shape.d)
+        if not self.unbounded and not self.shape.bounded:
             rule = "must bound the set (or unbounded = true)"
-            raise ScenarioError(f"{self.path}.H", polytope.H.tolist(), rule)
+            raise ScenarioError(f"{self.path}.H", self.shape.H.tolist(), rule)
 
-    @cached_property
+    @property
     def shape(self) -> Polytope:
         """The polytope at t = 0."""
-        return Polytope(np.asarray(self.H), np.asarray(self.b))
+        return self.polytope
 
     def _grown(self, radius: float) -> "PolytopeObstacle":
         return replace(self, b=np.asarray(self.b) + radius)
-
-    @cached_property
-    def anchor(self) -> Array:
-        """The origin: the facets are given in absolute position."""
-        return np.zeros(self.shape.d)
 
 
 def perceive(
