@@ -183,18 +183,18 @@ def broken_rule(problem: ErrorDetails, value: Any) -> str:
     return printable(re.sub(r"^[A-Z]\w* should", "must", message))
 
 
-def check_fields(table: Any, path: str) -> None:
-    """Hold the fields of a table that is built in Python to the rules of a file; lists become arrays.
+def check_fields(made: Any, path: str) -> None:
+    """Check the fields of an object made in Python by the rules of a file, and turn lists into arrays.
 
     Raises `ScenarioError`, which names the field after `path`.
     """
-    cls: type = type(table)
+    cls: type = type(made)
     for name, key in keys_of(cls).items():
-        given = getattr(table, name)
+        given = getattr(made, name)
         if given is None:
             continue
-        turned = key.name.endswith("_deg") and isinstance(given, int | float | np.number)
-        given = float(np.degrees(given)) if turned else given
+        in_degrees = key.name.endswith("_deg") and isinstance(given, int | float | np.number)
+        given = float(np.degrees(given)) if in_degrees else given
         try:
             value = key.adapter.validate_python(_plain(given))
         except ValidationError as error:
@@ -204,5 +204,5 @@ def check_fields(table: Any, path: str) -> None:
         if isinstance(value, tuple):
             value = np.array(value, dtype=float)
             value.setflags(write=False)
-        if not turned:
-            object.__setattr__(table, name, value)
+        if not in_degrees:
+            object.__setattr__(made, name, value)

@@ -19,9 +19,8 @@ from ..tolerances import ROUNDING
 from .shapes import FLAT, Ball, Polytope, Shape
 from .timed_polytope import TimedPolytope
 
-NAME = Key("name", "-", Name)
-NORMALS, OFFSETS = Key("normals", "-", Matrix), Key("offsets_m", "m (for unit normals)", Vector)
-FACETS = Key("facets", "-", Annotated[Whole, Field(ge=3, le=64)])
+NAME, FACETS = Key("name", "-", Name), Key("facets", "-", Annotated[Whole, Field(ge=3, le=64)])
+"""Keys that several sets have."""
 
 
 class Obstacle(ABC):
@@ -179,8 +178,8 @@ class Faceted(Anchored):
     """A polytope ``H p <= b`` in absolute position at t = 0, its rows scaled to length 1."""
 
     name: Annotated[str, NAME]
-    H: Annotated[ArrayLike, NORMALS]
-    b: Annotated[ArrayLike, OFFSETS]
+    H: Annotated[ArrayLike, Key("normals", "-", Matrix)]
+    b: Annotated[ArrayLike, Key("offsets_m", "m (for unit normals)", Vector)]
 
     def __post_init__(self) -> None:
         polytope = solid(self.path, self.H, self.b)

@@ -21,7 +21,7 @@ from .obstacle import FACETS, NAME, Faceted, Obstacle, RigidObstacle, directions
 from .shapes import Ball, Box, Polytope
 from .timed_polytope import TimedPolytope
 
-CENTER, VELOCITY = Key("center_m", "m", Vector), Key("velocity_m_s", "m/s", Vector)
+CENTER, VELOCITY = Key("center_m", "m", Vector), Key("velocity_m_s", "m/s", Vector)  # of rigid obstacles
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,7 +126,7 @@ class Described(ScenarioPart):
 def table(
     module: str, makes: type, kind: str = "", says: str = "", name: str = "", base: Any = Described
 ) -> Any:
-    """Return the model of the table that a class is in files: its fields with a `Key`, as its docstring says.
+    """Return the model of a class's table: the fields with a `Key`, in the words of the class's docstring.
 
     `kind` is the word that chooses the table, and `says` what that word stands for; `module` and `name` are
     those of the variable that holds the model.
