@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ...model.timing import Transient
 from ...synthesis.safety.passive import Abort as AbortOptions
 from ...synthesis.safety.problem import PoweredAbort
 from .faults import Fault
-from .fields import BY_KIND, ScenarioPart, per_axis, table, unit
+from .fields import BY_KIND, Described, ScenarioPart, per_axis, unit
 from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
@@ -71,10 +71,8 @@ class Thrusters(ScenarioPart):
         return replace(found, bit=2 * bit * found.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9))
 
 
-if TYPE_CHECKING:
-    Timing: TypeAlias = Any
-else:
-    Timing = table(__name__, Delays)
+class Timing(Described, makes=Delays):
+    """See `polaris.model.timing.Timing`."""
 
 
 def timed(
@@ -136,10 +134,7 @@ class GoalOrbit(ScenarioPart):
     kind: Literal["goal"] = unit("-", "The goal of the schedule.")
 
 
-if TYPE_CHECKING:
-    Orbit: TypeAlias = Any
-else:
-    Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
+Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
 
 
 class Abort(ScenarioPart):

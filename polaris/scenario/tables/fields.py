@@ -1,4 +1,4 @@
-"""Building blocks of the scenario models: the base class, and tables made from the classes they describe."""
+"""Building blocks of the scenario models: the base class, and tables that a class describes."""
 
 import math
 import re
@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from inspect import cleandoc
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from ...model import keys as f
@@ -108,9 +108,38 @@ BY_KIND = (Field(discriminator="kind"), BeforeValidator(_with_kind))
 
 
 class Described(ScenarioPart):
-    """Base of tables made by `table` from a class that is described once, in Python."""
+    """Base of tables that a class describes: their fields are those of the class that have a `Key`.
 
-    MAKES: ClassVar[type]
+    ``class Ball(Described, makes=BallObstacle, kind="ball", says="Ball.")`` is the table of `BallObstacle`,
+    which `kind` chooses, a word that stands for what it `says`. Its docstring and the meaning of its fields
+    are taken from the docstring of the class.
+    """
+
+    MAKES: ClassVar[Any]
+
+    def __init_subclass__(cls, makes: Any = None, kind: str = "", says: str = "", **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if makes is None:
+            return
+        text = cleandoc(makes.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
+        about, _, rest = text.partition("\n\nParameters\n----------\n")
+        parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", rest.partition("\n\n")[0], re.M)
+        means = {field: " ".join(said.split()) for field, said in parts}
+        defaults = {field.name: field.default for field in fields(makes)}
+        model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
+        for field, key in f.keys_of(makes).items():
+            default: Any = ... if key.required or defaults[field] is MISSING else defaults[field]
+            default = math.degrees(default) if key.name.endswith("_deg") and default is not ... else default
+            kinds = key.type | None if default is None else key.type
+            model[key.name] = kinds, unit(key.unit, means.get(field), default=default)
+        cls.MAKES, cls.__doc__ = makes, about
+        for name, (kinds, value) in model.items():  # as if they stood in the body of the class
+            cls.__annotations__[name] = kinds
+            setattr(cls, name, value)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
 
     @classmethod
     def python_names(cls) -> dict[str, str]:
@@ -121,30 +150,6 @@ class Described(ScenarioPart):
         """Return what the table at a path describes; `known` is what the file says elsewhere."""
         with in_file_terms(path, self):
             return self.MAKES(**self.arguments(), **known)
-
-
-def table(
-    module: str, makes: type, kind: str = "", says: str = "", name: str = "", base: Any = Described
-) -> Any:
-    """Return the model of a class's table: the fields with a `Key`, in the words of the class's docstring.
-
-    `kind` is the word that chooses the table, and `says` what that word stands for; `module` and `name` are
-    those of the variable that holds the model.
-    """
-    text = cleandoc(makes.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
-    about, _, rest = text.partition("\n\nParameters\n----------\n")
-    parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", rest.partition("\n\n")[0], re.M)
-    means = {field: " ".join(said.split()) for field, said in parts}
-    defaults = {field.name: field.default for field in fields(makes)}
-    model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
-    for field, key in f.keys_of(makes).items():
-        default: Any = ... if key.required or defaults[field] is MISSING else defaults[field]
-        default = math.degrees(default) if key.name.endswith("_deg") and default is not ... else default
-        kinds = key.type | None if default is None else key.type
-        model[key.name] = kinds, unit(key.unit, means.get(field), default=default)
-    made = create_model(name or makes.__name__, __base__=base, __module__=module, __doc__=about, **model)
-    setattr(made, "MAKES", makes)  # noqa: B010 - a class variable
-    return made
 
 
 def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:

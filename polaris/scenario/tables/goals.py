@@ -1,6 +1,6 @@
 """The scenario file's models of goals."""
 
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ...model import keys as f
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...planning import goals
-from .fields import BY_KIND, Described, table, unit
+from .fields import BY_KIND, Described, unit
 
 USUAL_RATE = 1e-2  # rate [rad/s] by which velocities are weighed against positions where there is no orbit
 
@@ -36,7 +36,7 @@ class GoalTable(Described):
         if self.tolerance_m is None and self.velocity_tolerance_m_s is not None:
             raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
         if issubclass(self.MAKES, goals.HillGoal):
-            rate = {"mean_motion": hill_rate(system, "goal.kind", dict(self)["kind"])}
+            rate = {"mean_motion": hill_rate(system, "goal.kind", self.kind)}
         else:
             rate = {"rate": system.mean_motion or USUAL_RATE}
         goal: goals.Goal = self.make("goal", **rate).of(system)
@@ -53,18 +53,24 @@ def _check_still(state: Array, system: LinearSystem) -> None:
         raise ScenarioError("goal.state", state.tolist(), rule)
 
 
-def _goal(makes: type[goals.Goal], kind: str, says: str, name: str) -> Any:
-    return table(__name__, makes, kind, says, name, GoalTable)
+class EllipticalNMTGoal(
+    GoalTable, makes=goals.EllipticalNMT, kind="elliptical_nmt", says="Elliptical natural motion trajectory."
+):
+    """See `goals.EllipticalNMT`."""
 
 
-EllipticalNMTGoal = _goal(
-    goals.EllipticalNMT, "elliptical_nmt", "Elliptical natural motion trajectory.", "EllipticalNMTGoal"
-)
-LinearNMTGoal = _goal(goals.LinearNMT, "linear_nmt", "Linear natural motion trajectory.", "LinearNMTGoal")
-StationaryGoal = _goal(goals.StationaryPoint, "stationary", "Hold point.", "StationaryGoal")
-BoxGoal = _goal(goals.Box, "box", "Axis-aligned box.", "BoxGoal")
+class LinearNMTGoal(
+    GoalTable, makes=goals.LinearNMT, kind="linear_nmt", says="Linear natural motion trajectory."
+):
+    """See `goals.LinearNMT`."""
 
-if TYPE_CHECKING:
-    Goal: TypeAlias = Any
-else:
-    Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *BY_KIND]
+
+class StationaryGoal(GoalTable, makes=goals.StationaryPoint, kind="stationary", says="Hold point."):
+    """See `goals.StationaryPoint`."""
+
+
+class BoxGoal(GoalTable, makes=goals.Box, kind="box", says="Axis-aligned box."):
+    """See `goals.Box`."""
+
+
+Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *BY_KIND]

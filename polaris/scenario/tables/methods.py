@@ -1,11 +1,11 @@
 """The scenario file's models of the methods: tracking, recoverable sets, planner, switching schedule."""
 
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal
 
 from ...model import keys as f
 from ...model.checks import MAX_STEPS
 from ...planning.problem import Objective, PlannerOptions
-from .fields import Described, ScenarioPart, table, unit
+from .fields import Described, ScenarioPart, unit
 
 
 class Tracking(ScenarioPart):
@@ -38,8 +38,8 @@ class Recoverable(ScenarioPart):
     safety controller acts only where it must. `none`: the one of the printed Algorithm 1."""
 
 
-class PlannerTable(Described):
-    """What is asked of the planner, beside its options."""
+class Planner(Described, makes=PlannerOptions):
+    """Objective of the planner, and its options."""
 
     objective: Objective = unit("-", default="margin_then_fuel")
     """`margin_then_fuel`: reach extra_margin_m where there is room, then least fuel. `fuel`: least fuel.
@@ -49,12 +49,6 @@ class PlannerTable(Described):
     thrust_reserve: f.Real = unit("-", default=0.2, ge=0, lt=1)
     """Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; room
     for the experimental controller, as extra_margin_m is."""
-
-
-if TYPE_CHECKING:
-    Planner: TypeAlias = PlannerTable
-else:
-    Planner = table(__name__, PlannerOptions, name="Planner", base=PlannerTable)
 
 
 class Schedule(ScenarioPart):

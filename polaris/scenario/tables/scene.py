@@ -1,28 +1,46 @@
 """The scenario file's models of the scene: obstacles, keep-in sets, experimental controllers."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal
 
 from ...model import keys as f
 from ...model.scene import keep_in, obstacles, satellite
-from .fields import BY_KIND, ScenarioPart, table, unit
+from .fields import BY_KIND, Described, ScenarioPart, unit
 
-BoxObstacle = table(__name__, obstacles.BoxObstacle, "box", "Axis-aligned box.")
-BallObstacle = table(__name__, obstacles.BallObstacle, "ball", "Ball.")
-PolytopeObstacle = table(
-    __name__, obstacles.PolytopeObstacle, "polytope", "Convex polytope; may be unbounded (a wall is one row)."
-)
-SatelliteObstacle = table(
-    __name__, satellite.SatelliteObstacle, "satellite", "Another body that obeys the system's dynamics."
-)
-KeepInPolytope = table(__name__, keep_in.KeepInPolytope, "polytope", "Convex polytope to stay inside.")
-KeepInCone = table(__name__, keep_in.KeepInCone, "cone", "Cone to stay inside.")
 
-if TYPE_CHECKING:
-    Obstacle: TypeAlias = Any
-    KeepIn: TypeAlias = Any
-else:
-    Obstacle = Annotated[BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, *BY_KIND]
-    KeepIn = Annotated[KeepInPolytope | KeepInCone, *BY_KIND]
+class BoxObstacle(Described, makes=obstacles.BoxObstacle, kind="box", says="Axis-aligned box."):
+    """See `obstacles.BoxObstacle`."""
+
+
+class BallObstacle(Described, makes=obstacles.BallObstacle, kind="ball", says="Ball."):
+    """See `obstacles.BallObstacle`."""
+
+
+WALL = "Convex polytope; may be unbounded (a wall is one row)."
+BODY = "Another body that obeys the system's dynamics."
+
+
+class PolytopeObstacle(Described, makes=obstacles.PolytopeObstacle, kind="polytope", says=WALL):
+    """See `obstacles.PolytopeObstacle`."""
+
+
+class SatelliteObstacle(Described, makes=satellite.SatelliteObstacle, kind="satellite", says=BODY):
+    """See `satellite.SatelliteObstacle`."""
+
+
+Obstacle = Annotated[BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, *BY_KIND]
+
+
+class KeepInPolytope(
+    Described, makes=keep_in.KeepInPolytope, kind="polytope", says="Convex polytope to stay inside."
+):
+    """See `keep_in.KeepInPolytope`."""
+
+
+class KeepInCone(Described, makes=keep_in.KeepInCone, kind="cone", says="Cone to stay inside."):
+    """See `keep_in.KeepInCone`."""
+
+
+KeepIn = Annotated[KeepInPolytope | KeepInCone, *BY_KIND]
 
 
 class SharedReference(ScenarioPart):

@@ -7,7 +7,7 @@ States are written in the order of the system's state vector; in Hill's frame th
 """
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ...model.system import LinearSystem
 from ...simulation.orbit.environment import Environment
 from .errors import Abort, Chaser, Tank, Thrusters, Timing
 from .faults import Fault
-from .fields import BY_KIND, Head, ScenarioPart, per_axis, table, unit
+from .fields import BY_KIND, Described, Head, ScenarioPart, per_axis, unit
 from .goals import Goal
 from .methods import Planner, Recoverable, Schedule, Tracking
 from .navigation import Navigation
@@ -79,10 +79,8 @@ class Linear(ScenarioPart):
 System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]
 
 
-if TYPE_CHECKING:
-    Orbit: TypeAlias = Any
-else:
-    Orbit = table(__name__, Environment, name="Orbit")
+class Orbit(Described, makes=Environment):
+    """See `Environment`."""
 
 
 class _Initial(ScenarioPart):
