@@ -173,7 +173,22 @@ class InspectionEnv(SwitchingEnv):
     MANY = InspectionVectorEnv
 
 
-class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
+class _Shielded:
+    """What both shields do; `gym.Wrapper` and `VectorWrapper` share no base."""
+
+    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
+        super().__init__(env)  # type: ignore[call-arg]
+        self.penalty = penalty
+        env.unwrapped.put_shield(**options)
+
+    def step(self, action: Any) -> Any:
+        """Fly one period under the shield."""
+        seen, reward, *over, info = self.env.step(action)  # type: ignore[attr-defined]
+        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
+        return seen, reward - self.penalty * held, *over, info
+
+
+class Shield(_Shielded, gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
     """Run-time assurance between policy and spacecraft, whatever else wraps the environment.
 
     The online monitor for switching scenes: S flies wherever not everything that the thrusters could do
@@ -196,30 +211,9 @@ class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
         If the initial set of a switching scene is not recoverable.
     """
 
-    def __init__(self, env: gym.Env[Numbers, Numbers], penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)
-        self.penalty = penalty
-        env.unwrapped.put_shield(**options)  # type: ignore[attr-defined]
 
-    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, Info]:
-        """Fly one period under the shield."""
-        seen, reward, terminated, truncated, info = self.env.step(action)
-        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
-        return seen, float(reward) - self.penalty * held, terminated, truncated, info
-
-
-class VectorShield(VectorWrapper):
+class VectorShield(_Shielded, VectorWrapper):
     """Shield of a `SwitchingVectorEnv` or `InspectionVectorEnv`, for all its episodes."""
-
-    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)
-        self.penalty = penalty
-        env.unwrapped.put_shield(**options)
-
-    def step(self, actions: Any) -> tuple[Any, Array, Array, Array, Info]:
-        """Fly one period under the shield."""
-        seen, reward, terminated, truncated, info = self.env.step(actions)
-        return seen, reward - self.penalty * info["intervened"], terminated, truncated, info
 
 
 HERE = "polaris.runs.training:"
