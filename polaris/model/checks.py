@@ -59,12 +59,10 @@ def shaped(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def vector(field: str, value: ArrayLike, size: int | None = None, like: str = "") -> Array:
-    """Check a finite vector of `size` numbers (of 1 to 3 if None)."""
+def vector(field: str, value: ArrayLike, size: int, like: str = "") -> Array:
+    """Check a finite vector of `size` numbers."""
     array = as_finite(field, value, 1)
-    if size is None and not 1 <= len(array) <= 3:
-        raise ScenarioError(field, value, "must be 1, 2 or 3 numbers, one per axis of position")
-    if size is not None and len(array) != size:
+    if len(array) != size:
         raise ScenarioError(field, value, f"must be {size} numbers" + (f", as {like}" if like else ""))
     return array
 

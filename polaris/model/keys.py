@@ -22,6 +22,8 @@ from .errors import ScenarioError, counted, exact, quoted
 
 LARGEST = 1e12  # largest magnitude of any number in a scenario: beyond it, double precision loses millimetres
 
+STATES = "m, m/s (state order)"  # unit of what has one number for each state
+
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 """Names become file names and column heads, so they are letters, digits, ``_`` and ``-`` only."""
 
@@ -129,6 +131,9 @@ class Key:
     name: str
     unit: str
     type: Any
+    per: str = (
+        ""  # of a list, or of the rows of a matrix: "axis" of position or "state", if one number for each
+    )
     required: bool = False  # in a file, though the class has a default
 
     @cached_property
@@ -189,6 +194,7 @@ def check_fields(made: Any, path: str) -> None:
     Raises `ScenarioError`, which names the field after `path`.
     """
     cls: type = type(made)
+    sizes: dict[str, tuple[str, int]] = {}  # of the first field per axis or state
     for name, key in keys_of(cls).items():
         given = getattr(made, name)
         if given is None:
@@ -204,5 +210,11 @@ def check_fields(made: Any, path: str) -> None:
         if isinstance(value, tuple):
             value = np.array(value, dtype=float)
             value.setflags(write=False)
+            first, size = sizes.setdefault(key.per or name, (name, value.shape[-1]))
+            if value.shape[-1] != size:
+                raise ScenarioError(f"{path}.{name}", given, f"must be {size} numbers, as {first} has")
+            if key.per == "axis" and size > 3:
+                rule = "must be 1, 2 or 3 numbers, one per axis of position"
+                raise ScenarioError(f"{path}.{name}", given, rule)
         if not in_degrees:
             object.__setattr__(made, name, value)

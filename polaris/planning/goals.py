@@ -8,10 +8,10 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field
 
+from ..model import keys as f
 from ..model.acceleration import speeds
 from ..model.checks import exact, positive, whole
 from ..model.errors import ScenarioError
-from ..model.keys import Key, NonNegative, Number, OpenWidthVector, Positive, Vector, Whole, check_fields
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import GOAL
 
@@ -82,7 +82,7 @@ class _StateGoal(Goal):
     _speeds: Array = np.zeros(1)  # of a unit of each state [m/s]; 0 until `of` a system
 
     def __post_init__(self) -> None:
-        check_fields(self, "goal")
+        f.check_fields(self, "goal")
         positive("goal.rate", self.rate, "1/s")
 
     def of(self, system: LinearSystem) -> Self:
@@ -127,14 +127,9 @@ class Box(_StateGoal):
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
 
-    center: Annotated[Any, Key("center", "m, m/s (state order)", Vector)]
-    half_widths: Annotated[Any, Key("half_widths", "m, m/s (state order)", OpenWidthVector)]
+    center: Annotated[Any, f.Key("center", f.STATES, f.Vector, "state")]
+    half_widths: Annotated[Any, f.Key("half_widths", f.STATES, f.OpenWidthVector, "state")]
     rate: float = 1e-2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.half_widths.shape != self.center.shape:
-            raise ScenarioError("goal.half_widths", self.half_widths, f"must be {self.n} numbers >= 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +145,7 @@ class StationaryPoint(_StateGoal):
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
 
-    state: Annotated[Any, Key("state", "m, m/s (state order)", Vector)]
+    state: Annotated[Any, f.Key("state", f.STATES, f.Vector, "state")]
     rate: float = 1e-2
     _word = "stationary point"
 
@@ -168,7 +163,7 @@ class HillGoal(Goal):
     n = 6
 
     def __post_init__(self) -> None:
-        check_fields(self, "goal")
+        f.check_fields(self, "goal")
         positive("goal.mean_motion", self.mean_motion, "rad/s")
         whole("goal.sides", self.sides, 4)
 
@@ -212,10 +207,10 @@ class EllipticalNMT(HillGoal):
     """
 
     mean_motion: float
-    inner_semi_minor: Annotated[float, Key("inner_semi_minor_m", "m", NonNegative)]
-    outer_semi_minor: Annotated[float, Key("outer_semi_minor_m", "m", Positive)]
-    sides: Annotated[int, Key("sides", "-", Annotated[Whole, Field(ge=4, le=64)])] = 16
-    cross_track_max: Annotated[float | None, Key("cross_track_max_m", "m", Positive)] = None
+    inner_semi_minor: Annotated[float, f.Key("inner_semi_minor_m", "m", f.NonNegative)]
+    outer_semi_minor: Annotated[float, f.Key("outer_semi_minor_m", "m", f.Positive)]
+    sides: Annotated[int, f.Key("sides", "-", Annotated[f.Whole, Field(ge=4, le=64)])] = 16
+    cross_track_max: Annotated[float | None, f.Key("cross_track_max_m", "m", f.Positive)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -280,8 +275,8 @@ class LinearNMT(HillGoal):
     """
 
     mean_motion: float
-    amplitude_max: Annotated[float, Key("amplitude_max_m", "m", Positive)]
-    along_track: Annotated[float, Key("along_track_m", "m", Number)] = 0.0
+    amplitude_max: Annotated[float, f.Key("amplitude_max_m", "m", f.Positive)]
+    along_track: Annotated[float, f.Key("along_track_m", "m", f.Number)] = 0.0
     sides: int = 16
 
     @cached_property

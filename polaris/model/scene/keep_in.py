@@ -11,7 +11,6 @@ from pydantic import Field
 
 from reach.sets.zonotope import Zonotope
 
-from ..checks import vector
 from ..errors import ScenarioError, quoted
 from ..keys import Key, Positive, Real, Vector
 from ..system import Array, LinearSystem
@@ -223,18 +222,17 @@ class KeepInCone(KeepIn):
     """
 
     name: Annotated[str, NAME]
-    apex: Annotated[ArrayLike, Key("apex_m", "m", Vector)]
-    axis: Annotated[ArrayLike, Key("axis", "-", Vector)]
+    apex: Annotated[ArrayLike, Key("apex_m", "m", Vector, "axis")]
+    axis: Annotated[ArrayLike, Key("axis", "-", Vector, "axis")]
     half_angle_rad: Annotated[float, Key("half_angle_deg", "deg", Annotated[Real, Field(ge=0.1, le=89)])]
     facets: Annotated[int, FACETS] = 12
     length: Annotated[float | None, Key("length_m", "m", Positive)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        vector(f"{self.path}.apex", self.apex)
         if len(self.anchor) == 1:
             raise ScenarioError(f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes")
-        axis = vector(f"{self.path}.axis", self.axis, len(self.anchor), "apex has")
+        axis = np.asarray(self.axis)
         if not np.any(axis):
             raise ScenarioError(f"{self.path}.axis", axis.tolist(), "must not be zero")
         object.__setattr__(self, "axis", _directed(axis)[1])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from ..checks import halfspaces, positive, vector, whole
+from ..checks import halfspaces, positive, whole
 from ..errors import ScenarioError, quoted
 from ..keys import Key, Matrix, Name, Vector, Whole, check_fields
 from ..system import Array, LinearSystem
@@ -178,7 +178,7 @@ class Faceted(Anchored):
     """A polytope ``H p <= b`` in absolute position at t = 0, its rows scaled to length 1."""
 
     name: Annotated[str, NAME]
-    H: Annotated[ArrayLike, Key("normals", "-", Matrix)]
+    H: Annotated[ArrayLike, Key("normals", "-", Matrix, "axis")]
     b: Annotated[ArrayLike, Key("offsets_m", "m (for unit normals)", Vector)]
 
     def __post_init__(self) -> None:
@@ -223,10 +223,6 @@ class RigidObstacle(Anchored):
     @cached_property
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
-
-    def _check_velocity(self, d: int) -> None:
-        if self.velocity is not None:
-            vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
 
     def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d).

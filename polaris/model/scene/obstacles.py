@@ -13,7 +13,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import vector
 from ..errors import ScenarioError
 from ..keys import Flag, Key, Positive, Vector, WidthVector
 from ..system import LinearSystem
@@ -21,7 +20,8 @@ from .obstacle import FACETS, NAME, Faceted, Obstacle, RigidObstacle, directions
 from .shapes import Ball, Box, Polytope
 from .timed_polytope import TimedPolytope
 
-CENTER, VELOCITY = Key("center_m", "m", Vector), Key("velocity_m_s", "m/s", Vector)  # of rigid obstacles
+CENTER, VELOCITY = Key("center_m", "m", Vector, "axis"), Key("velocity_m_s", "m/s", Vector, "axis")
+"""Keys of rigid obstacles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +42,13 @@ class BoxObstacle(RigidObstacle):
 
     name: Annotated[str, NAME]
     center: Annotated[ArrayLike, CENTER]
-    half_widths: Annotated[ArrayLike, Key("half_widths_m", "m", WidthVector)]
+    half_widths: Annotated[ArrayLike, Key("half_widths_m", "m", WidthVector, "axis")]
     velocity: Annotated[ArrayLike | None, VELOCITY] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        d = len(vector(f"{self.path}.center", self.center))
-        half = vector(f"{self.path}.half_widths", self.half_widths, d, "center has")
-        self._check_velocity(d)
-        if np.any(half <= 0):
-            raise ScenarioError(f"{self.path}.half_widths", half.tolist(), "must all be > 0 [m]")
+        if np.any(np.asarray(self.half_widths) <= 0):
+            raise ScenarioError(f"{self.path}.half_widths", self.half_widths, "must all be > 0 [m]")
 
     @cached_property
     def shape(self) -> Box:
@@ -89,9 +86,7 @@ class BallObstacle(RigidObstacle):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        d = len(vector(f"{self.path}.center", self.center))
-        directions(d, self.facets, f"{self.path}.facets")
-        self._check_velocity(d)
+        directions(len(self.anchor), self.facets, f"{self.path}.facets")
 
     @cached_property
     def shape(self) -> Ball:
@@ -135,7 +130,6 @@ class PolytopeObstacle(Faceted, RigidObstacle):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_velocity(self.shape.d)
         if not self.unbounded and not self.shape.bounded:
             rule = "must bound the set (or unbounded = true)"
             raise ScenarioError(f"{self.path}.H", self.shape.H.tolist(), rule)

@@ -12,9 +12,8 @@ from scipy.linalg import expm
 from reach.numerics.errors import Unresolved
 from reach.numerics.linear import discretize, growth, powers
 
-from ..checks import vector
 from ..errors import ScenarioError
-from ..keys import Key, NonNegative, Positive, Vector, WidthVector
+from ..keys import STATES, Key, NonNegative, Positive, Vector, WidthVector
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
 from .obstacle import FACETS, NAME, Obstacle, directions
@@ -56,15 +55,11 @@ class SatelliteObstacle(Obstacle):
     """
 
     name: Annotated[str, NAME]
-    state: Annotated[ArrayLike, Key("state", "m, m/s (state order)", Vector)]
-    state_half_widths: Annotated[ArrayLike, Key("state_half_widths", "m, m/s (state order)", WidthVector)]
+    state: Annotated[ArrayLike, Key("state", STATES, Vector, "state")]
+    state_half_widths: Annotated[ArrayLike, Key("state_half_widths", STATES, WidthVector, "state")]
     radius: Annotated[float, Key("radius_m", "m", Positive)]
     thrust_accel_max: Annotated[float, Key("thrust_accel_max_m_s2", "m/s^2", NonNegative)] = 0.0
     facets: Annotated[int | None, FACETS] = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        vector(f"{self.path}.state_half_widths", self.state_half_widths, len(self._x0), "state has")
 
     @cached_property
     def _x0(self) -> Array:

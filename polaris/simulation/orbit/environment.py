@@ -1,6 +1,7 @@
 """The forces on two craft in low orbit: central gravity, J2, drag of a resting atmosphere."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ EARTH_RADIUS_M = 6378137.0  # equatorial radius [m] that J2 refers to
 K_J2 = 1.5 * MU * J2 * EARTH_RADIUS_M**2
 """``3/2 mu J2 R_E^2`` [m^5/s^2]: J2's acceleration at distance d is of the size ``K_J2 / d^4``."""
 
+Given = partial(Key, required=True)
 Right, Tenth = Annotated[Real, Field(ge=0, le=90)], Annotated[Real, Field(ge=0, le=0.1)]
 
 
@@ -58,15 +60,15 @@ class Environment:
 
     mean_motion: float
     inclination_max: Annotated[float, Key("inclination_max_deg", "deg", Right)] = np.pi / 2
-    radius_deviation: Annotated[float, Key("radius_deviation_max_m", "m", NonNegative, True)] = 0.0
-    radial_rate: Annotated[float, Key("radial_rate_max_m_s", "m/s", NonNegative, True)] = 0.0
-    rate_deviation: Annotated[float, Key("rate_deviation_max", "-", Tenth, True)] = 0.0
-    density: Annotated[float, Key("density_kg_m3", "kg/m^3", NonNegative, True)] = 0.0
-    scale_height: Annotated[float, Key("scale_height_m", "m", Positive, True)] = 1e4
-    ballistic: Annotated[float, Key("ballistic_coefficient_m2_kg", "m^2/kg", NonNegative, True)] = 0.0
-    ballistic_difference: Annotated[
-        float, Key("ballistic_difference_max_m2_kg", "m^2/kg", NonNegative, True)
-    ] = 0.0
+    radius_deviation: Annotated[float, Given("radius_deviation_max_m", "m", NonNegative)] = 0.0
+    radial_rate: Annotated[float, Given("radial_rate_max_m_s", "m/s", NonNegative)] = 0.0
+    rate_deviation: Annotated[float, Given("rate_deviation_max", "-", Tenth)] = 0.0
+    density: Annotated[float, Given("density_kg_m3", "kg/m^3", NonNegative)] = 0.0
+    scale_height: Annotated[float, Given("scale_height_m", "m", Positive)] = 1e4
+    ballistic: Annotated[float, Given("ballistic_coefficient_m2_kg", "m^2/kg", NonNegative)] = 0.0
+    ballistic_difference: Annotated[float, Given("ballistic_difference_max_m2_kg", "m^2/kg", NonNegative)] = (
+        0.0
+    )
     other: Annotated[float, Key("other_acceleration_max_m_s2", "m/s^2", NonNegative)] = 0.0
     j2: bool = True
 
