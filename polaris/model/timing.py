@@ -27,16 +27,16 @@ class Timing:
 
     Parameters
     ----------
-    delay : float
+    delay : float [s]
         From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
         effect; more than a period, too.
-    jitter : float
+    jitter : float [s]
         Largest time by which it is early or late; at most half a period. Of inspections: by how much calls of
         the filter may be.
     missed : int
         Periods in a row for which there may be no new measurement or command: commands for so many periods
         ahead are sent each time. At most 20 with an observer, and none if faults are isolated late besides.
-    clock : float
+    clock : float [s]
         How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
         obstacles of kind `satellite`.
 

@@ -119,9 +119,9 @@ class Box(_StateGoal):
 
     Parameters
     ----------
-    center : array_like, shape (n,)
+    center : array_like, shape (n,) [m, m/s]
         Centre, n numbers.
-    half_widths : array_like, shape (n,)
+    half_widths : array_like, shape (n,) [m, m/s]
         Half-width per state, n numbers >= 0; inf where any value will do.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
@@ -138,7 +138,7 @@ class StationaryPoint(_StateGoal):
 
     Parameters
     ----------
-    state : array_like, shape (n,)
+    state : array_like, shape (n,) [m, m/s]
         State to end in, n numbers. In Hill's frame: on the along-track axis, at rest. For a point that needs
         holding, use kind box.
     rate : float
@@ -196,13 +196,13 @@ class EllipticalNMT(HillGoal):
     ----------
     mean_motion : float
         eta [rad/s].
-    inner_semi_minor : float
+    inner_semi_minor : float [m]
         Radial semi-axis of the inner ellipse; 0 for none.
-    outer_semi_minor : float
+    outer_semi_minor : float [m]
         Radial semi-axis of the outer ellipse.
     sides : int
         Sides of the polygons that stand for the ellipses.
-    cross_track_max : float, optional
+    cross_track_max : float [m], optional
         Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0.
     """
 
@@ -266,9 +266,9 @@ class LinearNMT(HillGoal):
     ----------
     mean_motion : float
         eta [rad/s].
-    amplitude_max : float
+    amplitude_max : float [m]
         Largest amplitude of the oscillation.
-    along_track : float
+    along_track : float [m]
         Along-track position r_y.
     sides : int
         Sides of the polygon inscribed in the amplitude circle.

@@ -131,7 +131,7 @@ class PlannerOptions:
         Most linear programs that `facets` solves, in all stages.
     max_nodes : int
         Most branch-and-bound nodes of `highs` or `gurobi`, in all stages.
-    time_limit : float, optional
+    time_limit : float [s], optional
         Wall time for each plan; no clock without it. What a clock cuts short depends on the machine, and the
         run says so.
     gap : float

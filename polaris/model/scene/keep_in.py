@@ -147,7 +147,7 @@ class KeepInPolytope(Faceted, KeepIn):
         Its name in messages and figures.
     H : array_like, shape (F, d)
         Outward facet normals, F rows of d numbers; any length but 0.
-    b : array_like, shape (F,)
+    b : array_like, shape (F,) [m]
         Offsets, F numbers.
     begins, ends : float
         When it holds [s]; in proofs for whole steps, and `FAR` times as far out in all others.
@@ -204,15 +204,15 @@ class KeepInCone(KeepIn):
     ----------
     name : str
         Its name in messages and figures.
-    apex : array_like, shape (d,), d = 2 or 3
+    apex : array_like, shape (d,), d = 2 or 3 [m]
         Apex, d numbers.
     axis : array_like, shape (d,)
         Direction in which the cone opens, d numbers; any length but 0.
-    half_angle_rad : float
+    half_angle_rad : float [rad]
         Angle between axis and surface.
     facets : int
         Facets of the cone inside (in space; two in the plane).
-    length : float, optional
+    length : float [m], optional
         Height at which the cone is cut off; endless without it.
 
     Notes

@@ -32,11 +32,11 @@ class BoxObstacle(RigidObstacle):
     ----------
     name : str
         Its name in messages and figures.
-    center : array_like, shape (d,)
+    center : array_like, shape (d,) [m]
         Centre at t = 0, d numbers.
-    half_widths : array_like, shape (d,)
+    half_widths : array_like, shape (d,) [m]
         Half-width per axis, d numbers > 0.
-    velocity : array_like, shape (d,), optional
+    velocity : array_like, shape (d,) [m/s], optional
         Constant velocity, d numbers; at rest without it.
     """
 
@@ -47,8 +47,9 @@ class BoxObstacle(RigidObstacle):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if np.any(np.asarray(self.half_widths) <= 0):
-            raise ScenarioError(f"{self.path}.half_widths", self.half_widths, "must all be > 0 [m]")
+        half = np.asarray(self.half_widths)
+        if np.any(half <= 0):
+            raise ScenarioError(f"{self.path}.half_widths", half.tolist(), "must all be > 0 [m]")
 
     @cached_property
     def shape(self) -> Box:
@@ -67,11 +68,11 @@ class BallObstacle(RigidObstacle):
     ----------
     name : str
         Its name in messages and figures.
-    center : array_like, shape (d,)
+    center : array_like, shape (d,) [m]
         Centre at t = 0, d numbers.
-    radius : float
+    radius : float [m]
         Radius.
-    velocity : array_like, shape (d,), optional
+    velocity : array_like, shape (d,) [m/s], optional
         Constant velocity, d numbers; at rest without it.
     facets : int, optional
         Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane
@@ -113,9 +114,9 @@ class PolytopeObstacle(Faceted, RigidObstacle):
         Its name in messages and figures.
     H : array_like, shape (F, d)
         Outward facet normals, F rows of d numbers; any length but 0.
-    b : array_like, shape (F,)
+    b : array_like, shape (F,) [m]
         Offsets at t = 0, F numbers.
-    velocity : array_like, shape (d,), optional
+    velocity : array_like, shape (d,) [m/s], optional
         Constant velocity, d numbers; at rest without it.
     unbounded : bool
         Must be true for a set without bounds (a wall), so that a forgotten row is noticed.

@@ -34,13 +34,13 @@ class SatelliteObstacle(Obstacle):
     ----------
     name : str
         Its name in messages and figures.
-    state : array_like, shape (n,)
+    state : array_like, shape (n,) [m, m/s]
         Estimated state at t = 0, n numbers.
-    state_half_widths : array_like, shape (n,)
+    state_half_widths : array_like, shape (n,) [m, m/s]
         Uncertainty of that state as a box, n numbers >= 0.
-    radius : float
+    radius : float [m]
         Distance from its centre that counts as a collision.
-    thrust_accel_max : float
+    thrust_accel_max : float [m/s^2]
         2-norm of the acceleration it may apply; 0 for free motion. Needs a system whose position obeys an
         equation of second order.
     facets : int, optional

@@ -34,24 +34,24 @@ class Environment:
     ----------
     mean_motion : float
         eta [rad/s] of Hill's linear equations.
-    inclination_max : float
+    inclination_max : float [rad]
         Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
         counts from its own side. 90 covers every orbit.
-    radius_deviation : float
+    radius_deviation : float [m]
         How far the target's distance from the Earth's centre may be off that of the circle.
-    radial_rate : float
+    radial_rate : float [m/s]
         Largest rate at which that distance changes.
     rate_deviation : float
         How far the frame's rate about the orbit normal may be off, as a share of it.
-    density : float
+    density : float [kg/m^3]
         Density of the air at the radius of the circle; 0 for none.
-    scale_height : float
+    scale_height : float [m]
         Height over which the density falls by a factor of e, the smallest that may occur.
-    ballistic : float
+    ballistic : float [m^2/kg]
         Drag coefficient times area over mass of the target.
-    ballistic_difference : float
+    ballistic_difference : float [m^2/kg]
         How far any other craft's may be off the target's.
-    other : float
+    other : float [m/s^2]
         Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
         radiation pressure, plumes, higher harmonics.
     j2 : bool
