@@ -36,7 +36,7 @@ class Environment:
         eta [rad/s] of Hill's linear equations.
     inclination_max : float [rad]
         Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
-        counts from its own side. 90 covers every orbit.
+        counts from its own side. 90 degrees cover every orbit.
     radius_deviation : float [m]
         How far the target's distance from the Earth's centre may be off that of the circle.
     radial_rate : float [m/s]
