@@ -20,7 +20,7 @@ WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and 
 
 @dataclass(frozen=True)
 class Timing:
-    """What lies between a measurement and the thrust that answers it.
+    """Time between a measurement and the thrust that answers it.
 
     Every controller acts on the state as it is predicted, by the model, for the instant at which its command
     takes effect. The commands in force until then are known, those before the start too.
@@ -42,7 +42,7 @@ class Timing:
 
     Notes
     -----
-    See Lemmas 25, 26, 36 and 37 of the theory. All other fields follow from these and the system.
+    See Proposition 7 (a) and Lemma 6 of the theory. All other fields follow from these and the system.
     """
 
     delay: Annotated[float, Key("delay_s", "s", Annotated[Real, Field(ge=0, le=1e4)])] = 0.0
@@ -101,7 +101,7 @@ class Observer:
 
 @dataclass(frozen=True, eq=False)
 class Transient:
-    """Of one fault, once in a flight, the time until S flies on for good (docs/theory.md, Lemma 41)."""
+    """Of one fault, once in a flight, the time until S flies on for good (docs/theory.md, Proposition 8)."""
 
     name: str  # kind of the fault
     lasts: float  # for how long at most [s]
