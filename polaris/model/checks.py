@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import ScenarioError
+from .errors import counted as counted
+from .errors import exact as exact
 from .system import Array, as_finite
 
 MAX_STEPS = 100_000  # most steps of one scenario; a plan of more could not be solved anyway
@@ -57,12 +59,10 @@ def shaped(field: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def vector(field: str, value: ArrayLike, size: int | None = None, like: str = "") -> Array:
-    """Check a finite vector of `size` numbers (of 1 to 3 if None)."""
+def vector(field: str, value: ArrayLike, size: int, like: str = "") -> Array:
+    """Check a finite vector of `size` numbers."""
     array = as_finite(field, value, 1)
-    if size is None and not 1 <= len(array) <= 3:
-        raise ScenarioError(field, value, "must be 1, 2 or 3 numbers, one per axis of position")
-    if size is not None and len(array) != size:
+    if len(array) != size:
         raise ScenarioError(field, value, f"must be {size} numbers" + (f", as {like}" if like else ""))
     return array
 
@@ -94,14 +94,3 @@ def of_kind(field: str, value: object, kind: type | UnionType, made_by: str = ""
         names = " or a ".join(one.__name__ for one in get_args(kind) or (kind,))
         rule = f"must be a {names}" + (f", as {made_by} returns" if made_by else "")
         raise ScenarioError(field, type(value).__name__, rule)
-
-
-def exact(number: float) -> str:
-    """Return a short text that reads back as the very number: a limit is not rounded to what it excludes."""
-    short = f"{number:g}"
-    return short if float(short) == number else repr(float(number))
-
-
-def counted(number: int, noun: str, many: str | None = None) -> str:
-    """``1 input``, ``3 inputs``; `many` where an s is not enough."""
-    return f"{number} {noun if number == 1 else many or noun + 's'}"

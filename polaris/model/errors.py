@@ -1,4 +1,4 @@
-"""The one family of errors. Each carries the exit code the command line ends with."""
+"""The one family of errors, each with the exit code the command line ends with; words of their messages."""
 
 import re
 
@@ -21,6 +21,17 @@ def quoted(value: object) -> str:
     A text whose control characters are escaped already looks the same as one that holds them.
     """
     return re.sub(r"\\(\\|x(..))", lambda found: "\\" + (f"u00{found[2]}" if found[2] else ""), repr(value))
+
+
+def exact(number: float) -> str:
+    """Return a short text that reads back as the very number: a limit is not rounded to what it excludes."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(float(number))
+
+
+def counted(number: int, noun: str, many: str | None = None) -> str:
+    """``1 input``, ``3 inputs``; `many` where an s is not enough."""
+    return f"{number} {noun if number == 1 else many or noun + 's'}"
 
 
 class PolarisError(Exception):

@@ -4,10 +4,13 @@ Faults until they are isolated: thrust that is not as commanded, or no measureme
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from .keys import Key, NonNegative, Real, Whole
 from .thrusters import Thrusters
 
 Array = NDArray[np.float64]
@@ -17,15 +20,35 @@ WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and 
 
 @dataclass(frozen=True)
 class Timing:
-    """What lies between a measurement and the thrust that answers it (theory, Proposition 7 (a) and Lemma 6).
+    """Time between a measurement and the thrust that answers it.
 
-    Controllers act on the state as it is predicted for the instant at which their command takes effect.
+    Every controller acts on the state as it is predicted, by the model, for the instant at which its command
+    takes effect. The commands in force until then are known, those before the start too.
+
+    Parameters
+    ----------
+    delay : float [s]
+        From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
+        effect; more than a period, too.
+    jitter : float [s]
+        Largest time by which it is early or late; at most half a period. Of inspections: by how much calls of
+        the filter may be.
+    missed : int
+        Periods in a row for which there may be no new measurement or command: commands for so many periods
+        ahead are sent each time. At most 20 with an observer, and none if faults are isolated late besides.
+    clock : float [s]
+        How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
+        obstacles of kind `satellite`.
+
+    Notes
+    -----
+    See Proposition 7 (a) and Lemma 6 of the theory. All other fields follow from these and the system.
     """
 
-    delay: float = 0.0  # from a measurement until the command that rests on it takes effect [s]
-    jitter: float = 0.0  # by how much that may vary [s]
-    missed: int = 0  # periods in a row in which there may be no new measurement
-    clock: float = 0.0  # how far the schedule's clock may be from that of the unsafe sets [s]
+    delay: Annotated[float, Key("delay_s", "s", Annotated[Real, Field(ge=0, le=1e4)])] = 0.0
+    jitter: Annotated[float, Key("jitter_s", "s", NonNegative)] = 0.0
+    missed: Annotated[int, Key("missed_periods", "-", Annotated[Whole, Field(ge=0, le=1000)])] = 0
+    clock: Annotated[float, Key("clock_error_s", "s", NonNegative)] = 0.0
     bit: float = 0.0  # error of an input, whatever its command, without jitter and pulses [N]
     longer: float = 0.0  # share of a period by which a command may be in force for longer
     measured: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)

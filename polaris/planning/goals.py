@@ -1,18 +1,18 @@
 """Goals: where a plan must end. To the planner each is a few linear conditions on the last state."""
 
 from abc import ABC, abstractmethod
-from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from pydantic import Field
 
+from ..model import keys as f
 from ..model.acceleration import speeds
-from ..model.checks import exact, non_negative, number, positive, whole
+from ..model.checks import exact, positive, whole
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem, as_finite
+from ..model.system import Array, LinearSystem
 from ..model.tolerances import GOAL
 
 
@@ -72,37 +72,23 @@ class Goal(ABC):
         return (0.0, "") if relative <= GOAL else (relative, name)
 
 
-@dataclass(frozen=True, eq=False)
-class Box(Goal):
-    """End within a box of states.
+class _StateGoal(Goal):
+    """Base of goals that bound every state: `center`, `half_widths` (n,), and a `rate` for residuals."""
 
-    Parameters
-    ----------
-    center, half_widths : array_like, shape (n,)
-        Half-widths may be infinite where any value will do.
-    rate : float
-        Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
-    """
-
-    center: Array
-    half_widths: Array
-    rate: float = 1e-2
-    speeds: Array = field(init=False, repr=False)  # of a unit of each state [m/s]; 0 until `of` a system
+    center: Any
+    half_widths: Any
+    rate: float
+    _word = "box about"
+    _speeds: Array = np.zeros(1)  # of a unit of each state [m/s]; 0 until `of` a system
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center", as_finite("goal.center", self.center, 1))
-        widths = np.array(self.half_widths, dtype=float)
-        if widths.shape != self.center.shape or not np.all(widths >= 0):
-            raise ScenarioError("goal.half_widths", self.half_widths, f"must be {self.n} numbers >= 0")
-        object.__setattr__(self, "half_widths", widths)
+        f.check_fields(self, "goal")
         positive("goal.rate", self.rate, "1/s")
-        object.__setattr__(self, "speeds", np.zeros(self.n))
 
     def of(self, system: LinearSystem) -> Self:
-        """Return the same box, its velocities those of a system."""
-        found = copy(self)
-        found.__dict__.pop("conditions", None)
-        object.__setattr__(found, "speeds", speeds(system.A, system.position))
+        """Return the same goal, its velocities those of a system."""
+        found: Self = replace(self)  # type: ignore[type-var]
+        object.__setattr__(found, "_speeds", speeds(system.A, system.position))
         return found
 
     @property
@@ -113,8 +99,8 @@ class Box(Goal):
     @cached_property
     def conditions(self) -> GoalConditions:
         """Two inequalities per bounded state, an equality where the half-width is 0."""
-        center, widths = self.center, self.half_widths
-        weight = np.where(self.speeds > 0, self.speeds * (1 / self.rate), 1.0)
+        center, widths, speeds = self.center, self.half_widths, self._speeds
+        weight = np.where(speeds > 0, speeds * (1 / self.rate), np.ones(self.n))
         W, middle = np.diag(weight), weight * center
         fixed, boxed = widths == 0, np.isfinite(widths) & (widths > 0)
         rows, reach = W[boxed], weight[boxed] * widths[boxed]
@@ -124,34 +110,52 @@ class Box(Goal):
 
     def describe(self) -> str:
         """One line for messages."""
-        return "box about (" + ", ".join(f"{s:g}" for s in self.center) + ")"
+        return f"{self._word} (" + ", ".join(f"{s:g}" for s in self.center) + ")"
 
 
-class StationaryPoint(Box):
-    """End exactly at a state. In Hill's frame only rest on the along-track axis needs no thrust after.
+@dataclass(frozen=True, eq=False)
+class Box(_StateGoal):
+    """End anywhere in a box of states.
 
     Parameters
     ----------
-    state : array_like, shape (n,)
+    center : array_like, shape (n,) [m, m/s]
+        Centre, n numbers.
+    half_widths : array_like, shape (n,) [m, m/s]
+        Half-width per state, n numbers >= 0; inf where any value will do.
     rate : float
         Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
     """
 
-    def __init__(self, state: ArrayLike, rate: float = 1e-2) -> None:
-        point = as_finite("goal.state", state, 1)
-        super().__init__(point, np.zeros(len(point)), rate)
-
-    @property
-    def state(self) -> Array:
-        """Where to end, shape (n,)."""
-        return self.center
-
-    def describe(self) -> str:
-        """One line for messages."""
-        return super().describe().replace("box about", "stationary point")
+    center: Annotated[Any, f.Key("center", f.STATES, f.Vector, "state")]
+    half_widths: Annotated[Any, f.Key("half_widths", f.STATES, f.OpenWidthVector, "state")]
+    rate: float = 1e-2
 
 
-class _HillGoal(Goal):
+@dataclass(frozen=True, eq=False)
+class StationaryPoint(_StateGoal):
+    """End at rest, at a state that keeps itself without input (A x = 0).
+
+    Parameters
+    ----------
+    state : array_like, shape (n,) [m, m/s]
+        State to end in, n numbers. In Hill's frame: on the along-track axis, at rest. For a point that needs
+        holding, use kind box.
+    rate : float
+        Rate [1/s] by which velocities are divided to read as lengths. It only weighs residuals.
+    """
+
+    state: Annotated[Any, f.Key("state", f.STATES, f.Vector, "state")]
+    rate: float = 1e-2
+    _word = "stationary point"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "center", self.state)
+        object.__setattr__(self, "half_widths", np.zeros(self.n))
+
+
+class HillGoal(Goal):
     """A goal in Hill's frame; subclasses have a `mean_motion` and the number of `sides` of their polygons."""
 
     mean_motion: float
@@ -159,6 +163,7 @@ class _HillGoal(Goal):
     n = 6
 
     def __post_init__(self) -> None:
+        f.check_fields(self, "goal")
         positive("goal.mean_motion", self.mean_motion, "rad/s")
         whole("goal.sides", self.sides, 4)
 
@@ -184,42 +189,39 @@ def ellipse_polygon(semi_minor: float, sides: int, circumscribed: bool) -> tuple
 
 
 @dataclass(frozen=True)
-class EllipticalNMT(_HillGoal):
-    """End on a closed ellipse about the target (eqs. 20-22, outward normals).
+class EllipticalNMT(HillGoal):
+    """End on a closed ellipse about the target that needs no thrust (eqs. 20-22). Hill's frame only.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s].
-    inner_semi_minor, outer_semi_minor : float
-        Radial semi-axes [m] between which the ellipse must lie; inner 0 means no inner bound.
+    inner_semi_minor : float [m]
+        Radial semi-axis of the inner ellipse; 0 for none.
+    outer_semi_minor : float [m]
+        Radial semi-axis of the outer ellipse.
     sides : int
-        Sides of the polygons; the outer one is inscribed and the inner one circumscribed, so that a
-        state that meets the polygons meets the ellipses.
-    cross_track_max : float or None
-        Bound [m] on ``|r_z|`` and on ``|v_z| / eta``; None asks for no cross-track motion.
+        Sides of the polygons that stand for the ellipses.
+    cross_track_max : float [m], optional
+        Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0.
     """
 
     mean_motion: float
-    inner_semi_minor: float
-    outer_semi_minor: float
-    sides: int = 16
-    cross_track_max: float | None = None
+    inner_semi_minor: Annotated[float, f.Key("inner_semi_minor_m", "m", f.NonNegative)]
+    outer_semi_minor: Annotated[float, f.Key("outer_semi_minor_m", "m", f.Positive)]
+    sides: Annotated[int, f.Key("sides", "-", Annotated[f.Whole, Field(ge=4, le=64)])] = 16
+    cross_track_max: Annotated[float | None, f.Key("cross_track_max_m", "m", f.Positive)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        non_negative("goal.inner_semi_minor", self.inner_semi_minor, "m")
-        positive("goal.outer_semi_minor", self.outer_semi_minor, "m")
         room = self.outer_semi_minor * np.cos(np.pi / self.sides)
         if self.inner_semi_minor >= room:
             rule = f"must be below {exact(room)} m (the {self.sides}-sided outer polygon reaches no further)"
             raise ScenarioError("goal.inner_semi_minor", self.inner_semi_minor, rule)
-        if self.cross_track_max is not None:
-            positive("goal.cross_track_max", self.cross_track_max, "m")
 
     @cached_property
     def conditions(self) -> GoalConditions:
-        """Two equalities, the outer polygon, and one side of the inner polygon."""
+        """Two equalities, the outer polygon (inscribed), and one side of the inner one (circumscribed)."""
         r, v = self._rows
         E, G, g = [v[1] + 2 * r[0], v[0] - r[1] / 2], list[Array](), list[float]()
         if self.cross_track_max is None:
@@ -257,30 +259,25 @@ class EllipticalNMT(_HillGoal):
 
 
 @dataclass(frozen=True)
-class LinearNMT(_HillGoal):
-    """End on a cross-track oscillation through ``(0, along_track, 0)``.
+class LinearNMT(HillGoal):
+    """End on a cross-track oscillation through a point of the along-track axis. Hill's frame only.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s].
-    amplitude_max : float
-        Largest amplitude [m].
-    along_track : float
-        Along-track position [m].
+    amplitude_max : float [m]
+        Largest amplitude of the oscillation.
+    along_track : float [m]
+        Along-track position r_y.
     sides : int
         Sides of the polygon inscribed in the amplitude circle.
     """
 
     mean_motion: float
-    amplitude_max: float
-    along_track: float = 0.0
+    amplitude_max: Annotated[float, f.Key("amplitude_max_m", "m", f.Positive)]
+    along_track: Annotated[float, f.Key("along_track_m", "m", f.Number)] = 0.0
     sides: int = 16
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive("goal.amplitude_max", self.amplitude_max, "m")
-        number("goal.along_track", self.along_track)
 
     @cached_property
     def conditions(self) -> GoalConditions:

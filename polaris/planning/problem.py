@@ -3,20 +3,22 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
+from pydantic import Field
 
 from reach.brief import brief
 
-from ..model.checks import non_negative, number, one_of, positive, shaped, whole
+from ..model.checks import non_negative, one_of, positive, shaped, whole
 from ..model.errors import ScenarioError
+from ..model.keys import Key, Real, Whole, check_fields
 from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array, LinearSystem
 from .goals import Goal
 
+Count = Annotated[Whole, Field(ge=1, le=10**9)]
 Objective = Literal["margin_then_fuel", "distance", "fuel"]
-OBJECTIVES = ("margin_then_fuel", "distance", "fuel")
 SOLVERS = {
     "facets": "facet search, linear programs by HiGHS",
     "highs": "mixed-integer program by HiGHS",
@@ -58,7 +60,7 @@ class PlanProblem:
         whole("planner.tail_cells", self.tail_cells, 0)
         positive("planner.delta", self.delta, "s")
         non_negative("planner.extra_margin", self.extra_margin, "m")
-        one_of("planner.objective", self.objective, OBJECTIVES)
+        one_of("planner.objective", self.objective, get_args(Objective))
         put(self, "x0", shaped("planner.x0", self.x0, (sys.n,)))
         put(self, "u_limit", shaped("planner.u_limit", self.u_limit, (self.K, sys.m)))
         if np.any(self.u_limit < 0):
@@ -117,21 +119,21 @@ class Progress:
 @brief
 @dataclass(frozen=True)
 class PlannerOptions:
-    """How to solve.
+    """The mixed-integer program behind the reference (section III-C).
 
     Parameters
     ----------
     solver : {"facets", "highs", "gurobi"}
-        Who decides the separating facets: the planner's own branch and bound (`tree`), or a back end
-        that gets the same program with binary variables. Good first paths come from linear programs
-        by HiGHS in any case.
+        Who chooses the side on which to pass: `facets`, the planner's own branch and bound, whose linear
+        programs HiGHS solves; or `highs` or `gurobi` on the same program with binary variables (gurobi needs
+        the extra of that name).
     max_linear_programs : int
-        Most linear programs the facet search solves, in all stages together.
+        Most linear programs that `facets` solves, in all stages.
     max_nodes : int
-        Most branch-and-bound nodes of a back end, in all stages together.
-    time_limit : float or None
-        Wall time [s] for everything the planner does; None for no clock. What a clock cuts short depends on
-        the machine: `Plan.cut_by_clock` tells, and a `ClockWarning`.
+        Most branch-and-bound nodes of `highs` or `gurobi`, in all stages.
+    time_limit : float [s], optional
+        Wall time for each plan; no clock without it. What a clock cuts short depends on the machine, and the
+        run says so.
     gap : float
         Relative optimality gap at which the search stops.
     threads : int or None
@@ -140,22 +142,16 @@ class PlannerOptions:
         Called with a `Progress`, at most a few times a second.
     """
 
-    solver: str = "facets"
-    max_linear_programs: int = 10_000
-    max_nodes: int = 10_000
-    time_limit: float | None = None
-    gap: float = 1e-3
+    solver: Annotated[str, Key("solver", "-", Literal["facets", "highs", "gurobi"])] = "facets"
+    max_linear_programs: Annotated[int, Key("max_linear_programs", "-", Count)] = 10_000
+    max_nodes: Annotated[int, Key("max_nodes", "-", Count)] = 10_000
+    time_limit: Annotated[float | None, Key("time_limit_s", "s", Annotated[Real, Field(gt=0, le=1e6)])] = None
+    gap: Annotated[float, Key("gap", "-", Annotated[Real, Field(ge=0, lt=1)])] = 1e-3
     threads: int | None = 1
     progress: Callable[[Progress], None] | None = None
 
     def __post_init__(self) -> None:
-        one_of("planner.solver", self.solver, SOLVERS)
-        whole("planner.max_linear_programs", self.max_linear_programs, 1)
-        whole("planner.max_nodes", self.max_nodes, 1)
-        if self.time_limit is not None:
-            positive("planner.time_limit", self.time_limit, "s")
-        if not 0 <= number("planner.gap", self.gap) < 1:
-            raise ScenarioError("planner.gap", self.gap, "must be in [0, 1)")
+        check_fields(self, "planner")
 
     @property
     def deadline(self) -> float:

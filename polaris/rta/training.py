@@ -33,6 +33,7 @@ class TrainingFlights:
     It has the states `x` (R, n), and `k` (R,), the decisions made.
     """
 
+    failed = "collided"  # flag of flights that have lost safety, as `advance` returns it
     grid: DecisionGrid  # without latency
     runs: int
     inputs: tuple[str, ...] = ("error",)  # as those of `Policy`
@@ -64,7 +65,8 @@ class TrainingFlights:
                 raise ScenarioError("input_scale", np.size(self.input_scale), rule)
             self.scale = np.array(self.input_scale, dtype=float)
         self.k, self.x = np.zeros(self.runs, dtype=int), np.zeros((self.runs, n))
-        self._flown, self._left = np.zeros(self.runs, dtype=int), 0
+        self.limit, self.reads = grid.system.u_max, self.scale.size
+        self._flown, self._left = np.zeros(self.runs, dtype=int), list[Conditions]()
         self._w = np.zeros((0, self.runs, 0))
         self._errors = np.zeros((grid.decisions + 1, self.runs, n))
         self._owed = np.zeros((self.runs, grid.system.m))  # what is left of impulses [N s]
@@ -82,17 +84,15 @@ class TrainingFlights:
 
         They are drawn many at a time and used one by one; `fresh` throws away what is left.
         """
-        self._left = 0 if fresh else self._left
+        self._left = [] if fresh else self._left
         for run in np.flatnonzero(chosen):
             if not self._left:
-                self._left = max(self.runs, POOL)
-                self._drawn = Conditions.draw(self.grid, self._left, int(rng.integers(2**31)))
-                if not self._w.size:
-                    self._w = np.zeros((len(self._drawn.w), self.runs, self._drawn.w.shape[2]))
-            self._left -= 1
-            self._owed[run] = 0.0
-            self.x[run], self._w[:, run] = self._drawn.x0[self._left], self._drawn.w[:, self._left]
-            self._errors[:-1, run] = self._drawn.errors[:, self._left]
+                drawn = Conditions.draw(self.grid, max(self.runs, POOL), int(rng.integers(2**31)))
+                self._left = [drawn.only(one) for one in range(len(drawn.x0))]
+                self._w = self._w if self._w.size else np.repeat(0 * drawn.w[:, :1], self.runs, axis=1)
+            flown = self._left.pop()
+            self._owed[run], self.x[run], self._w[:, run] = 0.0, flown.x0[0], flown.w[:, 0]
+            self._errors[:-1, run] = flown.errors[:, 0]
             self._told[run] = rng.uniform(-1, 1, self._told.shape[1])
         self.k[chosen] = self._flown[chosen] = 0
 

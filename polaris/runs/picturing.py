@@ -12,7 +12,7 @@ from ..simulation.baselines import Flights, fly_nominal
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.schedule.schedule import Schedule
 from .files.arrays import position_tube, tube_arrays
-from .picture import Picture, SlicePicture, TubePicture, directions
+from .picture import Picture, SlicePicture, directions
 
 SLICES = 240  # decisions, and besides them switches, up to which all get a slice of their recoverable set
 
@@ -40,15 +40,10 @@ def picture_of(schedule: Schedule, flights: Mapping[str, Flights] | None = None)
         margins=schedule.margins,
         limits=tuple(step.margin.limit for step in schedule.steps),
         flights=flights,
-        tube=tube_of(schedule),
+        tube=position_tube(tube_arrays(schedule), schedule.safety.problem.system.position),
         reached=arrival.by if arrival else None,
         delta_v_max=arrival.delta_v if arrival else None,
     )
-
-
-def tube_of(schedule: Schedule) -> TubePicture:
-    """Positions that the schedule may reach, step by step."""
-    return position_tube(tube_arrays(schedule), schedule.safety.problem.system.position)
 
 
 def _slice_nodes(picture: Picture, q: int) -> NDArray[np.int_]:

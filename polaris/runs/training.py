@@ -63,13 +63,11 @@ class FlightsVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
     nothing. One seed fixes all episodes.
     """
 
-    failed = "collided"
-
-    def __init__(self, flights: TrainingFlights | InspectionFlights, reads: int, limit: Array) -> None:
-        self.num_envs, self.flights, self.limit = flights.runs, flights, limit
+    def __init__(self, flights: TrainingFlights | InspectionFlights) -> None:
+        self.num_envs, self.flights = flights.runs, flights
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.single_observation_space = Box(-FAR, FAR, (reads,), np.float32)
-        self.single_action_space = Box(-1.0, 1.0, limit.shape, np.float32)
+        self.single_observation_space = Box(-FAR, FAR, (flights.reads,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, flights.limit.shape, np.float32)
         spaces = self.single_observation_space, self.single_action_space
         self.observation_space, self.action_space = (batch_space(space, self.num_envs) for space in spaces)
         self.over = np.ones(self.num_envs, dtype=bool)
@@ -92,10 +90,10 @@ class FlightsVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
     def step(self, actions: Numbers) -> tuple[Numbers, Array, Any, Any, Info]:
         """Fly one period of those episodes that are not over."""
         moving, u = ~self.over, np.asarray(actions, dtype=float)
-        u = np.where(np.isfinite(u), np.clip(u, -1.0, 1.0), np.nan) * self.limit
+        u = np.where(np.isfinite(u), np.clip(u, -1.0, 1.0), np.nan) * self.flights.limit
         self.flights.restart(self.over, self.np_random)
         told = self.flights.advance(u, moving)
-        reward, failed, ended = told.pop("reward"), told[self.failed], told.pop("ended")
+        reward, failed, ended = told.pop("reward"), told[self.flights.failed], told.pop("ended")
         self.over = failed | ended
         info = told | {f"_{name}": moving for name in told}
         return _shown(self.flights.observe()), reward, failed, ended & ~failed, info
@@ -119,8 +117,7 @@ class SwitchingVectorEnv(FlightsVectorEnv):
     """
 
     def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:
-        flights = _flights(scenario, num_envs, given)
-        super().__init__(flights, flights.scale.size, flights.grid.system.u_max)
+        super().__init__(_flights(scenario, num_envs, given))
 
 
 class InspectionVectorEnv(FlightsVectorEnv):
@@ -137,13 +134,9 @@ class InspectionVectorEnv(FlightsVectorEnv):
         `wanted_m` and `effort` of `InspectionFlights`.
     """
 
-    failed = "violated"
-
     def __init__(self, scenario: Any, num_envs: int = 1, **given: Any) -> None:
         found = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-        flights = InspectionFlights(found, num_envs, **given)
-        count = 3 * flights.inspection.deputies
-        super().__init__(flights, 2 * count + 3, np.full(count, flights.inspection.thrust_max))
+        super().__init__(InspectionFlights(found, num_envs, **given))
 
 
 class SwitchingEnv(gym.Env[Numbers, Numbers]):
@@ -180,7 +173,22 @@ class InspectionEnv(SwitchingEnv):
     MANY = InspectionVectorEnv
 
 
-class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
+class _Shielded:
+    """What both shields do; `gym.Wrapper` and `VectorWrapper` share no base."""
+
+    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
+        super().__init__(env)  # type: ignore[call-arg]
+        self.penalty = penalty
+        env.unwrapped.put_shield(**options)
+
+    def step(self, action: Any) -> Any:
+        """Fly one period under the shield."""
+        seen, reward, *over, info = self.env.step(action)  # type: ignore[attr-defined]
+        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
+        return seen, reward - self.penalty * held, *over, info
+
+
+class Shield(_Shielded, gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
     """Run-time assurance between policy and spacecraft, whatever else wraps the environment.
 
     The online monitor for switching scenes: S flies wherever not everything that the thrusters could do
@@ -203,30 +211,9 @@ class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
         If the initial set of a switching scene is not recoverable.
     """
 
-    def __init__(self, env: gym.Env[Numbers, Numbers], penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)
-        self.penalty = penalty
-        env.unwrapped.put_shield(**options)  # type: ignore[attr-defined]
 
-    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, Info]:
-        """Fly one period under the shield."""
-        seen, reward, terminated, truncated, info = self.env.step(action)
-        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
-        return seen, float(reward) - self.penalty * held, terminated, truncated, info
-
-
-class VectorShield(VectorWrapper):
+class VectorShield(_Shielded, VectorWrapper):
     """Shield of a `SwitchingVectorEnv` or `InspectionVectorEnv`, for all its episodes."""
-
-    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)
-        self.penalty = penalty
-        env.unwrapped.put_shield(**options)
-
-    def step(self, actions: Any) -> tuple[Any, Array, Array, Array, Info]:
-        """Fly one period under the shield."""
-        seen, reward, terminated, truncated, info = self.env.step(actions)
-        return seen, reward - self.penalty * info["intervened"], terminated, truncated, info
 
 
 HERE = "polaris.runs.training:"

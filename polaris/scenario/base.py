@@ -14,7 +14,8 @@ from reach.brief import brief
 
 from ..model.errors import ScenarioError
 from ..model.files import parse_toml
-from .reading import NOTHING, did_you_mean, join_path, printable, validate, write_toml
+from ..model.keys import printable
+from .reading import NOTHING, did_you_mean, join_path, validate, write_toml
 from .tables.fields import ScenarioPart
 
 KINDS: dict[str, type["Scenario"]] = {}

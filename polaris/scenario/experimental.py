@@ -25,7 +25,7 @@ from ..synthesis.safety.get_safety import Safety
 from ..synthesis.safety.problem import Problem
 from ..synthesis.tracker.lqr import lqr_gain
 from .tables.goals import hill_rate
-from .tables.scene import Affine, Experimental, Neural
+from .tables.scene import Affine, Neural
 from .tables.scene import AnyThrust as AnyThrustTable
 from .tables.scene import BlackBox as BlackBoxTable
 from .tables.schedule import ScenarioModel
@@ -55,9 +55,7 @@ def read_policies(
     """
     found: dict[str, tuple[Path, Policy]] = {}
     for path, spec in model.controllers():
-        if not isinstance(spec, (Neural, BlackBoxTable)):
-            continue
-        if isinstance(spec, BlackBoxTable):
+        if not isinstance(spec, Neural):
             continue
         file = (folder or Path()) / spec.path
         if any(other.name == file.name and other != file for other, _ in found.values()):
@@ -85,37 +83,33 @@ def build_controllers(
     """Controllers as a scenario describes them; see `ScheduleScenario.controllers`."""
     found: list[Controller] = []
     for path, spec in model.controllers():
-        if not isinstance(spec, BlackBoxTable):
+        if isinstance(spec, BlackBoxTable):
+            ask = boxes[spec.name]
+            assert ask is not None  # checked by `ScheduleScenario.check_black_boxes`
+            known = safety.problem.system, safety.reference, safety.tracking, ask
+            found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
+        else:
             found.append(_build(spec, path, safety, policies, planned.get(spec.name)))
-            continue
-        ask = boxes[spec.name]
-        assert ask is not None  # checked by `ScheduleScenario.check_black_boxes`
-        known = safety.problem.system, safety.reference, safety.tracking, ask
-        found.append(BlackBox(spec.name, *known, seed=model.simulation.seed, memory=spec.memory))
     return tuple(found)
 
 
 def _build(
-    spec: Experimental,
+    spec: Affine | AnyThrustTable | Neural,
     path: str,
     safety: Safety,
     policies: Mapping[str, tuple[Path, Policy]],
     planned: Array | None,
 ) -> Controller:
-    assert not isinstance(spec, BlackBoxTable)
-    system = safety.problem.system
-    if isinstance(spec, Neural):
-        own = own_reference(spec.reference, None, safety, f"{path}.reference", planned)
-        policy, unsafe = policies[spec.name][1], safety.problem.unsafe
-        return NeuralController(
-            spec.name, system, policy, safety.reference, own, safety.tracking, tuple(unsafe)
-        )
+    system, shared, tracking = safety.problem.system, safety.reference, safety.tracking
     if isinstance(spec, AnyThrustTable):
-        return AnyThrust(spec.name, system, safety.reference, safety.tracking)
-    gain = gain_of(spec, system, path)
+        return AnyThrust(spec.name, system, shared, tracking)
+    gain = gain_of(spec, system, path) if isinstance(spec, Affine) else None
     own = own_reference(spec.reference, gain, safety, f"{path}.reference", planned)
-    clips = spec.kind == "saturated_affine"
-    return AffineController(spec.name, system, gain, safety.reference, own, safety.tracking, clips)
+    if isinstance(spec, Neural):
+        policy, unsafe = policies[spec.name][1], tuple(safety.problem.unsafe)
+        return NeuralController(spec.name, system, policy, shared, own, tracking, unsafe)
+    assert gain is not None
+    return AffineController(spec.name, system, gain, shared, own, tracking, spec.kind == "saturated_affine")
 
 
 def own_reference(
@@ -131,11 +125,9 @@ def own_reference(
         return Reference.propagate(system, delta, x0, np.zeros((K, system.m)))
     if spec.kind == "setpoint":
         state = as_finite(f"{path}.state", spec.state, 1)
-        return (
-            _still(system, state, K, delta, path)
-            if gain is None
-            else _settled(system, gain, state, K, delta, path)
-        )
+        if gain is None:
+            return _still(system, state, K, delta, path)
+        return _settled(system, gain, state, K, delta, path)
     if planned is not None:
         return Reference.propagate(system, delta, problem.initial_set.c, planned)
     limit = np.broadcast_to(system.u_max * (1 - SOLVER_BOOK_INPUT), (K, system.m))

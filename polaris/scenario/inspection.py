@@ -25,6 +25,12 @@ from .tables import inspection as models
 from .tables.fields import check_length, in_file_terms, whole_parts
 from .tables.filters import FAMILY_NAMES, Alpha, FlightFilter
 
+SCHEDULES_ONLY = (
+    *(("thrusters", key) for key in ("directions", "thrust_max_N", "pulse", "remainder")),
+    *(("timing", key) for key in ("missed_periods", "clock_error_s")),
+)
+"""Tables and keys that inspection scenarios have without a meaning."""
+
 
 class InspectionScenario(Scenario):
     """What the scenarios of the inspection problem share; see `Scenario`."""
@@ -161,13 +167,10 @@ class FlightScenario(FilteredScenario):
     def uncertainty(self) -> Uncertainty:
         """What is not known exactly."""
         model, push = self.model, self.model.flight.disturbance_max_m_s2
-        refused = ("thrusters", "directions"), ("thrusters", "thrust_max_N")
-        for table, key in (*refused, *(("timing", key) for key in ("missed_periods", "clock_error_s"))):
-            if value := getattr(getattr(model, table), key):
+        for table, key in SCHEDULES_ONLY:
+            part = getattr(model, table)
+            if (value := getattr(part, key)) != type(part).model_fields[key].default:
                 raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
-        for key, default in (("pulse", "held"), ("remainder", "dropped")):
-            if (value := getattr(model.thrusters, key)) != default:
-                raise ScenarioError(f"thrusters.{key}", value, "is for schedules only")
         system = replace(self.inspection().system, w_max=push)
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)

@@ -14,9 +14,8 @@ from pydantic_core import ErrorDetails
 from reach.numerics.files import read_regular
 
 from ..model import files
-from ..model.checks import counted, exact
-from ..model.errors import ScenarioError, quoted
-from .tables.fields import LARGEST, NAME_PATTERN
+from ..model.errors import ScenarioError
+from ..model.keys import broken_rule, printable
 
 MAX_BYTES = 1_000_000  # largest scenario file read; the largest sensible one is a hundred times smaller
 
@@ -39,12 +38,6 @@ class _Nothing:
 
 
 NOTHING = _Nothing()
-
-
-def printable(text: str, most: int = 200) -> str:
-    """One line of printable characters, cut to a length."""
-    line = "".join(c if c.isprintable() else quoted(c)[1:-1] for c in " ".join(text.split()))
-    return line if len(line) <= most else line[: most - 3] + "..."
 
 
 def join_path(path: Sequence[str | int]) -> str:
@@ -143,43 +136,7 @@ def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, A
         return join_path([*path, "kind"]), value.get("kind", NOTHING), rule
     if kind == "too_short" and len(value) >= context["min_length"]:
         return None  # pydantic counts valid entries only; the invalid one has its own message
-    return join_path(path), value, _rule(kind, context, value, problem["msg"])
-
-
-_RULES = {
-    "greater_than": "must be > {gt}",
-    "greater_than_equal": "must be >= {ge}",
-    "less_than": "must be < {lt}",
-    "less_than_equal": "must be <= {le}",
-    "float_type": "must be a number",
-    "int_type": "must be a whole number",
-    "int_from_float": "must be a whole number",
-    "int_parsing_size": "must be a whole number",
-    "string_type": "must be text in quotes",
-    "tuple_type": "must be a list",
-    "list_type": "must be a list",
-    "string_pattern_mismatch": "must be of the form {pattern}",
-    "string_too_short": "must not be empty",
-    "model_type": "must be a table",
-    "model_attributes_type": "must be a table",
-    "dict_type": "must be a table",
-}
-"""The rule that was broken, by pydantic's name of it, where there are plainer words than its own."""
-
-
-def _rule(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
-    """The rule that was broken, in plain words."""
-    if kind == "float_type" and type(value) is int and abs(value) > LARGEST:
-        return f"must be a number of at most {LARGEST:g}"
-    if kind == "too_short":
-        return f"must have at least {counted(context['min_length'], 'entry', 'entries')}"
-    if context.get("pattern") == NAME_PATTERN:
-        return f"must consist of letters, digits, _ and -, as in {NAME_PATTERN}"
-    if kind == "value_error":
-        return printable(str(context.get("error", message)))
-    if kind in _RULES:
-        return _RULES[kind].format(**{k: exact(v) if isinstance(v, float) else v for k, v in context.items()})
-    return printable(re.sub(r"^[A-Z]\w* should", "must", message))
+    return join_path(path), value, broken_rule(problem, value)
 
 
 def write_toml(document: Mapping[str, Any]) -> str:

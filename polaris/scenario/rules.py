@@ -12,14 +12,16 @@ from numpy.typing import ArrayLike
 
 from reach.sets.zonotope import Zonotope
 
+from ..model.checks import MAX_STEPS
 from ..model.errors import ScenarioError
+from ..model.keys import keys_of
 from ..model.scene.keep_in import KeepIn
 from ..model.scene.obstacle import Obstacle, directions
 from ..model.scene.satellite import SatelliteObstacle
 from ..model.system import Array, LinearSystem
 from .tables import scene as scene
 from .tables import schedule as models
-from .tables.fields import MAX_STEPS, check_length, in_file_terms, whole_parts
+from .tables.fields import check_length, in_file_terms, whole_parts
 from .tables.goals import StationaryGoal, hill_rate
 
 MAX_SPEED_M_S = 100.0
@@ -31,12 +33,6 @@ HILL_RANGE_M = 1e5  # range [m] within which Hill's linear equations are taken t
 
 _TOUCH_M = 1e-9
 """Depth [m] from which an overlap counts: touching is left to the planner, which books its margins."""
-
-PER_STATE = ("center", "half_widths", "state", "state_half_widths")
-"""Fields of an initial set, a goal or an unsafe set that hold one number for each state."""
-
-PER_AXIS = ("center_m", "half_widths_m", "velocity_m_s", "apex_m", "axis")
-"""Those that hold one number for each position coordinate."""
 
 
 def check_system(model: models.ScenarioModel) -> None:
@@ -70,16 +66,17 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
             check_length(f"initial_set.generators[{i}]", generator, n)
     if isinstance(model.tracking.weight, tuple):
         check_length("tracking.weight", model.tracking.weight, n)
-    for path, part in (("initial_set", start), ("goal", model.goal), *model.scene_parts()):
-        for names, count in ((PER_STATE, n), (PER_AXIS, d)):
-            for name in names:
-                if (vector := getattr(part, name, None)) is not None:
-                    check_length(f"{path}.{name}", vector, count)
-    for path, obstacle in model.scene_parts():
-        if isinstance(obstacle, scene.PolytopeObstacle | scene.KeepInPolytope):
-            for row, normal in enumerate(obstacle.normals):
-                check_length(f"{path}.normals[{row}]", normal, d)
-            check_length(f"{path}.offsets_m", obstacle.offsets_m, len(obstacle.normals))
+    for name in ("center", "half_widths"):
+        check_length(f"initial_set.{name}", getattr(start, name, range(n)), n)
+    for path, part in (("goal", model.goal), *model.scene_parts()):
+        for key in keys_of(part.MAKES).values():
+            given, count = getattr(part, key.name), d if key.per == "axis" else n
+            if key.name == "normals":
+                for row, normal in enumerate(given):
+                    check_length(f"{path}.normals[{row}]", normal, d)
+                check_length(f"{path}.offsets_m", part.offsets_m, len(given))
+            elif key.per and given is not None:
+                check_length(f"{path}.{key.name}", given, count)
     for path, spec in model.controllers():
         if not isinstance(spec, scene.Affine):
             continue

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, overload
 
 from ..model.errors import ScenarioError
+from ..model.keys import printable
 from .base import KINDS, SCHEDULE, Scenario, overridden, parse_assignment
 from .inspection import FlightScenario, FuelLimitScenario, InspectionScenario, MonteCarloScenario
-from .reading import did_you_mean, printable, read_document
+from .reading import did_you_mean, read_document
 from .schedule import ScheduleScenario
 
 __all__ = [

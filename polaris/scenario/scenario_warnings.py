@@ -1,7 +1,5 @@
 """Warnings about valid but suspicious scenario values: units and scales that seem mixed up."""
 
-from typing import Any, cast
-
 import numpy as np
 from scipy.linalg import expm
 
@@ -53,8 +51,8 @@ def _scales(scenario: ScheduleScenario, system: LinearSystem, size: float) -> li
     theta, C, V = scenario.initial_set(), system.position, system.velocity
     wide = {"initial_set": np.abs(theta.G).sum(axis=1)}  # half widths of uncertain states
     speeds = {"initial_set": float(np.linalg.norm(V @ theta.c))}
-    lengths, parts = {}, cast("list[tuple[str, Any]]", scenario.model.scene_parts())
-    for path, part in parts:
+    lengths = {}
+    for path, part in scenario.model.scene_parts():
         if (state := getattr(part, "state", None)) is not None:
             wide[path] = np.array(getattr(part, "state_half_widths", ()))
             speeds[path] = float(np.linalg.norm(V @ state))

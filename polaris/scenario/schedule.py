@@ -20,7 +20,7 @@ from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
 from .reading import write_toml
-from .tables.errors import Timing, allocation, transients
+from .tables.errors import Timing, allocation, timed, transients
 from .tables.fields import whole_parts
 from .tables.scene import BlackBox, Neural
 from .tables.schedule import ScenarioModel, Simulation
@@ -111,10 +111,10 @@ class ScheduleScenario(Scenario):
             system = replace(system, u_max=allocation.u_max)
         if (model.navigation, model.thrusters, model.timing) == (None, None, None):
             return system
-        period, timing = self.period(), model.timing or Timing()
+        period, timing = self.period(), (model.timing or Timing()).make("timing")
         if model.navigation is not None:
             system = model.navigation.known(system, (self.steps, self.step), period, timing)
-        return timing.build(system, period, model.thrusters, limits)
+        return timed(system, timing, period, model.thrusters, limits)
 
     @kept
     def allocation(self) -> Allocation | None:
@@ -144,7 +144,7 @@ class ScheduleScenario(Scenario):
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Unsafe sets of the perception oracle, grown by the chaser: obstacles first, then keep-in sets."""
         radius = 0.0 if self.model.chaser is None else self.model.chaser.radius_m
-        system, parts = self.system(), [part.build(path) for path, part in self.model.scene_parts()]
+        system, parts = self.system(), [part.make(path) for path, part in self.model.scene_parts()]
         if self.model.navigation is not None:
             parts += self.model.navigation.kept_within(system, (self.steps, self.step))
         moved = float(np.linalg.norm(np.abs(system.position) @ system.displaced)) * (1 + ROUNDING)
@@ -153,7 +153,8 @@ class ScheduleScenario(Scenario):
     @kept
     def goal(self) -> Goal:
         """Where the reference must end."""
-        return self.model.goal.build(self.system())
+        goal: Goal = self.model.goal.build(self.system())
+        return goal
 
     def controllers(
         self,
@@ -208,7 +209,7 @@ class ScheduleScenario(Scenario):
     @kept
     def policies(self) -> dict[str, tuple[Path, Policy]]:
         """Neural networks and their files, by the name of their controller."""
-        if not any(isinstance(spec, (Neural, BlackBox)) for spec in self.model.experimental):
+        if not any(isinstance(spec, Neural) for spec in self.model.experimental):
             return {}
         from .experimental import read_policies
 
@@ -244,11 +245,10 @@ class ScheduleScenario(Scenario):
     @kept
     def problem(self) -> Problem:
         """The problem that Algorithm 1 is asked."""
-        from ..planning.problem import PlannerOptions
         from ..synthesis.safety.problem import Problem
         from .experimental import gains_of
 
-        system, tracking, given = self.system(), self.model.tracking, self.model.planner.arguments()
+        system, tracking, planner = self.system(), self.model.tracking, self.model.planner
         weight, gains = tracking.weight, gains_of(self.model, system)
         unsteered = np.zeros((system.m, system.n))
         networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
@@ -272,11 +272,11 @@ class ScheduleScenario(Scenario):
             period=self.period(),
             bound=tracking.bound,
             weight=weight if isinstance(weight, str) else rules.full_weight(weight),
-            objective=given.pop("objective"),
-            extra_margin=given.pop("extra_margin"),
-            thrust_reserve=given.pop("thrust_reserve"),
+            objective=planner.objective,
+            extra_margin=planner.extra_margin_m,
+            thrust_reserve=planner.thrust_reserve,
             thrust_share=tracking.thrust_share,
-            planner=PlannerOptions(**given),
+            planner=planner.make("planner"),
             gains=gains,
             allocation=self.allocation(),
             tank=None if self.model.tank is None else self.model.tank.delta_v_m_s,

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
-from polaris.scenario import rules
+from polaris.model.keys import keys_of
 from polaris.scenario.reading import MAX_BYTES
 from polaris.scenario.scenario import Scenario, load_scenario
 from polaris.scenario.tables import goals as goal_tables
@@ -572,13 +572,15 @@ def test_misspelt_name_is_answered_with_the_right_one():
 
 
 def test_the_length_of_every_vector_is_checked():
-    """Lists of numbers in an initial set, a goal or an unsafe set: one for each state, or for each axis."""
-    unions = (tables.InitialSet, goal_tables.Goal, scene_tables.Obstacle, scene_tables.KeepIn)
-    parts = [part for union in unions for part in get_args(get_args(union)[0])]
-    fields = {(name, str(field.annotation)) for part in parts for name, field in part.model_fields.items()}
-    vectors = {name for name, kind in fields if "tuple[" in kind and "tuple[tuple[" not in kind}
-    found = {name for name in vectors if name not in ("normals", "generators")}
-    assert found == {*rules.PER_STATE, *rules.PER_AXIS, "offsets_m"}
+    """Lists of numbers in a goal or an unsafe set: one for each state, for each axis, or for each facet."""
+    unions = (goal_tables.Goal, scene_tables.Obstacle, scene_tables.KeepIn)
+    parts = [table for union in unions for table in get_args(get_args(union)[0])]
+    for key in (key for table in parts for key in keys_of(table.MAKES).values()):
+        lists = "tuple[" in str(key.type)
+        assert lists == (key.per in ("axis", "state") or key.name == "offsets_m"), key
+    assert {name for part in get_args(get_args(tables.InitialSet)[0]) for name in part.model_fields} == {
+        *("kind", "center", "half_widths", "position_radius_m", "velocity_radius_m_s", "generators")
+    }
 
 
 # -- anything at all --------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from polaris.model.scene.distances import (
     UNKNOWN,
     closest,
     count_switches,
-    delta_v,
     mode_shares,
     ray_ttc,
     signed_distances,
@@ -165,13 +164,6 @@ def test_switches_are_counted_inside_the_run_only():
     assert count_switches([1, 0, 0]) == 1
 
 
-def test_delta_v():
-    u = np.array([[3.0, -4], [0, 1], [7, 7]])
-    assert delta_v([0.0, 2, 5], u, 10.0) == pytest.approx((7 * 2 + 1 * 3) / 10)
-    assert delta_v([0.0, 2, 5], u, 10.0, norm=2) == pytest.approx((5 * 2 + 1 * 3) / 10)
-    np.testing.assert_allclose(delta_v([0.0, 2, 5, 6], np.stack([u, 2 * u]), 10.0), [3.1, 6.2])
-
-
 # -- RTAEval's defects ----------------------------------------------------------------------------
 
 
@@ -222,9 +214,6 @@ def test_rtaeval_7_penetration_is_kept():
         (lambda: mode_shares([0.0, 1], [0.5, 1]), "modes"),
         (lambda: mode_shares([], []), "modes"),
         (lambda: count_switches(1), "modes"),
-        (lambda: delta_v([0.0, 1], [[1.0]], -1.0), "mass"),
-        (lambda: delta_v([0.0, 1], [[np.nan]], 1.0), "u"),
-        (lambda: delta_v([0.0, 1], [[1.0]], 1.0, norm=3), "norm"),
         (lambda: drift_ttc([BALL], PLANE, 0.0, np.zeros(3), 1.0), "x"),
         (lambda: drift_ttc([BALL], PLANE, 0.0, np.full(4, np.nan), 1.0), "x"),
         (lambda: drift_ttc([BALL], PLANE, 0.0, np.zeros(4), -1.0), "horizon"),

@@ -4,8 +4,10 @@ import inspect
 import json
 import re
 from pathlib import Path
+from typing import get_args
 
 import jsonschema
+import numpy as np
 import pytest
 
 import polaris
@@ -19,6 +21,9 @@ from docs.generate.scenario_docs import (
     texts,
     write,
 )
+from polaris.model.errors import ScenarioError
+from polaris.model.keys import keys_of
+from polaris.scenario.reading import validate
 from polaris.scenario.scenario import bundled_scenarios, load_scenario
 from polaris.scenario.tables import goals as goal_tables
 from polaris.scenario.tables import scene as scene
@@ -177,3 +182,49 @@ def test_python_names_are_those_of_the_file_without_units(table, made):
     bare -= {"bound_programs"}  # an argument of `share_bound`
     taken = set(inspect.signature(made).parameters)
     assert {NAMES.get(name, name) for name in bare} <= taken
+
+
+SATELLITE = {"name": "o", "state": [0.0] * 6, "state_half_widths": [0.0] * 6, "radius": 1.0}
+CONE = {"name": "o", "apex": [0, 0, 0], "axis": [0, 1, 0], "half_angle_rad": 0.5}
+ELLIPSE = {"mean_motion": 0.0012, "inner_semi_minor": 40.0, "outer_semi_minor": 80.0}
+
+
+@pytest.mark.parametrize(
+    "table, given, field, bad",
+    [
+        (scene.BoxObstacle, {"name": "o", "center": [0, 0], "half_widths": [1, 1]}, "half_widths", [1, -1]),
+        (scene.BoxObstacle, {"name": "o", "center": [0, 0], "half_widths": [1, 1]}, "name", "a/b"),
+        (scene.BallObstacle, {"name": "o", "center": [0, 0], "radius": 1.0}, "radius", 0.0),
+        (scene.BallObstacle, {"name": "o", "center": [0, 0], "radius": 1.0}, "center", [0, 1e13]),
+        (scene.BallObstacle, {"name": "o", "center": [0, 0], "radius": 1.0}, "facets", 65),
+        (scene.BallObstacle, {"name": "o", "center": [0, 0], "radius": 1.0}, "velocity", [True, 0]),
+        (scene.PolytopeObstacle, {"name": "o", "H": [[1.0], [-1.0]], "b": [1, 1]}, "unbounded", 1),
+        (scene.SatelliteObstacle, SATELLITE, "thrust_accel_max", -1e-3),
+        (scene.KeepInCone, CONE, "length", "far"),
+        (scene.KeepInCone, CONE, "half_angle_rad", 1.6),
+        (goal_tables.EllipticalNMTGoal, ELLIPSE, "sides", 4.5),
+        (
+            goal_tables.LinearNMTGoal,
+            {"mean_motion": 0.0012, "amplitude_max": 5.0},
+            "along_track",
+            float("nan"),
+        ),
+        (goal_tables.BoxGoal, {"center": [0, 0], "half_widths": [1, float("inf")]}, "half_widths", [1, -1]),
+        (scenario_model.Planner, {}, "gap", 1.0),
+        (scenario_model.Orbit, {"mean_motion": 0.0012}, "rate_deviation", 0.2),
+    ],
+)
+def test_python_is_held_to_the_rules_of_a_file(table, given, field, bad):
+    """One description of a field checks both: what Python refuses a file refuses by the same rule."""
+    made, keys = table.MAKES(**given), keys_of(table.MAKES)
+    with pytest.raises(ScenarioError) as python:
+        table.MAKES(**given | {field: bad})
+    held = {name: getattr(made, name) for name in keys} | {field: bad}
+    turned = {name: np.degrees(x) if keys[name].name.endswith("_deg") else x for name, x in held.items()}
+    written = {keys[name].name: x for name, x in turned.items() if x is not None}
+    if "kind" in table.model_fields:
+        (written["kind"],) = get_args(table.model_fields["kind"].annotation)
+    with pytest.raises(ScenarioError) as file:
+        validate(table, written)
+    assert python.value.field.endswith(f".{field}") and file.value.field.startswith(keys[field].name)
+    assert python.value.rule.partition(" [")[0] == file.value.rule

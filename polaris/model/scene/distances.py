@@ -1,4 +1,4 @@
-"""What is measured on runs: distance, time to collision, share of time per mode, switches, delta-v.
+"""What is measured on runs: distance, time to collision, share of time per mode, switches.
 
 Everything is vectorised over runs and times: arrays are shaped (..., T) with the time axis last
 (before the axes of a vector), and per-obstacle results have the obstacle axis first.
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import positive
 from ..errors import ScenarioError
 from ..system import Array, LinearSystem
 from .obstacle import Obstacle
@@ -155,21 +154,3 @@ def count_switches(
     first = np.argmax(~skipped, axis=-1)[..., None]
     carried = np.take_along_axis(values, np.maximum(index, first), axis=-1)
     return np.asarray((np.diff(carried, axis=-1) != 0).sum(axis=-1), dtype=np.int64)
-
-
-def delta_v(t: ArrayLike, u: ArrayLike, mass: float, norm: int = 1) -> Array:
-    """Velocity change spent, ``sum |u| dt / mass`` [m/s], shape (...,), of inputs (..., K, m) [N].
-
-    They are held from one of the times t (..., K) or (..., K+1) [s] to the next; the mass [kg] is 1 where
-    they are accelerations. Norm 1: one thruster per axis, as the limits ``|u_i| <= u_max,i`` say. 2: one that
-    turns.
-    """
-    positive("mass", mass, "kg")
-    if norm not in (1, 2):
-        raise ScenarioError("norm", norm, "must be 1 or 2")
-    inputs = np.asarray(u, dtype=float)
-    if inputs.ndim < 2 or inputs.shape[-2] == 0 or not np.all(np.isfinite(inputs)):
-        rule = "must be finite, shape (..., samples, inputs), at least one sample"
-        raise ScenarioError("u", inputs.shape, rule)
-    size = np.linalg.norm(inputs, ord=norm, axis=-1)
-    return np.asarray((size * _durations(t, inputs.shape[-2])).sum(axis=-1) / mass)

@@ -3,18 +3,19 @@
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from reach.sets.zonotope import Zonotope
 
-from ..checks import MOST_ROWS, number, positive, vector, whole
 from ..errors import ScenarioError, quoted
+from ..keys import Key, Positive, Real, Vector
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
-from .obstacle import Anchored, solid
+from .obstacle import FACETS, NAME, Anchored, Faceted
 from .shapes import Polytope, Shape, _directed, _in_time
 from .timed_polytope import TimedPolytope
 
@@ -137,30 +138,27 @@ class KeepIn(Anchored):
 
 
 @dataclass(frozen=True, eq=False)
-class KeepInPolytope(KeepIn):
-    """Stay inside ``H p <= b`` (with an interior; it need not be bounded).
+class KeepInPolytope(Faceted, KeepIn):
+    """The chaser must stay where ``H p <= b``.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    H, b : array_like, shapes (F, d) and (F,)
-        Facets, b in m per unit of row length; rows are scaled to unit length.
+        Its name in messages and figures.
+    H : array_like, shape (F, d)
+        Outward facet normals, F rows of d numbers; any length but 0.
+    b : array_like, shape (F,) [m]
+        Offsets, F numbers.
     begins, ends : float
         When it holds [s]; in proofs for whole steps, and `FAR` times as far out in all others.
+
+    Notes
+    -----
+    H and b are scaled so that the rows of H have length 1.
     """
 
-    name: str
-    H: ArrayLike
-    b: ArrayLike
     begins: float = -np.inf
     ends: float = np.inf
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        polytope = solid(self.path, self.H, self.b)
-        put(self, "H", polytope.H)
-        put(self, "b", polytope.b)
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
         """As of all keep-in sets, in the steps in which it holds."""
@@ -187,67 +185,57 @@ class KeepInPolytope(KeepIn):
     def _grown(self, radius: float) -> "KeepInPolytope":
         return replace(self, b=np.asarray(self.b) - radius)
 
-    @cached_property
+    @property
     def inside(self) -> Polytope:
         """The polytope."""
-        return Polytope(np.asarray(self.H), np.asarray(self.b))
+        return self.polytope
 
     @cached_property
     def shape(self) -> Shape:
         """Its outside."""
         return Outside(self.inside)
 
-    @cached_property
-    def anchor(self) -> Array:
-        """The origin: the facets are given in absolute position."""
-        return np.zeros(self.inside.d)
-
 
 @dataclass(frozen=True, eq=False)
 class KeepInCone(KeepIn):
-    """Stay inside a line-of-sight cone (a wedge in the plane).
-
-    The polytope inside has its edges on the true cone, so it is smaller: by ``1 - cos(pi/facets)``
-    of the tangent of the half angle at most. In the plane it is exact.
+    """A line-of-sight cone to stay inside; planned with a polyhedral cone inside the true one.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    apex, axis : array_like, shape (d,), d = 2 or 3
-        Tip [m] and direction into the cone (any length but zero).
-    half_angle_rad : float
-        In (0, pi/2).
+        Its name in messages and figures.
+    apex : array_like, shape (d,), d = 2 or 3 [m]
+        Apex, d numbers.
+    axis : array_like, shape (d,)
+        Direction in which the cone opens, d numbers; any length but 0.
+    half_angle_rad : float [rad]
+        Angle between axis and surface.
     facets : int
-        Sides of the inscribed cone in space, >= 3; the wedge in the plane has two.
-    length : float, optional
-        Cut at this distance [m] along the axis; default not cut.
+        Facets of the cone inside (in space; two in the plane).
+    length : float [m], optional
+        Height at which the cone is cut off; endless without it.
+
+    Notes
+    -----
+    The polytope inside has its edges on the true cone, so it is smaller: by ``1 - cos(pi/facets)``
+    of the tangent of the half angle at most. In the plane it is exact.
     """
 
-    name: str
-    apex: ArrayLike
-    axis: ArrayLike
-    half_angle_rad: float
-    facets: int = 12
-    length: float | None = None
+    name: Annotated[str, NAME]
+    apex: Annotated[ArrayLike, Key("apex_m", "m", Vector, "axis")]
+    axis: Annotated[ArrayLike, Key("axis", "-", Vector, "axis")]
+    half_angle_rad: Annotated[float, Key("half_angle_deg", "deg", Annotated[Real, Field(ge=0.1, le=89)])]
+    facets: Annotated[int, FACETS] = 12
+    length: Annotated[float | None, Key("length_m", "m", Positive)] = None
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "apex", vector(f"{self.path}.apex", self.apex))
+        super().__post_init__()
         if len(self.anchor) == 1:
             raise ScenarioError(f"{self.path}.apex", self.anchor.tolist(), "a cone needs 2 or 3 axes")
-        axis = vector(f"{self.path}.axis", self.axis, len(self.anchor), "apex has")
+        axis = np.asarray(self.axis)
         if not np.any(axis):
             raise ScenarioError(f"{self.path}.axis", axis.tolist(), "must not be zero")
-        put(self, "axis", _directed(axis)[1])
-        rule = "must be between 0 and pi/2 [rad], both excluded"
-        angle = number(f"{self.path}.half_angle_rad", self.half_angle_rad, rule)
-        if not 1e-6 <= angle <= np.pi / 2 - 1e-6:
-            raise ScenarioError(f"{self.path}.half_angle_rad", angle, rule + " (by 1e-6)")
-        if whole(f"{self.path}.facets", self.facets, 3) > MOST_ROWS - 1:
-            raise ScenarioError(f"{self.path}.facets", self.facets, f"must be at most {MOST_ROWS - 1}")
-        if self.length is not None:
-            positive(f"{self.path}.length", self.length, "m")
+        object.__setattr__(self, "axis", _directed(axis)[1])
 
     def _grown(self, radius: float) -> "KeepInCone":
         """The cone of the points at least the radius from its sides: its apex moves along the axis."""

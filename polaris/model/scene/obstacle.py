@@ -2,19 +2,25 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
-from ..checks import halfspaces, positive, vector, whole
+from ..checks import halfspaces, positive, whole
 from ..errors import ScenarioError, quoted
+from ..keys import Key, Matrix, Name, Vector, Whole, check_fields
 from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
 from .shapes import FLAT, Ball, Polytope, Shape
 from .timed_polytope import TimedPolytope
+
+NAME, FACETS = Key("name", "-", Name), Key("facets", "-", Annotated[Whole, Field(ge=3, le=64)])
+"""Keys that several sets have."""
 
 
 class Obstacle(ABC):
@@ -30,6 +36,9 @@ class Obstacle(ABC):
 
     name: str
     chaser_radius = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, self.path)
 
     def grown(self, radius: float) -> Self:
         """The set that the centre of a chaser within a ball of a radius [m] must stay out of.
@@ -164,6 +173,31 @@ class Anchored(Obstacle):
         return centre, np.broadcast_to(self._v, centre.shape)
 
 
+@dataclass(frozen=True, eq=False)
+class Faceted(Anchored):
+    """A polytope ``H p <= b`` in absolute position at t = 0, its rows scaled to length 1."""
+
+    name: Annotated[str, NAME]
+    H: Annotated[ArrayLike, Key("normals", "-", Matrix, "axis")]
+    b: Annotated[ArrayLike, Key("offsets_m", "m (for unit normals)", Vector)]
+
+    def __post_init__(self) -> None:
+        polytope = solid(self.path, self.H, self.b)
+        object.__setattr__(self, "H", polytope.H)
+        object.__setattr__(self, "b", polytope.b)
+        super().__post_init__()
+
+    @cached_property
+    def polytope(self) -> Polytope:
+        """The polytope at t = 0."""
+        return Polytope(np.asarray(self.H), np.asarray(self.b))
+
+    @cached_property
+    def anchor(self) -> Array:
+        """The origin: the facets are given in absolute position."""
+        return np.zeros(self.polytope.d)
+
+
 class RigidObstacle(Anchored):
     """A convex set that stands still or moves at constant velocity: state `anchor`, `shape` and `cover`."""
 
@@ -189,13 +223,6 @@ class RigidObstacle(Anchored):
     @cached_property
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
-
-    def _put(self, d: int, **fields: object) -> None:
-        """Set the fields as checked, and check the velocity of an obstacle with d axes."""
-        if self.velocity is not None:
-            fields["velocity"] = vector(f"{self.path}.velocity", self.velocity, d, "the obstacle has axes")
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
 
     def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d).

@@ -8,43 +8,48 @@ on and which contain the true set at every instant of every cell, and the true s
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import positive, vector
 from ..errors import ScenarioError
-from ..system import Array, LinearSystem
-from .obstacle import Obstacle, RigidObstacle, directions, solid
+from ..keys import Flag, Key, Positive, Vector, WidthVector
+from ..system import LinearSystem
+from .obstacle import FACETS, NAME, Faceted, Obstacle, RigidObstacle, directions
 from .shapes import Ball, Box, Polytope
 from .timed_polytope import TimedPolytope
+
+CENTER, VELOCITY = Key("center_m", "m", Vector, "axis"), Key("velocity_m_s", "m/s", Vector, "axis")
+"""Keys of rigid obstacles."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoxObstacle(RigidObstacle):
-    """Axis-aligned box.
+    """An axis-aligned box, at rest or moving straight.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    center, half_widths : array_like, shape (d,)
-        Centre at t = 0 and half widths [m], > 0.
-    velocity : array_like, shape (d,), optional
-        Constant velocity [m/s]; default at rest.
+        Its name in messages and figures.
+    center : array_like, shape (d,) [m]
+        Centre at t = 0, d numbers.
+    half_widths : array_like, shape (d,) [m]
+        Half-width per axis, d numbers > 0.
+    velocity : array_like, shape (d,) [m/s], optional
+        Constant velocity, d numbers; at rest without it.
     """
 
-    name: str
-    center: ArrayLike
-    half_widths: ArrayLike
-    velocity: ArrayLike | None = None
+    name: Annotated[str, NAME]
+    center: Annotated[ArrayLike, CENTER]
+    half_widths: Annotated[ArrayLike, Key("half_widths_m", "m", WidthVector, "axis")]
+    velocity: Annotated[ArrayLike | None, VELOCITY] = None
 
     def __post_init__(self) -> None:
-        center = vector(f"{self.path}.center", self.center)
-        half = vector(f"{self.path}.half_widths", self.half_widths, len(center), "center has")
+        super().__post_init__()
+        half = np.asarray(self.half_widths)
         if np.any(half <= 0):
             raise ScenarioError(f"{self.path}.half_widths", half.tolist(), "must all be > 0 [m]")
-        self._put(len(center), center=center, half_widths=half)
 
     @cached_property
     def shape(self) -> Box:
@@ -57,33 +62,32 @@ class BoxObstacle(RigidObstacle):
 
 @dataclass(frozen=True, eq=False)
 class BallObstacle(RigidObstacle):
-    """Ball, covered by a circumscribed polytope.
+    """A ball, at rest or moving straight; it is planned around as a circumscribed polytope.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    center : array_like, shape (d,)
-        Centre at t = 0 [m].
-    radius : float
-        [m], > 0.
-    velocity : array_like, shape (d,), optional
-        Constant velocity [m/s]; default at rest.
+        Its name in messages and figures.
+    center : array_like, shape (d,) [m]
+        Centre at t = 0, d numbers.
+    radius : float [m]
+        Radius.
+    velocity : array_like, shape (d,) [m/s], optional
+        Constant velocity, d numbers; at rest without it.
     facets : int, optional
-        See `directions`. More facets are tighter and cost the planner more.
+        Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane
+        (default 12). More are tighter and cost the planner more.
     """
 
-    name: str
-    center: ArrayLike
-    radius: float
-    velocity: ArrayLike | None = None
-    facets: int | None = None
+    name: Annotated[str, NAME]
+    center: Annotated[ArrayLike, CENTER]
+    radius: Annotated[float, Key("radius_m", "m", Positive)]
+    velocity: Annotated[ArrayLike | None, VELOCITY] = None
+    facets: Annotated[int | None, FACETS] = None
 
     def __post_init__(self) -> None:
-        center = vector(f"{self.path}.center", self.center)
-        radius = positive(f"{self.path}.radius", self.radius, "m")
-        directions(len(center), self.facets, f"{self.path}.facets")
-        self._put(len(center), center=center, radius=radius)
+        super().__post_init__()
+        directions(len(self.anchor), self.facets, f"{self.path}.facets")
 
     @cached_property
     def shape(self) -> Ball:
@@ -101,47 +105,43 @@ class BallObstacle(RigidObstacle):
 
 
 @dataclass(frozen=True, eq=False)
-class PolytopeObstacle(RigidObstacle):
-    """Any convex polytope ``H p <= b`` with an interior.
+class PolytopeObstacle(Faceted, RigidObstacle):
+    """The positions p with ``H p <= b``, at rest or moving straight.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    H, b : array_like, shapes (F, d) and (F,)
-        Facets at t = 0, b in m per unit of row length; rows are scaled to unit length.
-    velocity : array_like, shape (d,), optional
-        Constant velocity [m/s]; default at rest.
+        Its name in messages and figures.
+    H : array_like, shape (F, d)
+        Outward facet normals, F rows of d numbers; any length but 0.
+    b : array_like, shape (F,) [m]
+        Offsets at t = 0, F numbers.
+    velocity : array_like, shape (d,) [m/s], optional
+        Constant velocity, d numbers; at rest without it.
     unbounded : bool
-        Must be True for a set that is not bounded (a wall, a wedge): one that is so by a forgotten
-        row is refused.
+        Must be true for a set without bounds (a wall), so that a forgotten row is noticed.
+
+    Notes
+    -----
+    H and b are scaled so that the rows of H have length 1.
     """
 
-    name: str
-    H: ArrayLike
-    b: ArrayLike
-    velocity: ArrayLike | None = None
-    unbounded: bool = False
+    velocity: Annotated[ArrayLike | None, VELOCITY] = None
+    unbounded: Annotated[bool, Key("unbounded", "-", Flag)] = False
 
     def __post_init__(self) -> None:
-        polytope = solid(self.path, self.H, self.b)
-        if not self.unbounded and not polytope.bounded:
+        super().__post_init__()
+        if not self.unbounded and not self.shape.bounded:
             rule = "must bound the set (or unbounded = true)"
-            raise ScenarioError(f"{self.path}.H", polytope.H.tolist(), rule)
-        self._put(polytope.d, H=polytope.H, b=polytope.b)
+            raise ScenarioError(f"{self.path}.H", self.shape.H.tolist(), rule)
 
-    @cached_property
+    @property
     def shape(self) -> Polytope:
         """The polytope at t = 0."""
-        return Polytope(np.asarray(self.H), np.asarray(self.b))
+        return self.polytope
 
     def _grown(self, radius: float) -> "PolytopeObstacle":
         return replace(self, b=np.asarray(self.b) + radius)
-
-    @cached_property
-    def anchor(self) -> Array:
-        """The origin: the facets are given in absolute position."""
-        return np.zeros(self.shape.d)
 
 
 def perceive(

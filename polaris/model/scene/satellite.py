@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +12,11 @@ from scipy.linalg import expm
 from reach.numerics.errors import Unresolved
 from reach.numerics.linear import discretize, growth, powers
 
-from ..checks import non_negative, positive, vector
 from ..errors import ScenarioError
-from ..system import Array, LinearSystem, as_finite
+from ..keys import STATES, Key, NonNegative, Positive, Vector, WidthVector
+from ..system import Array, LinearSystem
 from ..tolerances import ROUNDING
-from .obstacle import Obstacle, directions
+from .obstacle import FACETS, NAME, Obstacle, directions
 from .shapes import Ball, Polytope
 from .timed_polytope import TimedPolytope
 
@@ -24,45 +25,41 @@ MOST_PARTS = 256  # most parts into which a cell is divided to follow the bend o
 
 @dataclass(frozen=True, eq=False)
 class SatelliteObstacle(Obstacle):
-    """A ball around another spacecraft, which obeys ``x' = A x + D w + E a``.
+    """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust.
 
-    E adds the acceleration a [m/s^2] to that of the position (`LinearSystem.acceleration_input`). The timed
-    polytope holds for every initial state in the box, every disturbance within the system's bound and
-    every acceleration with ``norm(a, 2) <= thrust_accel_max``. The true set, by which runs are judged, is
-    the ball about the true centre (given as `state`), or about the nominal one.
+    It obeys ``x' = A x + D w`` with the system's own A, D and bound on w; its own acceleration, if it has
+    any, is added to that of its position.
 
     Parameters
     ----------
     name : str
-        What tables, figures and messages call it.
-    state, state_half_widths : array_like, shape (n,)
-        State at t = 0 and how far each entry may be off (0 where known), in the system's units.
-    radius : float
-        Combined radius [m] within which the two must not come, > 0.
-    thrust_accel_max : float
-        Largest acceleration by its own thrust [m/s^2], which needs a system whose position has one (of
-        second order); 0 for free motion.
+        Its name in messages and figures.
+    state : array_like, shape (n,) [m, m/s]
+        Estimated state at t = 0, n numbers.
+    state_half_widths : array_like, shape (n,) [m, m/s]
+        Uncertainty of that state as a box, n numbers >= 0.
+    radius : float [m]
+        Distance from its centre that counts as a collision.
+    thrust_accel_max : float [m/s^2]
+        2-norm of the acceleration it may apply; 0 for free motion. Needs a system whose position obeys an
+        equation of second order.
     facets : int, optional
-        See `directions`.
+        Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane
+        (default 12). More are tighter and cost the planner more.
+
+    Notes
+    -----
+    The timed polytope holds for every initial state in the box, every disturbance and every acceleration
+    within their bounds. The true set, by which runs are judged, is the ball about the true centre (given as
+    `state`), or about the nominal one.
     """
 
-    name: str
-    state: ArrayLike
-    state_half_widths: ArrayLike
-    radius: float
-    thrust_accel_max: float = 0.0
-    facets: int | None = None
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "state", as_finite(f"{self.path}.state", self.state, 1))
-        half = vector(f"{self.path}.state_half_widths", self.state_half_widths, len(self._x0), "state has")
-        if np.any(half < 0):
-            raise ScenarioError(f"{self.path}.state_half_widths", half.tolist(), "must all be >= 0")
-        put(self, "state_half_widths", half)
-        put(self, "radius", positive(f"{self.path}.radius", self.radius, "m"))
-        thrust = non_negative(f"{self.path}.thrust_accel_max", self.thrust_accel_max, "m/s^2")
-        put(self, "thrust_accel_max", thrust)
+    name: Annotated[str, NAME]
+    state: Annotated[ArrayLike, Key("state", STATES, Vector, "state")]
+    state_half_widths: Annotated[ArrayLike, Key("state_half_widths", STATES, WidthVector, "state")]
+    radius: Annotated[float, Key("radius_m", "m", Positive)]
+    thrust_accel_max: Annotated[float, Key("thrust_accel_max_m_s2", "m/s^2", NonNegative)] = 0.0
+    facets: Annotated[int | None, FACETS] = None
 
     @cached_property
     def _x0(self) -> Array:

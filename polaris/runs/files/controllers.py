@@ -11,8 +11,8 @@ from reach.networks.layers import Activation, Affine, Diagonal
 from ...certificate.files.repeated import LAW
 from ...certificate.model.bodies import MOVES
 from ...model.allocation import Allocation
+from ...model.keys import python_name
 from ...model.timing import Transient
-from ...scenario.tables.fields import python_name
 from ...synthesis.controllers.black_box import BlackBox
 from ...synthesis.controllers.controllers import AffineController, Controller
 from ...synthesis.controllers.neural import NeuralController

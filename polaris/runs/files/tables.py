@@ -59,14 +59,6 @@ def pilots(summary: Mapping[str, Any]) -> dict[str, str]:
     return {key: title for key, title in {**called, "polaris": "Polaris"}.items() if key in summary}
 
 
-def controller_rows(schedule: Schedule) -> list[dict[str, Any]]:
-    """Mode, name and kind of every controller."""
-    return [
-        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
-        for mode, controller in enumerate(schedule.controllers)
-    ]
-
-
 def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], guarantee: Any) -> None:
     """Write ``schedule.csv`` and ``schedule.json``."""
     rows = [
@@ -85,7 +77,10 @@ def write_schedule(folder: Path, schedule: Schedule, rules: Mapping[str, Any], g
         for k, step in enumerate(schedule.steps)
     ]
     write_csv(folder / "schedule.csv", rows)
-    controllers = controller_rows(schedule)
+    controllers: list[dict[str, Any]] = [
+        {"mode": mode, "name": controller.name, "kind": type(controller).__name__}
+        for mode, controller in enumerate(schedule.controllers)
+    ]
     data = {
         "schema_version": 1,
         "step_s": schedule.safety.problem.delta,

@@ -47,6 +47,8 @@ class InspectionFlights:
         States; angles of the sun at the start [rad].
     """
 
+    failed = "violated"  # flag of flights that have lost safety, as `advance` returns it
+
     def __init__(self, scenario: Any, runs: int, wanted_m: float = 100.0, effort: float = 0.05) -> None:
         of_kind("scenario", scenario, FlightScenario, "polaris.load_scenario of one inspection flight")
         self.scenario: FlightScenario = scenario
@@ -56,6 +58,8 @@ class InspectionFlights:
         self._parts = tuple((part, *self.inspection.held(self.period * part)) for part in (0.5, 1.0))
         self.k, self.sun = np.zeros(runs, dtype=int), np.zeros(runs)
         self.x = self.seen = np.zeros((runs, self.inspection.deputies, 6))
+        count = 3 * self.inspection.deputies
+        self.limit, self.reads = np.full(count, self.inspection.thrust_max), 2 * count + 3
         self._drawn: list[tuple[Array, float]] = []
         self._unknown = scenario.uncertainty()
         self._errors: Errors | None = None

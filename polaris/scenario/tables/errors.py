@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from ...model import keys as f
 from ...model.allocation import Allocation, axis_pairs
 from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
@@ -16,9 +17,8 @@ from ...model.timing import Timing as Delays
 from ...model.timing import Transient
 from ...synthesis.safety.passive import Abort as AbortOptions
 from ...synthesis.safety.problem import PoweredAbort
-from . import fields as f
 from .faults import Fault
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, Described, ScenarioPart, per_axis, unit
 from .goals import EllipticalNMTGoal, LinearNMTGoal, StationaryGoal
 
 
@@ -71,56 +71,38 @@ class Thrusters(ScenarioPart):
         return replace(found, bit=2 * bit * found.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9))
 
 
-class Timing(ScenarioPart):
-    """What lies between a measurement and the thrust that answers it.
-
-    Every controller acts on the state as it is predicted, by the model, for the instant at which its command
-    takes effect. The commands in force until then are known, those before the start too.
-    """
-
-    delay_s: f.Real = unit("s", default=0.0, ge=0, le=1e4)
-    """From a measurement, within the bounds of `[navigation]`, until the command that rests on it takes
-    effect; more than a period, too."""
-    jitter_s: f.NonNegative = unit("s", default=0.0)
-    """Largest time by which it is early or late; at most half a period. Of
-    inspections: by how much calls of the filter may be."""
-    missed_periods: f.Whole = unit("-", default=0, ge=0, le=1000)
-    """Periods in a row for which there may be no new measurement or command: commands for so many periods
-    ahead are sent each time. At most 20 with an observer, and none if faults are
-    isolated late besides."""
-    clock_error_s: f.NonNegative = unit("s", default=0.0)
-    """How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
-    obstacles of kind `satellite`."""
-
-    def build(
-        self, system: LinearSystem, period: float, thrusters: Thrusters | None, limits: Array
-    ) -> LinearSystem:
-        """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
-        made = thrusters or Thrusters()
-        fired = () if made.pulse == "held" else tuple(limits.tolist())
-        carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
-        if self.jitter_s > period / 2:
-            rule = f"must be at most half of the period of {period:g} s"
-            raise ScenarioError("timing.jitter_s", self.jitter_s, rule)
-        if fired and self.jitter_s > 0:
-            raise ScenarioError("timing.jitter_s", self.jitter_s, "is not covered with pulses")
-        known = self.delay_s, self.jitter_s, self.missed_periods, self.clock_error_s
-        given = Delays(*known, fired=fired, carried=carried)
-        return system if given == Delays() else predicting(system, given, period)
+class Timing(Described, makes=Delays):
+    """See `polaris.model.timing.Timing`."""
 
 
-def allocation(table: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
+def timed(
+    system: LinearSystem, timing: Delays, period: float, thrusters: Thrusters | None, limits: Array
+) -> LinearSystem:
+    """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
+    made = thrusters or Thrusters()
+    fired = () if made.pulse == "held" else tuple(limits.tolist())
+    carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
+    if timing.jitter > period / 2:
+        rule = f"must be at most half of the period of {period:g} s"
+        raise ScenarioError("timing.jitter_s", timing.jitter, rule)
+    if fired and timing.jitter > 0:
+        raise ScenarioError("timing.jitter_s", timing.jitter, "is not covered with pulses")
+    timing = replace(timing, fired=fired, carried=carried)
+    return system if timing == Delays() else predicting(system, timing, period)
+
+
+def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """What the thrusters make of inputs in every fault; None where nothing is said of them."""
     failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
-    directions = None if table is None else table.directions
-    limits = None if table is None else table.thrust_max_N
+    directions = None if given is None else given.directions
+    limits = None if given is None else given.thrust_max_N
     if (directions is None) != (limits is None):
         rule = "must be given both or neither"
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
         pairs = axis_pairs(u_max)
         return Allocation.of(*pairs, u_max, failed) if failed else None
-    most = f.per_axis("thrusters.thrust_max_N", limits, len(directions))
+    most = per_axis("thrusters.thrust_max_N", limits, len(directions))
     return Allocation.of(np.array(directions), most, u_max, failed)
 
 
@@ -135,21 +117,14 @@ def transients(
 
     `asked` says whether there are black boxes.
     """
-    found, steep = [], np.max(networks, axis=0) if len(networks) else None
+    flown = np.max(np.abs(gains), axis=0), asked, np.max(networks, axis=0) if len(networks) else None
+    found = []
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
             thrust = made.directions * made.limits[:, None]
-        known = (
-            fault.name,
-            fault.isolation,
-            thrust,
-            1 - fault.left,
-            np.max(np.abs(gains), axis=0),
-            asked,
-            steep,
-        )
-        found += [Transient(*known)] if fault.isolation > 0 else []
+        if fault.isolation > 0:
+            found.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *flown))
     return tuple(found)
 
 
@@ -159,7 +134,7 @@ class GoalOrbit(ScenarioPart):
     kind: Literal["goal"] = unit("-", "The goal of the schedule.")
 
 
-Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *f.BY_KIND]
+Orbit = Annotated[GoalOrbit | EllipticalNMTGoal | LinearNMTGoal | StationaryGoal, *BY_KIND]
 
 
 class Abort(ScenarioPart):

@@ -2,9 +2,9 @@
 
 from typing import Annotated, Literal
 
+from ...model import keys as f
 from ...model.allocation import Fault as Failed
-from . import fields as f
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, ScenarioPart, unit
 
 
 class StuckOff(ScenarioPart):
@@ -54,4 +54,4 @@ class NavigationLost(ScenarioPart):
         return Failed("navigation_lost", 1.0, self.lasts_s)
 
 
-Fault = Annotated[StuckOff | Loss | StuckOn | NavigationLost, *f.BY_KIND]
+Fault = Annotated[StuckOff | Loss | StuckOn | NavigationLost, *BY_KIND]

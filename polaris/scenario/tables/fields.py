@@ -1,44 +1,22 @@
-"""Building blocks of the scenario models: strict numbers, vectors, matrices, and the base class."""
+"""Building blocks of the scenario models: the base class, and tables that a class describes."""
 
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, ClassVar, Literal
+from dataclasses import MISSING, fields
+from inspect import cleandoc
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    Strict,
-    Tag,
-    model_validator,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from ...model.checks import MAX_STEPS as MAX_STEPS
+from ...model import keys as f
 from ...model.checks import counted
 from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import TIME
-
-LARGEST = 1e12  # largest magnitude of any number in a scenario: beyond it, double precision loses millimetres
-
-NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
-"""Names become file names and column heads, so they are letters, digits, ``_`` and ``-`` only."""
-
-_UNIT = re.compile("_(m_s2|m_s|rad_s|1_s|rad|deg|kg|N|m|s)$")
-_PYTHON_NAMES = {"normals": "H", "offsets": "b", "half_angle": "half_angle_rad"}
-
-
-def python_name(key: str) -> str:
-    """What the Python class that a table describes calls a key: the same without its unit, but for three."""
-    bare = _UNIT.sub("", key)
-    return _PYTHON_NAMES.get(bare, bare)
 
 
 class ScenarioPart(BaseModel):
@@ -67,12 +45,18 @@ class ScenarioPart(BaseModel):
                 raise PydanticCustomError("unknown_key", "unknown key", told)
         return data
 
+    @classmethod
+    def python_names(cls) -> dict[str, str]:
+        """Return what Python calls its keys."""
+        return {key: f.python_name(key) for key in cls.model_fields}
+
     def arguments(self) -> dict[str, Any]:
         """Its values (without `kind`) by the names that Python has for them, angles in radians."""
-        values = {key: value for key, value in self if key != "kind"}
+        values, names = dict(self), self.python_names()
         return {
-            python_name(key): math.radians(value) if key.endswith("_deg") else value
-            for key, value in values.items()
+            name: math.radians(values[key]) if key.endswith("_deg") else values[key]
+            for key, name in names.items()
+            if key != "kind"
         }
 
 
@@ -86,7 +70,7 @@ def in_file_terms(path: str, part: ScenarioPart, **elsewhere: str) -> Iterator[N
         yield
     except ScenarioError as error:
         name = error.field.rpartition(".")[2]
-        keys = [f"{path}.{key}" for key in type(part).model_fields if name in (key, python_name(key))]
+        keys = [f"{path}.{key}" for key, python in part.python_names().items() if name in (key, python)]
         field = elsewhere.get(name) or (keys[0] if keys else path)
         rule = error.rule.replace("H p <= b", "normals p <= offsets_m")
         raise ScenarioError(field, error.given, rule, error.where) from error
@@ -115,36 +99,6 @@ def unit(text: str, description: str | None = None, **rules: Any) -> Any:
     return Field(description=description, json_schema_extra={"unit": text}, **rules)
 
 
-def _plain(value: Any) -> Any:
-    """Accept numpy arrays where lists are meant (scenarios built in Python)."""
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
-def _whole(value: Any) -> Any:
-    """Refuse true and 1.0 where the whole number 1 is meant; they compare equal to it."""
-    if type(value) is not int:
-        raise ValueError("must be the whole number 1")
-    return value
-
-
-def _rectangular(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    if len({len(row) for row in rows}) > 1:
-        raise ValueError("must have rows of equal length")
-    return rows
-
-
-def _by_shape(single: str, vector: str, matrix: str) -> Discriminator:
-    """What a value is read as, by its shape: neither list nor array, a list, or a list of lists."""
-
-    def tag(value: Any) -> str:
-        value = _plain(value)
-        if not isinstance(value, (list, tuple)):
-            return single
-        return matrix if value and isinstance(value[0], (list, tuple)) else vector
-
-    return Discriminator(tag)
-
-
 def _with_kind(value: Any) -> Any:
     """Let a table without a kind be refused as one with a wrong kind is: with the kinds there are."""
     return {"kind": "", **value} if isinstance(value, Mapping) else value
@@ -152,52 +106,50 @@ def _with_kind(value: Any) -> Any:
 
 BY_KIND = (Field(discriminator="kind"), BeforeValidator(_with_kind))
 
-# Strict: a number is a number, never true/false or a quoted string; integers are taken for floats.
-Real = Annotated[float, Strict(), Field(allow_inf_nan=False)]
-"""A finite number whose range the field itself gives."""
-Number = Annotated[float, Strict(), Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
-NonNegative = Annotated[float, Strict(), Field(ge=0, le=LARGEST, allow_inf_nan=False)]
-Positive = Annotated[float, Strict(), Field(gt=0, le=LARGEST, allow_inf_nan=False)]
-NonNegativeOrInf = Annotated[float, Strict(), Field(ge=0)]
-Whole = Annotated[int, Strict()]
-Index = Annotated[Whole, Field(ge=0, le=99)]
-Seed = Annotated[Whole, Field(ge=0, le=2**63 - 1)]
-Flag = Annotated[bool, Strict()]
-Text = Annotated[str, Strict()]
-VersionOne = Annotated[Literal[1], BeforeValidator(_whole)]
-Name = Annotated[str, Strict(), Field(pattern=NAME_PATTERN, max_length=64)]
-_READ = rf"^(error|state|time|reference_input|(relative_)?(position|velocity):{NAME_PATTERN[1:-1]})$"
-Input = Annotated[str, Strict(), Field(pattern=_READ)]  # what a network may read
 
-_ENTRIES = Field(min_length=1, max_length=100)
-Vector = Annotated[tuple[Number, ...], _ENTRIES, BeforeValidator(_plain)]
-WidthVector = Annotated[tuple[NonNegative, ...], _ENTRIES, BeforeValidator(_plain)]
-LimitVector = Annotated[tuple[Positive, ...], _ENTRIES, BeforeValidator(_plain)]
-OpenWidthVector = Annotated[tuple[NonNegativeOrInf, ...], _ENTRIES, BeforeValidator(_plain)]
-Matrix = Annotated[
-    tuple[Annotated[tuple[Number, ...], _ENTRIES], ...],
-    Field(min_length=1, max_length=1000),
-    AfterValidator(_rectangular),
-    BeforeValidator(_plain),
-]
-DiagonalOrMatrix = Annotated[
-    Annotated[Vector, Tag("vector")] | Annotated[Matrix, Tag("matrix")],
-    _by_shape("vector", "vector", "matrix"),
-]
-PositivePerAxis = Annotated[
-    Annotated[Positive, Tag("number")] | Annotated[LimitVector, Tag("vector")],
-    _by_shape("number", "vector", "vector"),
-]
-"""One positive number for all axes, or one per axis."""
-NonNegativePerAxis = Annotated[
-    Annotated[NonNegative, Tag("number")] | Annotated[WidthVector, Tag("vector")],
-    _by_shape("number", "vector", "vector"),
-]
-"""The same, zero allowed."""
-WordOrWeights = Annotated[
-    Annotated[Literal["auto", "identity"], Tag("word")] | Annotated[LimitVector, Tag("vector")],
-    _by_shape("word", "vector", "vector"),
-]
+class Described(ScenarioPart):
+    """Base of tables that a class describes: their fields are those of the class that have a `Key`.
+
+    ``class Ball(Described, makes=BallObstacle, kind="ball", says="Ball.")`` is the table of `BallObstacle`,
+    which `kind` chooses, a word that stands for what it `says`. Its docstring and the meaning of its fields
+    are taken from the docstring of the class.
+    """
+
+    MAKES: ClassVar[Any]
+
+    def __init_subclass__(cls, makes: Any = None, kind: str = "", says: str = "", **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if makes is None:
+            return
+        text = cleandoc(makes.__doc__ or "").replace("H p <= b", "normals p <= offsets_m")
+        about, _, rest = text.partition("\n\nParameters\n----------\n")
+        parts = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", rest.partition("\n\n")[0], re.M)
+        means = {field: " ".join(said.split()) for field, said in parts}
+        defaults = {field.name: field.default for field in fields(makes)}
+        model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
+        for field, key in f.keys_of(makes).items():
+            default: Any = ... if key.required or defaults[field] is MISSING else defaults[field]
+            default = math.degrees(default) if key.name.endswith("_deg") and default is not ... else default
+            kinds = key.type | None if default is None else key.type
+            model[key.name] = kinds, unit(key.unit, means.get(field), default=default)
+        cls.MAKES, cls.__doc__ = makes, about
+        for name, (kinds, value) in model.items():  # as if they stood in the body of the class
+            cls.__annotations__[name] = kinds
+            setattr(cls, name, value)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    @classmethod
+    def python_names(cls) -> dict[str, str]:
+        """Return what Python calls the keys of the class."""
+        return {key.name: name for name, key in f.keys_of(cls.MAKES).items()}
+
+    def make(self, path: str, **known: Any) -> Any:
+        """Return what the table at a path describes; `known` is what the file says elsewhere."""
+        with in_file_terms(path, self):
+            return self.MAKES(**self.arguments(), **known)
 
 
 def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
@@ -210,7 +162,7 @@ def per_axis(field: str, given: float | tuple[float, ...], count: int) -> Array:
 class Head(ScenarioPart):
     """What every scenario file starts with."""
 
-    schema_version: VersionOne = unit("-", "Version of this format.")
-    name: Name = unit("-", "Short name; the run folder is called after it.")
-    title: Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
-    description: Text = unit("-", "What the scenario shows.", default="", max_length=5000)
+    schema_version: f.VersionOne = unit("-", "Version of this format.")
+    name: f.Name = unit("-", "Short name; the run folder is called after it.")
+    title: f.Text = unit("-", "One line for figures and tables.", min_length=1, max_length=200)
+    description: f.Text = unit("-", "What the scenario shows.", default="", max_length=5000)

@@ -1,7 +1,7 @@
 """Models of the tables of a scenario that describe a filter: strengthening functions, kinds of filter."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -14,9 +14,9 @@ from ...inspection.filters.build import build_filter
 from ...inspection.filters.explicit import CENTRALIZED, make_filter
 from ...inspection.flights.simulation import BatchFilter, OneFlight
 from ...inspection.inspection import Inspection
+from ...model import keys as f
 from ...rta.one_call import RunTimeFilter
-from . import fields as f
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, ScenarioPart, unit
 
 Family = Literal[
     "chief_separation",
@@ -123,13 +123,12 @@ class AssuredFilter(ScenarioPart):
 
     def start(self, brake: Brake, alpha: Mapping[str, Strengthening], sun: float) -> RunTimeFilter:
         """The filter of one flight, from an angle of the sun [rad] on."""
-        shared = {"sun_start": sun, "without": self.without, "brake": brake, **self.options}
-        return build_filter(self.kind, brake.inspection, strengthening=alpha, **shared)
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Return the further arguments of `build_filter`."""
-        return {}
+        given = self.arguments()
+        if "sampled_data_share" in given:
+            given["share"] = given.pop("sampled_data_share")
+        return build_filter(
+            self.kind, brake.inspection, strengthening=alpha, sun_start=sun, brake=brake, **given
+        )
 
 
 class ExplicitFilter(AssuredFilter):
@@ -140,11 +139,6 @@ class ExplicitFilter(AssuredFilter):
     """One quadratic program for all, or one for each deputy and its part of a solution all can compute."""
     sampled_data_share: f.Real = unit("-", default=0.5, gt=0, le=1)
     """Part of a constraint's value that may be lost in one period; less is calmer."""
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """See `AssuredFilter.options`."""
-        return {"sharing": self.sharing, "share": self.sampled_data_share}
 
 
 class ImplicitFilter(AssuredFilter):
@@ -170,12 +164,6 @@ class SimplexExplicitFilter(_Switching):
     looks: f.Whole = unit("-", default=2, ge=1, le=100)
     """Instants of the coming period at which the barriers are looked at."""
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """See `AssuredFilter.options`."""
-        limits = {"margin": self.margin, "release": self.release}
-        return {**limits, "dwell": self.dwell_s, "looks": self.looks}
-
 
 class SimplexImplicitFilter(_Switching):
     """Passes the desired thrust while a plan after it is proven."""
@@ -184,14 +172,8 @@ class SimplexImplicitFilter(_Switching):
     release_distance_m: f.NonNegative = unit("m", "Least distances for handing back.", default=2.0)
     release_speed_m_s: f.NonNegative = unit("m/s", "Least speeds to spare for handing back.", default=0.02)
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """See `AssuredFilter.options`."""
-        release = {"release_distance": self.release_distance_m, "release_speed": self.release_speed_m_s}
-        return {**release, "dwell": self.dwell_s}
 
-
-Filter = Annotated[CentralizedFilter | DecentralizedFilter, *f.BY_KIND]
+Filter = Annotated[CentralizedFilter | DecentralizedFilter, *BY_KIND]
 """Those of a Monte Carlo: they answer for many runs at once."""
 
 FlightFilter = Annotated[
@@ -201,6 +183,6 @@ FlightFilter = Annotated[
     | ImplicitFilter
     | SimplexExplicitFilter
     | SimplexImplicitFilter,
-    *f.BY_KIND,
+    *BY_KIND,
 ]
 """Those of one flight."""

@@ -1,15 +1,14 @@
 """The scenario file's models of goals."""
 
-from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated
 
 import numpy as np
 
+from ...model import keys as f
 from ...model.errors import ScenarioError
-from ...model.system import LinearSystem
+from ...model.system import Array, LinearSystem
 from ...planning import goals
-from . import fields as f
-from .fields import ScenarioPart, in_file_terms, unit
+from .fields import BY_KIND, Described, unit
 
 USUAL_RATE = 1e-2  # rate [rad/s] by which velocities are weighed against positions where there is no orbit
 
@@ -21,10 +20,9 @@ def hill_rate(system: LinearSystem, field: str, given: object) -> float:
     return system.mean_motion
 
 
-class GoalTable(ScenarioPart):
-    """Base of goals; the class `makes` has the names of the file without their units, and a rate [rad/s]."""
+class GoalTable(Described):
+    """Base of goals; the class has the names of the file without their units, and a rate [rad/s]."""
 
-    makes: ClassVar[Callable[..., goals.Goal]]
     tolerance_m: f.Positive | None = unit("m", default=None)
     """Distance at which the goal is reached. A condition on velocities alone counts as the length that they
     make in 1/eta (100 s without an orbit) or a quarter of the horizon, whichever is less. By default 5 % of
@@ -34,75 +32,45 @@ class GoalTable(ScenarioPart):
     those that an orbit sets them at the place where the chaser is."""
 
     def build(self, system: LinearSystem) -> goals.Goal:
-        """The goal."""
+        """Return the goal."""
         if self.tolerance_m is None and self.velocity_tolerance_m_s is not None:
             raise ScenarioError("goal.tolerance_m", None, "is required with velocity_tolerance_m_s")
-        with in_file_terms("goal", self):
-            given = self.arguments().items()
-            asked = {name: value for name, value in given if "tolerance" not in name}
-            return type(self).makes(**asked, **self._rate(system)).of(system)
-
-    def _rate(self, system: LinearSystem) -> dict[str, float]:
-        return {"rate": system.mean_motion or USUAL_RATE}
-
-
-class HillGoal(GoalTable):
-    """Base of goals that Hill's frame alone has."""
-
-    kind: str
-
-    def _rate(self, system: LinearSystem) -> dict[str, float]:
-        return {"mean_motion": hill_rate(system, "goal.kind", self.kind)}
+        if issubclass(self.MAKES, goals.HillGoal):
+            rate = {"mean_motion": hill_rate(system, "goal.kind", self.kind)}
+        else:
+            rate = {"rate": system.mean_motion or USUAL_RATE}
+        goal: goals.Goal = self.make("goal", **rate).of(system)
+        if isinstance(goal, goals.StationaryPoint):
+            _check_still(goal.center, system)
+        return goal
 
 
-class EllipticalNMTGoal(HillGoal):
-    """End on a closed ellipse about the target that needs no thrust (eqs. 20-22). Hill's frame only."""
-
-    makes = goals.EllipticalNMT
-    kind: Literal["elliptical_nmt"] = unit("-", "Elliptical natural motion trajectory.")
-    inner_semi_minor_m: f.NonNegative = unit("m", "Radial semi-axis of the inner ellipse; 0 for none.")
-    outer_semi_minor_m: f.Positive = unit("m", "Radial semi-axis of the outer ellipse.")
-    sides: f.Whole = unit("-", "Sides of the polygons that stand for the ellipses.", default=16, ge=4, le=64)
-    cross_track_max_m: f.Positive | None = unit("m", default=None)
-    """Bound on |r_z| and on |v_z|/eta at the end; without it both must be 0."""
+def _check_still(state: Array, system: LinearSystem) -> None:
+    """Refuse a state to rest in that does not keep itself."""
+    drift = float(np.abs(system.A @ state).max())
+    if drift > 1e-9 * max(1.0, float(np.abs(state).max())) * max(1.0, float(np.abs(system.A).max())):
+        rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
+        raise ScenarioError("goal.state", state.tolist(), rule)
 
 
-class LinearNMTGoal(HillGoal):
-    """End on a cross-track oscillation through a point of the along-track axis. Hill's frame only."""
-
-    makes = goals.LinearNMT
-    kind: Literal["linear_nmt"] = unit("-", "Linear natural motion trajectory.")
-    amplitude_max_m: f.Positive = unit("m", "Largest amplitude of the oscillation.")
-    along_track_m: f.Number = unit("m", "Along-track position r_y.", default=0.0)
+class EllipticalNMTGoal(
+    GoalTable, makes=goals.EllipticalNMT, kind="elliptical_nmt", says="Elliptical natural motion trajectory."
+):
+    """See `goals.EllipticalNMT`."""
 
 
-class StationaryGoal(GoalTable):
-    """End at rest, at a state that keeps itself without input (A x = 0)."""
-
-    makes = goals.StationaryPoint
-    kind: Literal["stationary"] = unit("-", "Hold point.")
-    state: f.Vector = unit("m, m/s (state order)")
-    """State to end in, n numbers. In Hill's frame: on the along-track axis, at rest. For a point that needs
-    holding, use kind box."""
-
-    def build(self, system: LinearSystem) -> goals.Goal:
-        """The goal."""
-        state = np.array(self.state, dtype=float)
-        drift = float(np.abs(system.A @ state).max())
-        if drift > 1e-9 * max(1.0, float(np.abs(state).max())) * max(1.0, float(np.abs(system.A).max())):
-            rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
-            raise ScenarioError("goal.state", list(self.state), rule)
-        return super().build(system)
+class LinearNMTGoal(
+    GoalTable, makes=goals.LinearNMT, kind="linear_nmt", says="Linear natural motion trajectory."
+):
+    """See `goals.LinearNMT`."""
 
 
-class BoxGoal(GoalTable):
-    """End anywhere in a box of states."""
-
-    makes = goals.Box
-    kind: Literal["box"] = unit("-", "Axis-aligned box.")
-    center: f.Vector = unit("m, m/s (state order)", "Centre, n numbers.")
-    half_widths: f.OpenWidthVector = unit("m, m/s (state order)")
-    """Half-width per state, n numbers >= 0; inf where any value will do."""
+class StationaryGoal(GoalTable, makes=goals.StationaryPoint, kind="stationary", says="Hold point."):
+    """See `goals.StationaryPoint`."""
 
 
-Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *f.BY_KIND]
+class BoxGoal(GoalTable, makes=goals.Box, kind="box", says="Axis-aligned box."):
+    """See `goals.Box`."""
+
+
+Goal = Annotated[EllipticalNMTGoal | LinearNMTGoal | StationaryGoal | BoxGoal, *BY_KIND]

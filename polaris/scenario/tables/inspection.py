@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from . import fields as f
+from ...model import keys as f
 from .errors import Thrusters, Timing
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, Head, ScenarioPart, unit
 from .filters import Filter, FlightFilter, StrengtheningTable
 from .navigation import Estimate
 
@@ -59,7 +59,7 @@ class InitialSample(ScenarioPart):
     seed: f.Seed = unit("-", "The same seed gives the same states.", default=0)
 
 
-Initial = Annotated[InitialStates | InitialSample, *f.BY_KIND]
+Initial = Annotated[InitialStates | InitialSample, *BY_KIND]
 
 
 class FlightTime(ScenarioPart):
@@ -108,11 +108,11 @@ class ToDistance(_Regulator):
     distance_m: f.Positive = unit("m", "That distance.")
 
 
-Primary = Annotated[NoThrust | ToChief | ToDistance, *f.BY_KIND]
+Primary = Annotated[NoThrust | ToChief | ToDistance, *BY_KIND]
 Phases = Annotated[tuple[Primary, ...], Field(min_length=1, max_length=100)]
 
 
-class _Scene(f.Head):
+class _Scene(Head):
     """What all have."""
 
     kind: str

@@ -2,8 +2,10 @@
 
 from typing import Literal
 
-from . import fields as f
-from .fields import ScenarioPart, unit
+from ...model import keys as f
+from ...model.checks import MAX_STEPS
+from ...planning.problem import Objective, PlannerOptions
+from .fields import Described, ScenarioPart, unit
 
 
 class Tracking(ScenarioPart):
@@ -36,10 +38,10 @@ class Recoverable(ScenarioPart):
     safety controller acts only where it must. `none`: the one of the printed Algorithm 1."""
 
 
-class Planner(ScenarioPart):
-    """The mixed-integer program behind the reference (section III-C)."""
+class Planner(Described, makes=PlannerOptions):
+    """Objective of the planner, and its options."""
 
-    objective: Literal["margin_then_fuel", "distance", "fuel"] = unit("-", default="margin_then_fuel")
+    objective: Objective = unit("-", default="margin_then_fuel")
     """`margin_then_fuel`: reach extra_margin_m where there is room, then least fuel. `fuel`: least fuel.
     `distance`: eq. 19, largest clearance at any price."""
     extra_margin_m: f.NonNegative = unit("m", default=0.0)
@@ -47,18 +49,6 @@ class Planner(ScenarioPart):
     thrust_reserve: f.Real = unit("-", default=0.2, ge=0, lt=1)
     """Share of the thrust limits the reference leaves to the tracker beyond what the initial set needs; room
     for the experimental controller, as extra_margin_m is."""
-    solver: Literal["facets", "highs", "gurobi"] = unit("-", default="facets")
-    """Who chooses the side on which to pass: `facets`, the planner's own branch and bound, whose linear
-    programs HiGHS solves; or `highs` or `gurobi` on the same program with binary variables (gurobi needs the
-    extra of that name)."""
-    max_linear_programs: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
-    """Most linear programs that `facets` solves, in all stages."""
-    max_nodes: f.Whole = unit("-", default=10_000, ge=1, le=10**9)
-    """Most branch-and-bound nodes of `highs` or `gurobi`, in all stages."""
-    time_limit_s: f.Real | None = unit("s", default=None, gt=0, le=1e6)
-    """Wall time for each plan; no clock without it. What a clock cuts short depends on the machine, and the
-    run says so."""
-    gap: f.Real = unit("-", "Relative optimality gap at which the search stops.", default=1e-3, ge=0, lt=1)
 
 
 class Schedule(ScenarioPart):
@@ -67,7 +57,7 @@ class Schedule(ScenarioPart):
     strategy: Literal["greedy", "look_ahead"] = unit("-", default="greedy")
     """`greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use
     over the whole horizon, by weight."""
-    min_dwell_steps: f.Whole = unit("steps", default=1, ge=1, le=f.MAX_STEPS)
+    min_dwell_steps: f.Whole = unit("steps", default=1, ge=1, le=MAX_STEPS)
     """Fewest steps between two switches."""
     max_switches: f.Whole | None = unit(
         "-", "Most switches in the run; no cap without it.", default=None, ge=0

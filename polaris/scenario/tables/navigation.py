@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...model import keys as f
 from ...model.errors import ScenarioError
 from ...model.prediction import design, fading, observing
 from ...model.scene.keep_in import INSTANT, KeepInPolytope, during
 from ...model.system import Array, LinearSystem
-from . import fields as f
-from .errors import Timing
-from .fields import ScenarioPart, unit
+from ...model.timing import Timing
+from .fields import ScenarioPart, check_length, per_axis, unit
 
 MOST_MISSED = 20  # most periods without a measurement that an observer is designed for
 
@@ -30,13 +30,13 @@ class Estimate(ScenarioPart):
                 rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire'); give state_error"
                 raise ScenarioError(f"{path}.position_error_m", self.position_error_m, rule)
             given = (0.0,) * system.n if self.state_error is None else self.state_error
-            f.check_length(f"{path}.state_error", given, system.n)
+            check_length(f"{path}.state_error", given, system.n)
             return np.array(given)
         if self.state_error is not None:
             rule = "is for other systems; in Hill's frame give position_error_m and velocity_error_m_s"
             raise ScenarioError(f"{path}.state_error", self.state_error, rule)
         named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
-        return np.concatenate([f.per_axis(f"{path}.{name}", value, 3) for name, value in named])
+        return np.concatenate([per_axis(f"{path}.{name}", value, 3) for name, value in named])
 
 
 class Phase(Estimate):
@@ -75,27 +75,27 @@ class Measurement(ScenarioPart):
             if value is None and here and name != own[1]:
                 raise ScenarioError(f"{path}.{name}", value, f"must be given {where}")
         if self.matrix is not None and self.error is not None:
-            f.check_length(f"{path}.matrix", self.matrix[0], system.n)
-            f.check_length(f"{path}.error", self.error, len(self.matrix))
+            check_length(f"{path}.matrix", self.matrix[0], system.n)
+            check_length(f"{path}.error", self.error, len(self.matrix))
             return np.array(self.matrix), np.array(self.error)
         named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
-        noise = np.concatenate([f.per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
+        noise = np.concatenate([per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
         return np.eye(6)[: len(noise)], noise
 
     def known(
         self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing
     ) -> LinearSystem:
         """The system whose estimates are an observer's; see `Navigation.known`."""
-        if timing.missed_periods > MOST_MISSED:
+        if timing.missed > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
-            raise ScenarioError("timing.missed_periods", timing.missed_periods, rule)
-        observer = design(system, *self.build(system), period, timing.missed_periods)
+            raise ScenarioError("timing.missed_periods", timing.missed, rule)
+        observer = design(system, *self.build(system), period, timing.missed)
         first = np.zeros(system.n)
         if self.initial is not None:
             first = self.initial.build(system, "navigation.measurement.initial")
         if np.any(first):
             observer, (steps, step) = replace(observer, initial=first), horizon
-            if not timing.missed_periods:
+            if not timing.missed:
                 left = fading(system, observer, period, steps, max(round(step / period), 1))
                 observer = replace(observer, fading=left)
         return observing(system, observer, period)
@@ -133,7 +133,7 @@ class Navigation(Estimate):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
         bounds, (steps, step) = np.array([declared, *later]), horizon
-        oldest = timing.delay_s + timing.missed_periods * period
+        oldest = timing.delay + timing.missed * period
         start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
         met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
         rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
@@ -150,7 +150,7 @@ class Navigation(Estimate):
             if phase.from_s >= T - slack:
                 rule = f"must be before the end of the schedule ({T:g} s) where within_m is given"
                 raise ScenarioError(f"{path}.from_s", phase.from_s, rule)
-            half = f.per_axis(f"{path}.within_m", phase.within_m, system.d)
+            half = per_axis(f"{path}.within_m", phase.within_m, system.d)
             sides = np.vstack([np.eye(system.d), -np.eye(system.d)]), np.tile(half, 2)
             times = phase.from_s, np.inf if end > T + slack else end
             found.append(KeepInPolytope(f"within-{i}", *sides, *times))

@@ -1,118 +1,46 @@
 """The scenario file's models of the scene: obstacles, keep-in sets, experimental controllers."""
 
-from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
+from ...model import keys as f
 from ...model.scene import keep_in, obstacles, satellite
-from ...model.scene.obstacle import Obstacle as Unsafe
-from . import fields as f
-from .fields import ScenarioPart, in_file_terms, unit
+from .fields import BY_KIND, Described, ScenarioPart, unit
 
 
-def _velocity() -> Any:
-    return unit("m/s", "Constant velocity, d numbers; at rest without it.", default=None)
+class BoxObstacle(Described, makes=obstacles.BoxObstacle, kind="box", says="Axis-aligned box."):
+    """See `obstacles.BoxObstacle`."""
 
 
-def _facets() -> Any:
-    words = (
-        "Facets of the polytope planned around: 6, 14, 18 or 26 (default) in space, any number in the plane "
-        "(default 12). More are tighter and cost the planner more."
-    )
-    return unit("-", words, default=None, ge=3, le=64)
+class BallObstacle(Described, makes=obstacles.BallObstacle, kind="ball", says="Ball."):
+    """See `obstacles.BallObstacle`."""
 
 
-class Body(ScenarioPart):
-    """Base of unsafe sets, whose Python class `makes` has the names of the file without their units."""
-
-    makes: ClassVar[Callable[..., Unsafe]]
-    kind: str
-    name: f.Name = unit("-", "Its name in messages and figures.")
-
-    def build(self, path: str) -> Unsafe:
-        """The unsafe set (of a keep-in set its outside)."""
-        with in_file_terms(path, self):
-            return type(self).makes(**self.arguments())
+WALL = "Convex polytope; may be unbounded (a wall is one row)."
+BODY = "Another body that obeys the system's dynamics."
 
 
-class BoxObstacle(Body):
-    """An axis-aligned box, at rest or moving straight."""
-
-    makes = obstacles.BoxObstacle
-    kind: Literal["box"] = unit("-", "Axis-aligned box.")
-    center_m: f.Vector = unit("m", "Centre at t = 0, d numbers.")
-    half_widths_m: f.WidthVector = unit("m", "Half-width per axis, d numbers > 0.")
-    velocity_m_s: f.Vector | None = _velocity()
+class PolytopeObstacle(Described, makes=obstacles.PolytopeObstacle, kind="polytope", says=WALL):
+    """See `obstacles.PolytopeObstacle`."""
 
 
-class BallObstacle(Body):
-    """A ball, at rest or moving straight; it is planned around as a circumscribed polytope."""
-
-    makes = obstacles.BallObstacle
-    kind: Literal["ball"] = unit("-", "Ball.")
-    center_m: f.Vector = unit("m", "Centre at t = 0, d numbers.")
-    radius_m: f.Positive = unit("m", "Radius.")
-    velocity_m_s: f.Vector | None = _velocity()
-    facets: f.Whole | None = _facets()
+class SatelliteObstacle(Described, makes=satellite.SatelliteObstacle, kind="satellite", says=BODY):
+    """See `satellite.SatelliteObstacle`."""
 
 
-class PolytopeObstacle(Body):
-    """The positions p with ``normals p <= offsets_m``, at rest or moving straight."""
-
-    makes = obstacles.PolytopeObstacle
-    kind: Literal["polytope"] = unit("-", "Convex polytope; may be unbounded (a wall is one row).")
-    normals: f.Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
-    offsets_m: f.Vector = unit("m (for unit normals)", "Offsets at t = 0, F numbers.")
-    velocity_m_s: f.Vector | None = _velocity()
-    unbounded: f.Flag = unit("-", default=False)
-    """Must be true for a set without bounds (a wall), so that a forgotten row is noticed."""
+Obstacle = Annotated[BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, *BY_KIND]
 
 
-class SatelliteObstacle(Body):
-    """Another spacecraft: an uncertain state carried forward by the same dynamics, with or without thrust.
-
-    It obeys ``x' = A x + D w`` with the system's own A, D and bound on w; its own acceleration, if it has
-    any, is added to that of its position.
-    """
-
-    makes = satellite.SatelliteObstacle
-    kind: Literal["satellite"] = unit("-", "Another body that obeys the system's dynamics.")
-    state: f.Vector = unit("m, m/s (state order)", "Estimated state at t = 0, n numbers.")
-    state_half_widths: f.WidthVector = unit("m, m/s (state order)")
-    """Uncertainty of that state as a box, n numbers >= 0."""
-    radius_m: f.Positive = unit("m", "Distance from its centre that counts as a collision.")
-    thrust_accel_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """2-norm of the acceleration it may apply; 0 for free motion. Needs a system whose position obeys an
-    equation of second order."""
-    facets: f.Whole | None = _facets()
+class KeepInPolytope(
+    Described, makes=keep_in.KeepInPolytope, kind="polytope", says="Convex polytope to stay inside."
+):
+    """See `keep_in.KeepInPolytope`."""
 
 
-Obstacle = Annotated[BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, *f.BY_KIND]
+class KeepInCone(Described, makes=keep_in.KeepInCone, kind="cone", says="Cone to stay inside."):
+    """See `keep_in.KeepInCone`."""
 
 
-class KeepInPolytope(Body):
-    """The chaser must stay where ``normals p <= offsets_m``."""
-
-    makes = keep_in.KeepInPolytope
-    kind: Literal["polytope"] = unit("-", "Convex polytope to stay inside.")
-    normals: f.Matrix = unit("-", "Outward facet normals, F rows of d numbers; any length but 0.")
-    offsets_m: f.Vector = unit("m (for unit normals)", "Offsets, F numbers.")
-
-
-class KeepInCone(Body):
-    """A line-of-sight cone to stay inside; planned with a polyhedral cone inside the true one."""
-
-    makes = keep_in.KeepInCone
-    kind: Literal["cone"] = unit("-", "Cone to stay inside.")
-    apex_m: f.Vector = unit("m", "Apex, d numbers.")
-    axis: f.Vector = unit("-", "Direction in which the cone opens, d numbers; any length but 0.")
-    half_angle_deg: f.Real = unit("deg", "Angle between axis and surface.", ge=0.1, le=89)
-    facets: f.Whole = unit("-", default=12, ge=3, le=64)
-    """Facets of the cone inside (in space; two in the plane)."""
-    length_m: f.Positive | None = unit("m", default=None)
-    """Height at which the cone is cut off; endless without it."""
-
-
-KeepIn = Annotated[KeepInPolytope | KeepInCone, *f.BY_KIND]
+KeepIn = Annotated[KeepInPolytope | KeepInCone, *BY_KIND]
 
 
 class SharedReference(ScenarioPart):
@@ -145,7 +73,7 @@ class UnawareReference(ScenarioPart):
 
 
 ControllerReference = Annotated[
-    SharedReference | SetpointReference | NMTReference | UnawareReference, *f.BY_KIND
+    SharedReference | SetpointReference | NMTReference | UnawareReference, *BY_KIND
 ]
 
 
@@ -222,4 +150,4 @@ class BlackBox(ScenarioPart):
     weight: f.Real = unit("-", "What a second of its use is worth to look_ahead.", default=1.0, gt=0, le=1e6)
 
 
-Experimental = Annotated[Affine | AnyThrust | Neural | BlackBox, *f.BY_KIND]
+Experimental = Annotated[Affine | AnyThrust | Neural | BlackBox, *BY_KIND]

@@ -14,13 +14,15 @@ import numpy as np
 from reach.sets.ellipsoid import ball_generators
 from reach.sets.zonotope import Zonotope
 
+from ...model import keys as f
+from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import LinearSystem
-from . import fields as f
+from ...simulation.orbit.environment import Environment
 from .errors import Abort, Chaser, Tank, Thrusters, Timing
 from .faults import Fault
-from .fields import ScenarioPart, unit
+from .fields import BY_KIND, Described, Head, ScenarioPart, per_axis, unit
 from .goals import Goal
 from .methods import Planner, Recoverable, Schedule, Tracking
 from .navigation import Navigation
@@ -41,7 +43,7 @@ class ClohessyWiltshire(ScenarioPart):
 
     def build(self) -> LinearSystem:
         """The controlled system."""
-        limit = f.per_axis("system.thrust_max_N", self.thrust_max_N, 3)
+        limit = per_axis("system.thrust_max_N", self.thrust_max_N, 3)
         return clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
 
 
@@ -66,7 +68,7 @@ class Linear(ScenarioPart):
 
     def build(self) -> LinearSystem:
         """The controlled system."""
-        limit = f.per_axis("system.input_max", self.input_max, len(self.B[0]))
+        limit = per_axis("system.input_max", self.input_max, len(self.B[0]))
         C = None if self.C is None else np.array(self.C)
         if self.position_states is not None:
             C = np.eye(len(self.A))[list(self.position_states)]
@@ -74,37 +76,11 @@ class Linear(ScenarioPart):
         return LinearSystem(A, B, D, limit, self.disturbance_max, C, self.mass_kg)
 
 
-System = Annotated[ClohessyWiltshire | Linear, *f.BY_KIND]
+System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]
 
 
-class Orbit(ScenarioPart):
-    """The target's real orbit: near a circle of the system's mean motion, perturbed by J2 and drag.
-
-    What is declared here bounds the difference between Hill's linear equations and the nonlinear motion;
-    `polaris model-error` works it out, and the system's disturbance bound must cover it. The target must stay
-    within the deviations from the circle for as long as a guarantee is to hold.
-    """
-
-    inclination_max_deg: f.Real = unit("deg", default=90.0, ge=0, le=90)
-    """Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
-    counts from its own side. 90 covers every orbit."""
-    radius_deviation_max_m: f.NonNegative = unit("m")
-    """How far the target's distance from the Earth's centre may be off that of the circle."""
-    radial_rate_max_m_s: f.NonNegative = unit("m/s", "Largest rate at which that distance changes.")
-    rate_deviation_max: f.Real = unit("-", ge=0, le=0.1)
-    """How far the frame's rate about the orbit normal may be off, as a share of it."""
-    density_kg_m3: f.NonNegative = unit(
-        "kg/m^3", "Density of the air at the radius of the circle; 0 for none."
-    )
-    scale_height_m: f.Positive = unit("m")
-    """Height over which the density falls by a factor of e, the smallest that may occur."""
-    ballistic_coefficient_m2_kg: f.NonNegative = unit("m^2/kg")
-    """Drag coefficient times area over mass of the target."""
-    ballistic_difference_max_m2_kg: f.NonNegative = unit("m^2/kg")
-    """How far any other craft's may be off the target's."""
-    other_acceleration_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
-    radiation pressure, plumes, higher harmonics."""
+class Orbit(Described, makes=Environment):
+    """See `Environment`."""
 
 
 class _Initial(ScenarioPart):
@@ -164,7 +140,7 @@ class InitialZonotope(_Initial):
         return Zonotope(np.array(self.center, dtype=float), np.array(self.generators, dtype=float).T)
 
 
-InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *f.BY_KIND]
+InitialSet = Annotated[InitialBox | InitialBall | InitialZonotope, *BY_KIND]
 
 
 class Horizon(ScenarioPart):
@@ -172,8 +148,7 @@ class Horizon(ScenarioPart):
 
     duration_s: f.Positive = unit("s", "Time T covered by the reference and the schedule.")
     step_s: f.Positive = unit(
-        "s",
-        f"Step delta of the plan and of the schedule. Must divide duration_s; at most {f.MAX_STEPS} steps.",
+        "s", f"Step delta of the plan and of the schedule. Must divide duration_s; at most {MAX_STEPS} steps."
     )
 
 
@@ -194,7 +169,7 @@ class Simulation(ScenarioPart):
     seed: f.Seed = unit("-", "Seed; the same seed and scenario give the same results.", default=0)
 
 
-class ScenarioModel(f.Head):
+class ScenarioModel(Head):
     """A whole scenario file."""
 
     system: System = unit("-", "The controlled system.")

@@ -1,11 +1,14 @@
 """The forces on two craft in low orbit: central gravity, J2, drag of a resting atmosphere."""
 
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from ...model.errors import ScenarioError
+from ...model.keys import Key, NonNegative, Positive, Real, check_fields
 from ...model.system import Array
 
 MU = 3.986004418e14  # gravitational parameter of the Earth [m^3/s^2] (WGS 84)
@@ -15,44 +18,62 @@ EARTH_RADIUS_M = 6378137.0  # equatorial radius [m] that J2 refers to
 K_J2 = 1.5 * MU * J2 * EARTH_RADIUS_M**2
 """``3/2 mu J2 R_E^2`` [m^5/s^2]: J2's acceleration at distance d is of the size ``K_J2 / d^4``."""
 
+Given = partial(Key, required=True)
+Right, Tenth = Annotated[Real, Field(ge=0, le=90)], Annotated[Real, Field(ge=0, le=0.1)]
+
 
 @dataclass(frozen=True)
 class Environment:
-    """Numbers of the ``[orbit]`` table, with the circle that the system's mean motion stands for.
+    """The target's real orbit: near a circle of the system's mean motion, perturbed by J2 and drag.
+
+    What is declared here bounds the difference between Hill's linear equations and the nonlinear motion;
+    `polaris model-error` works it out, and the system's disturbance bound must cover it. The target must stay
+    within the deviations from the circle for as long as a guarantee is to hold.
 
     Parameters
     ----------
     mean_motion : float
         eta [rad/s] of Hill's linear equations.
-    inclination_max : float
-        [rad], at most pi/2.
-    radius_deviation, radial_rate : float
-        Bounds on ``|R - a|`` [m] and ``|R'|`` [m/s] of the target.
+    inclination_max : float [rad]
+        Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
+        counts from its own side. 90 degrees cover every orbit.
+    radius_deviation : float [m]
+        How far the target's distance from the Earth's centre may be off that of the circle.
+    radial_rate : float [m/s]
+        Largest rate at which that distance changes.
     rate_deviation : float
-        Bound on ``|omega_z - eta| / eta``.
-    density : float
-        At the radius of the circle [kg/m^3].
-    scale_height : float
-        [m]
-    ballistic, ballistic_difference : float
-        Drag coefficient times area over mass [m^2/kg]: the target's, and how far another's may be off.
-    other : float
-        Further relative acceleration [m/s^2].
+        How far the frame's rate about the orbit normal may be off, as a share of it.
+    density : float [kg/m^3]
+        Density of the air at the radius of the circle; 0 for none.
+    scale_height : float [m]
+        Height over which the density falls by a factor of e, the smallest that may occur.
+    ballistic : float [m^2/kg]
+        Drag coefficient times area over mass of the target.
+    ballistic_difference : float [m^2/kg]
+        How far any other craft's may be off the target's.
+    other : float [m/s^2]
+        Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
+        radiation pressure, plumes, higher harmonics.
     j2 : bool
         Whether J2 acts; without it (and without density) what is left is the two-body problem.
     """
 
     mean_motion: float
-    inclination_max: float = np.pi / 2
-    radius_deviation: float = 0.0
-    radial_rate: float = 0.0
-    rate_deviation: float = 0.0
-    density: float = 0.0
-    scale_height: float = 1e4
-    ballistic: float = 0.0
-    ballistic_difference: float = 0.0
-    other: float = 0.0
+    inclination_max: Annotated[float, Key("inclination_max_deg", "deg", Right)] = np.pi / 2
+    radius_deviation: Annotated[float, Given("radius_deviation_max_m", "m", NonNegative)] = 0.0
+    radial_rate: Annotated[float, Given("radial_rate_max_m_s", "m/s", NonNegative)] = 0.0
+    rate_deviation: Annotated[float, Given("rate_deviation_max", "-", Tenth)] = 0.0
+    density: Annotated[float, Given("density_kg_m3", "kg/m^3", NonNegative)] = 0.0
+    scale_height: Annotated[float, Given("scale_height_m", "m", Positive)] = 1e4
+    ballistic: Annotated[float, Given("ballistic_coefficient_m2_kg", "m^2/kg", NonNegative)] = 0.0
+    ballistic_difference: Annotated[float, Given("ballistic_difference_max_m2_kg", "m^2/kg", NonNegative)] = (
+        0.0
+    )
+    other: Annotated[float, Key("other_acceleration_max_m_s2", "m/s^2", NonNegative)] = 0.0
     j2: bool = True
+
+    def __post_init__(self) -> None:
+        check_fields(self, "orbit")
 
     @classmethod
     def of(cls, scenario: Any) -> "Environment":
@@ -63,22 +84,12 @@ class Environment:
         ScenarioError
             If it has no ``[orbit]`` table.
         """
-        spec, eta = scenario.model.orbit, scenario.system().mean_motion
-        if spec is None or eta is None:
+        table, eta = scenario.model.orbit, scenario.system().mean_motion
+        if table is None or eta is None:
             rule = "is required: it says what the linear model leaves out (see the scenario reference)"
             raise ScenarioError("orbit", None, rule, scenario.source)
-        return cls(
-            eta,
-            np.radians(spec.inclination_max_deg),
-            spec.radius_deviation_max_m,
-            spec.radial_rate_max_m_s,
-            spec.rate_deviation_max,
-            spec.density_kg_m3,
-            spec.scale_height_m,
-            spec.ballistic_coefficient_m2_kg,
-            spec.ballistic_difference_max_m2_kg,
-            spec.other_acceleration_max_m_s2,
-        )
+        made: Environment = table.make("orbit", mean_motion=eta)
+        return made
 
     @property
     def radius(self) -> float:
