@@ -3,31 +3,19 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.files.tables import besides, pilots
+from ...report.tables import BRIEF, metrics
+from ...runs.files.tables import besides
 from ...synthesis.safety.recoverable import directed
-from . import RED, alarming, assume, say, show_table, table
-
-ROWS = (
-    ("least distance to an unsafe set", "min_distance_m", "{:.4g} m", "no unsafe set"),
-    ("least time to collision, straight on", "min_ttc_s", "{:.4g} s", "none"),
-    ("least time to collision, free drift", "min_ttc_free_drift_s", "{:.4g} s", "none"),
-    ("share of experimental control", "experimental_share", "{:.1%}", ""),
-    ("switches", "switches", "{:d}", ""),
-    ("velocity change, mean", "delta_v_m_s", "{:.4g} m/s", ""),
-    ("largest demand of thrust by S", "max_thrust_ratio_safety", "{:.1%}", "-"),
-    ("largest demand of thrust by U", "max_thrust_ratio_experimental", "{:.1%}", "-"),
-)
-"""Title, key, form, and what stands where there is no value."""
+from . import RED, alarming, assume, say, show_cells, show_table, table
 
 
 def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     """Print the metrics, the guarantee with its assumptions, and where the folder lies."""
     say(str(summary["title"]), "bold")
-    show_table(_metrics(summary))
+    show_cells(metrics(summary, f"{counted(summary['polaris']['runs'], 'simulated run')} each", BRIEF))
     synthesis, claim = summary["synthesis"], summary["guarantee"]
     seconds, plan = dict(synthesis["seconds"]), synthesis["planner"]
     total, _ = seconds.pop("total"), seconds.pop("plan_parts")
@@ -108,18 +96,6 @@ def _goal(claim: Mapping[str, Any]) -> str:
         return f"reached at {claim['by_s']:.6g} s, {off}. To stay there S must fly on{alone}. {spent}"
     missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
     return f"{missed}: {off} at best, {claim['tolerance_m']:.4g} m count as reached. {spent}"
-
-
-def _metrics(summary: Mapping[str, Any]) -> Table:
-    shown = pilots(summary)
-    runs = summary["polaris"]["runs"]
-    found = table(f"{counted(runs, 'simulated run')} each", *shown.values())
-    for title, key, form, absent in ROWS:
-        values = [summary[who][key] for who in shown]
-        found.add_row(title, *(absent if value is None else form.format(value) for value in values))
-    hits = [int(summary[who]["collided_runs"]) for who in shown]
-    found.add_row("runs that enter an unsafe set", *(alarming(str(count), count > 0) for count in hits))
-    return found
 
 
 COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "least distance")

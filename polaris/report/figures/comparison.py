@@ -15,6 +15,7 @@ from ..scene.items import alone, under_mode
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
 from .cuts import mark_cuts
+from .labels import name
 from .scene import draw_unsafe
 from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened, text_width
 from .view import View
@@ -136,28 +137,26 @@ def _paths(found: ComparisonPicture) -> Any:
     return figure
 
 
-GAP = 0.14  # height of a label [in]
 SPREAD = 4.0  # ratio of the largest velocity change to the least from which on the axis is logarithmic
 
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 """Points by velocity change [m/s], share [%] and switches."""
 
 
-def _in_lines(name: str, width: float) -> str:
+def _in_lines(text: str, width: float) -> str:
     """Return a name in one line, or in two if it is wider than this [in]."""
-    words = name.split()
+    words = text.split()
     fit = max([k for k in range(1, len(words) + 1) if text_width(" ".join(words[:k])) <= width], default=1)
     return "\n".join(shortened(" ".join(part), width) for part in (words[:fit], words[fit:]) if part)
 
 
 def _front(points: Sequence[Mapping[str, Any]]) -> Any:
-    """Points by velocity change and share, those that no other outdoes joined; prices and switches beside."""
+    """Points by velocity change and share, those that no other outdoes joined; with prices and switches."""
     places: Places = {}
     for point in points:
         place = (point["delta_v_m_s"], 100 * point["weighted_share"], point["switches"])
         places.setdefault(place, []).append(point)
-    height = max(2.0, GAP * (len(places) + 1))
-    figure = new_figure(height + 0.7, 1.4 * WIDTH)
+    figure = new_figure(2.7 + 0.07 * len(places), 1.4 * WIDTH)
     ax = figure.add_subplot()
     ax.margins(0.1)
     spent = [place[0] for place in places]
@@ -172,7 +171,9 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
         ax.plot(x, y, "o", color=BLACK if (x, y, _) in front else GREY, ms=4, zorder=3)
         if any(one["value"] is None for one in here):
             ax.plot(x, y, "D", color=PURPLE, ms=8, mfc="none", mew=1.0, zorder=4)
-    _label(ax, places, GAP / height)
+    known = sorted(point["value"] for point in points if point["value"] is not None)
+    for (x, y, switches), here in places.items():
+        name(ax, f"{_prices(here, known)}, {counted(switches, 'switch', 'switches')}", [[x, y]], BLACK)
     weighted = any(point["share"] != point["weighted_share"] for point in points)
     ax.set_ylabel(f"{'Weighted share' if weighted else 'Share'} of time under U (%)")
     ax.set_xlabel("Velocity change, mean over runs (m/s)")
@@ -181,25 +182,6 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     handles.append(dot("D", PURPLE, 4, "printed algorithms", mfc="none"))
     ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
     return figure
-
-
-def _label(ax: Any, places: Places, gap: float) -> None:
-    """Prices and switches in a column beside the axes, in order of the share, led to their points."""
-    low, high = ax.get_ylim()
-    order = sorted(places, key=lambda place: (place[1], -place[0]))
-    heights = [(place[1] - low) / (high - low) for place in order]
-    for i in range(1, len(order)):
-        heights[i] = max(heights[i], heights[i - 1] + gap)
-    heights[-1] = min(heights[-1], 1.0)
-    for i in reversed(range(len(order) - 1)):
-        heights[i] = min(heights[i], heights[i + 1] - gap)
-    every = [one["value"] for here in places.values() for one in here]
-    known = sorted(price for price in every if price is not None)
-    for place, height in zip(order, heights, strict=True):
-        text = f"{shortened(_prices(places[place], known), 1.4)}, {counted(place[2], 'switch', 'switches')}"
-        look = {"arrowstyle": "-", "lw": 0.4, "color": GREY, "shrinkA": 1, "shrinkB": 3}
-        where: Any = {"xytext": (1.04, height), "textcoords": "axes fraction", "va": "center", "fontsize": 7}
-        ax.annotate(text, place[:2], arrowprops=look, annotation_clip=False, **where)
 
 
 def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:

@@ -183,11 +183,6 @@ def dot(marker: str, colour: Any, size: float, name: str, **look: Any) -> Any:
     return Line2D([], [], ls="none", marker=marker, color=colour, ms=size, label=name, **look)
 
 
-def step_edges(values: Any) -> Any:
-    """Repeat the last value, so that a step plot reaches the end of the last step."""
-    return np.concatenate([values, values[-1:]])
-
-
 def draw_safe_path(ax: Any, picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> list[int]:
     """Draw the run under Polaris by mode, or the reference without one; the modes drawn."""
     if "polaris" not in picture.flights:
