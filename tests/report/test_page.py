@@ -235,7 +235,7 @@ def test_what_is_proven_to_be_left_is_rounded_down(run, tmp_path, capsys):
 
     rewrite_json(folder / "summary.json", nearly)
     told = words(report_of(folder, tmp_path))
-    assert "99.9 %, least at" in told and "29.99 m" in told
+    assert "99.9% of the room is left, least at" in told and "29.99 m" in told
     show_summary(read_run(folder).summary, "run")
     printed = capsys.readouterr().out
     assert "Start: 99.9% of the room" in printed and "clearance 29.99 m" in printed

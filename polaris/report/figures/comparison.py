@@ -16,9 +16,8 @@ from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
 from .cuts import mark_cuts
 from .labels import name
-from .scene import draw_unsafe
+from .scene import draw_unsafe, frame_axes
 from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened, text_width
-from .view import View
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 TITLES = ((GREEN, "with a proof"), (RED, "without a proof"))
@@ -93,19 +92,19 @@ def _paths(found: ComparisonPicture) -> Any:
     if picture.system.d == 1:
         return None
     bare = replace(picture, tube=None, slices=None)
-    view = View(describe(bare), mute=True)
-    columns = 3 if view.aspect < 0.8 else 4
+    view = describe(bare)
+    aspect = float(np.divide(*(view.high - view.low)[::-1]))
+    columns = 3 if aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
-    figure = new_figure(rows * (width / columns * view.aspect + 0.4) + 0.7, width)
+    figure = new_figure(rows * (width / columns * aspect + 0.4) + 0.7, width)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     flat, frame = picture.frame.flat, picture.frame
     for ax in grid.flat[len(methods) :]:
         ax.set_axis_off()
     cut: list[Any] = []
     for ax, method in zip(grid.flat, methods, strict=False):
-        ax.set_aspect("equal")
-        ax.set(xlim=view.span[0], ylim=view.span[1])
+        frame_axes(ax, view)
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
         told = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
@@ -117,8 +116,8 @@ def _paths(found: ComparisonPicture) -> Any:
         ax.plot(*picture.path()[0][:, flat].T, **REFERENCE, zorder=2)
         for u in [] if one is None else alone(picture):  # beside every method
             ax.plot(*picture.positions(u.flights)[:, flat].T, color=u.colour, **ALONE, zorder=3)
-        own: Any = {} if one is None else {"polaris": one}
-        draw_unsafe(ax, describe(replace(bare, flights=own)), view)
+        shown_sets = describe(replace(bare, flights={} if one is None else {"polaris": one}))
+        draw_unsafe(ax, replace(shown_sets, low=view.low, high=view.high), named=False)
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:

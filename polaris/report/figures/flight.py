@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -13,7 +14,7 @@ from ...inspection.flights.simulation import InspectionRun
 from ...inspection.inspection import Inspection
 from ...model.hill import free_flight
 from ...model.system import Array
-from ..scene import inspections
+from ..scene.inspections import deputies, diagrams
 from ..scene.palette import BLUE, LOOKS, RED, SKY, deputy_colour, tint
 from ..scene.timelines import Limit, Panel, Series
 from ..scene.unsafe import AXES
@@ -23,59 +24,32 @@ from .timelines import SAFE, UNSAFE, draw_panel, timeline_figure
 SHOWN_FLIGHTS = 16  # free flights that are drawn
 FINE = 101  # instants of a free flight that are drawn
 
-Described = Callable[[InspectionRun], Panel | list[Panel]]
-Drawn = Callable[[Any, InspectionRun], None]
 
-
-def _diagram(describe: Callable[[InspectionRun], Panel]) -> Drawn:
-    """Return what draws a diagram of all deputies into axes."""
-    return lambda ax, run: draw_panel(ax, describe(run), inspections.deputies(run))
-
-
-def _over_time(describe: Described, pairs: bool = False, height: float = 1.25) -> Callable[[Any], Any]:
-    """Return the figure of diagrams over time; a deputy alone has none of `pairs`."""
-
-    def drawn(run: InspectionRun) -> Any:
-        if pairs and run.inspection.deputies == 1:
-            return None
-        panels = describe(run)
-        panels = panels if isinstance(panels, list) else [panels]
-        return timeline_figure(panels, inspections.deputies(run), height=height)
-
-    return drawn
+def _over_time(name: str, height: float, run: InspectionRun) -> Any:
+    panels = diagrams(run).get(name)
+    return panels and timeline_figure(panels, deputies(run), height=height)
 
 
 def _overview(run: InspectionRun) -> Any:
-    figure = new_figure(7.2, 2 * WIDTH)
-    panels: list[Drawn] = [
-        draw_speed,
-        *map(_diagram, (inspections.separation_panel, inspections.sun_panel, _deputy_sun)),
-        _passive,
-        _diagram(_thrust),
-    ]
-    axes = figure.subplots(3, 2).ravel()
-    for letter, ax, draw in zip("abcdef", axes, panels, strict=True):
-        if run.inspection.deputies == 1 and letter in "bd":
+    figure, known, pilots = new_figure(7.2, 2 * WIDTH), diagrams(run), deputies(run)
+    thrust = known["thrust"]
+    both = replace(thrust[0], label="Thrust", series=list(chain(*(panel.series for panel in thrust))))
+    chosen = [None, *(known.get(name) for name in ("separation", "sun", "deputy_sun")), None, [both]]
+    for letter, ax, panels in zip("abcdef", figure.subplots(3, 2).ravel(), chosen, strict=True):
+        if letter in "ae":
+            (_speed if letter == "a" else _passive)(ax, run)
+        elif panels:
+            draw_panel(ax, panels[0], pilots)
+        else:
             ax.set_axis_off()
             continue
-        draw(ax, run)
         ax.text(-0.16, 1.02, f"({letter})", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)
     return figure
 
 
-def _deputy_sun(run: InspectionRun) -> Panel:
-    return inspections.sun_panel(run, pairs=True)
-
-
-def _thrust(run: InspectionRun) -> Panel:
-    """Return all components of the thrust in one diagram."""
-    panels = inspections.thrust_panels(run)
-    return replace(panels[0], label="Thrust", series=list(chain(*(panel.series for panel in panels))))
-
-
 def _speed_figure(run: InspectionRun) -> Any:
     figure = new_figure(2.8)
-    draw_speed(figure.add_subplot(), run)
+    _speed(figure.add_subplot(), run)
     return figure
 
 
@@ -117,7 +91,7 @@ def draw_chief(ax: Any, q: Inspection) -> Any:
     return dot("o", RED, 5, LOOKS["chief"].legend, mfc=tint(RED, 0.45))
 
 
-def draw_speed(ax: Any, run: InspectionRun) -> None:
+def _speed(ax: Any, run: InspectionRun) -> None:
     """Draw the speed of each deputy against its distance from the chief, among phi1, phi3 and phi6."""
     q = run.inspection
     distance, speed = (np.linalg.norm(part, axis=2) for part in (run.x[..., :3], run.x[..., 3:]))
@@ -163,12 +137,12 @@ def _passive(ax: Any, run: InspectionRun) -> None:
 FIGURES: Mapping[str, Callable[[InspectionRun], Any]] = {
     "overview": _overview,
     "speed": _speed_figure,
-    "velocity": _over_time(inspections.velocity_panels),
-    "separation": _over_time(inspections.separation_panel, True, 2.0),
-    "sun": _over_time(inspections.sun_panel, height=1.8),
-    "deputy_sun": _over_time(_deputy_sun, True, 2.0),
+    "velocity": partial(_over_time, "velocity", 1.25),
+    "separation": partial(_over_time, "separation", 2.0),
+    "sun": partial(_over_time, "sun", 1.8),
+    "deputy_sun": partial(_over_time, "deputy_sun", 2.0),
     "passive": _passive_and_distance,
-    "thrust": _over_time(inspections.thrust_panels),
-    "delta_v": _over_time(inspections.spent_panel, height=1.6),
+    "thrust": partial(_over_time, "thrust", 1.25),
+    "delta_v": partial(_over_time, "delta_v", 1.6),
 }
 """Figures of a flight."""

@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
+from scipy.spatial import cKDTree
 
 from ...model.system import Array
 
@@ -53,33 +54,19 @@ class _Label:
 
 @dataclass(eq=False)
 class _Map:
-    """Occupied area of a frame: counts of drawn cells, and the boxes (M, 4) that are taken [px]."""
+    """Occupied area of a frame [px]: cells (N, 2) with something drawn, and boxes (M, 4) that are taken."""
 
     low: Array
     high: Array
     cell: float
-    sums: Array
+    drawn: Array
     taken: list[Array] = field(default_factory=list)
 
-    @classmethod
-    def of(cls, low: Array, high: Array, cell: float, drawn: Array) -> "_Map":
-        shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
-        inside = np.all((drawn >= low) & (drawn < high), axis=1)
-        x, y = np.minimum(((drawn[inside] - low) / cell).astype(int), shape - 1).T
-        seen = np.zeros(shape)
-        seen[x, y] = 1.0
-        return cls(low, high, cell, np.pad(seen.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))))
-
-    def crossed(self, low: Array, high: Array) -> Array:
-        """Share of the cells of boxes (M, 2) in which something is drawn."""
-        most = np.array(self.sums.shape) - 1
-        a = np.clip(np.floor((low - self.low) / self.cell).astype(int), 0, most)
-        b = np.clip(np.ceil((high - self.low) / self.cell).astype(int), 0, most)
-        sums = self.sums
-        count = (
-            sums[b[:, 0], b[:, 1]] - sums[a[:, 0], b[:, 1]] - sums[b[:, 0], a[:, 1]] + sums[a[:, 0], a[:, 1]]
-        )
-        return np.asarray(count / np.maximum(np.prod(b - a, axis=1), 1))
+    def crossed(self, at: Array, size: Array) -> Array:
+        """Share of the cells of boxes of one size, about places (M, 2), in which something is drawn."""
+        tree = cKDTree(self.drawn / (size / 2))
+        count = tree.query_ball_point(at / (size / 2), 1.0, p=np.inf, return_length=True)
+        return np.asarray(count * self.cell**2 / np.prod(size))
 
     def clashes(self, low: Array, high: Array, gap: float) -> Array:
         """Return the overlap [px] of boxes (M, 2) with those that are taken; 0 for free ones."""
@@ -126,7 +113,10 @@ class Labels(Artist):
         ax: Any = self.axes
         point = renderer.points_to_pixels(1.0)
         low, high = ax.bbox.min + point, ax.bbox.max - point
-        room = _Map.of(low, high, CELL * point, _drawn(ax, CELL * point, point))
+        cell = CELL * point
+        drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
+        inside = np.all((drawn >= low) & (drawn < high), axis=1)
+        room = _Map(low, high, cell, drawn[inside])
         room.taken += [
             np.array(one.extents) for one in _texts(ax, renderer, {label.text for label in self.known})
         ]
@@ -175,7 +165,7 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     inside = (rows < len(within)) & (some is not anywhere)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
-    crossed = room.crossed(low - point, high + point)
+    crossed = room.crossed(at, size + 2 * point)
     cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]

@@ -17,6 +17,7 @@ from ..scene.items import Pilot, drawn_pilots
 from ..scene.palette import mode_colour
 from ..scene.scene import describe, shown_axes
 from ..scene.timelines import schedule_timeline
+from ..sentences import goal, reach, synthesis
 from ..tables import Cell, Measure, Table, metrics
 from .page import Page, badge, macros, reading, table
 from .scene import plain
@@ -42,13 +43,14 @@ def run_page(folder: RunFolder) -> Page:
     claim = summary["guarantee"]
     proved = claim["kind"] == "proved"
     picture = folder.picture()
+    rows = [[Cell(head), Cell(sentence)] for head, sentence in synthesis(summary)]
     return Page(
         str(summary["title"]),
         answers(summary, picture),
         (
             ("numbers", "Metrics", table(metrics(summary, CAPTION))),
             ("guarantee", "The guarantee", guarantee(claim) + aborts(claim)),
-            ("synthesis", "Synthesis", synthesis(summary)),
+            ("synthesis", "Synthesis", table(Table("Before the flight", ["", ""], rows))),
             reading(summary, f"{NOTE} {SLICE}"),
         ),
         schedule_data(picture, drawn_pilots(picture), proved),
@@ -86,17 +88,17 @@ def _margins(picture: Picture) -> dict[str, Any]:
 def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
     """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
     claim, flown, found = summary["guarantee"], summary["polaris"], summary["synthesis"]
-    goal, proved = claim["goal"], claim["kind"] == "proved"
-    within, most = _most(goal, "distance_m"), _most(goal, "delta_v_max_m_s")
+    end, proved = claim["goal"], claim["kind"] == "proved"
+    within, most = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
     arrives = ("nothing is claimed", "the proof that it would rest on is missing")
     cost = f"mean of {counted(flown['runs'], 'simulated run')}"
     if proved:
-        word = "not proven" if goal["reached"] == "not_proven" else "no"
-        arrives = (word, f"at best within {within} m; {goal['tolerance_m']:.4g} m would do")
-        if goal["reached"] is True:
+        word = "not proven" if end["reached"] == "not_proven" else "no"
+        arrives = (word, f"at best within {within} m; {end['tolerance_m']:.4g} m would do")
+        if end["reached"] is True:
             there = f"proven, within {within} m of the goal; to stay there S must fly on"
-            arrives = (f"at {_time(goal['by_s'])}", there)
-        then = "to the goal" if goal["reached"] is True else "until it is nearest"
+            arrives = (f"at {_time(end['by_s'])}", there)
+        then = "to the goal" if end["reached"] is True else "until it is nearest"
         cost += f"; {then} at most {most} m/s, proven"
     if "safety" in summary:
         cost += "; S alone " + Measure.of("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
@@ -111,11 +113,6 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
     return Markup(macros("run.html").answers(cards, runs, _time(picture.duration)))
 
 
-def _most(goal: Mapping[str, Any], key: str) -> str:
-    """A bound of the goal's claim."""
-    return directed(goal[key], ".4g", up=True)
-
-
 def _time(t: float) -> str:
     return f"{t:.6g} s"
 
@@ -128,45 +125,11 @@ def _when(picture: Picture) -> str:
     return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in found) or "never")
 
 
-def synthesis(summary: Mapping[str, Any]) -> Markup:
-    """Return the table of the synthesis: its result and its time."""
-    found = summary["synthesis"]
-    plan, start = found["planner"], Measure.of("start_share")
-    room = start.proven(found["start_margin"])
-    rows = {
-        "recoverable sets": str(found["recoverable"]),
-        "plan": f"{plan['status'].replace('_', ' ')} ({plan.get('solver_name', plan['solver'])})",
-        "clearance of the plan beyond the tube": Measure.of("margin_m").proven(plan["margin_m"]),
-        "velocity change of the plan": Measure.of("delta_v_m_s").text(plan["delta_v_m_s"]),
-        "room left at the start": room + f", least at {found['start_limit']}",
-        "time of the run": Measure.of("total_s").text(found["seconds"]["total"]),
-    }
-    cells = [[Cell(name), Cell(text)] for name, text in rows.items()]
-    return table(Table("Before the flight", ["", ""], cells))
-
-
-def reach(claim: Mapping[str, Any]) -> str:
-    """Describe until when a schedule's claim holds."""
-    until = claim.get("until_s")
-    if "statement" in claim:
-        most = directed(claim["statement"]["probability"], ".2g", up=True)
-        proven = {key: value for key, value in claim.items() if key != "statement"}
-        return f"{reach(proven)}, but for at most {most} of all flights"
-    if claim.get("horizon") == "infinite":
-        return "for all time"
-    if claim.get("horizon") == "one_period" and until is not None:
-        return f"until {until:.6g} s: the end of the schedule and one further period under S"
-    return "up to the end of the schedule only"
-
-
 def guarantee(claim: Mapping[str, Any]) -> Markup:
     """The section of an ordinary run folder, from ``summary.json``."""
-    goal, arrives = claim["goal"], None
-    if goal["reached"] is True:
-        arrives = {"distance": _most(goal, "distance_m"), "delta_v": _most(goal, "delta_v_max_m_s")}
-        arrives["by"] = _time(goal["by_s"])
-    told = claim, badge(claim["kind"]), reach(claim), arrives, besides(claim)
-    return Markup(macros("run.html").guarantee(*told))
+    told = [("Goal", goal(claim["goal"])), *besides(claim)] if claim["kind"] == "proved" else []
+    reached = claim["goal"]["reached"] is True
+    return Markup(macros("run.html").guarantee(claim, badge(claim["kind"]), reach(claim), reached, told))
 
 
 def aborts(claim: Mapping[str, Any]) -> Markup:

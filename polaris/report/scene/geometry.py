@@ -98,10 +98,11 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
 
 @cache
 def _unit_ball() -> Shape:
-    """Return a sphere through points on a spiral that winds evenly about it."""
-    height, turn = np.linspace(-1, 1, 200), np.pi * (3 - 5**0.5) * np.arange(200)
+    """Return a sphere through points on a spiral that winds evenly about it, and those opposite."""
+    height, turn = np.linspace(-1, 1, 100), np.pi * (3 - 5**0.5) * np.arange(100)
     wide = np.sqrt(1 - height**2)
-    surface = hull(np.stack([wide * np.cos(turn), wide * np.sin(turn), height], axis=1))
+    points = np.stack([wide * np.cos(turn), wide * np.sin(turn), height], axis=1)
+    surface = hull(np.unique(np.vstack([points, -points]), axis=0))
     assert surface is not None
     return surface
 

@@ -99,43 +99,36 @@ def predicted_fuel(run: FuelRun) -> list[Series]:
     return found
 
 
+def diagrams(run: InspectionRun) -> dict[str, list[Panel]]:
+    """Return the diagrams of all deputies by name; those of pairs if there are several deputies."""
+    q, values = run.inspection, allowable(run.inspection, run.x, run.sun)
+    speed = [Limit(-q.speed_max, "", "below"), Limit(q.speed_max, "", "above")]
+    half = float(np.degrees(q.field_of_view / 2))
+    sun = [Limit(half, "sun in the field of view", "below")]
+
+    def panel(title: str, unit: str, limits: list[Limit], series: list[Series], log: bool = False) -> Panel:
+        return Panel(title, title, title, unit, limits, series, log)
+
+    found = {
+        "velocity": [
+            panel(name, "m/s", speed, _of_deputies(run, run.x[..., 3 + k])) for k, name in enumerate(AXES)
+        ],
+        "sun": [panel("Chief to sun", "degrees", sun, _of_deputies(run, np.degrees(values["phi4"]) + half))],
+        "thrust": thrust_panels(run),
+        "delta_v": [panel("Velocity change", "m/s", [], _of_deputies(run, run.delta_v))],
+    }
+    if q.deputies > 1:
+        least, apart = q.deputy_separation, _of_pairs(run, values["phi2"] + q.deputy_separation)
+        collision = [Limit(least, "collision", "below")]
+        found["separation"] = [panel("Distance of deputies", "m", collision, apart, log=True)]
+        seen = _of_pairs(run, np.degrees(values["phi5"]) + half)
+        found["deputy_sun"] = [panel("Deputy to sun", "degrees", sun, seen)]
+    return found
+
+
 def thrust_panels(run: InspectionRun) -> list[Panel]:
     """Return one diagram per component of the thrust of all deputies, between its limits."""
     return input_panels(THRUSTS, "N", [run.inspection.thrust_max] * 3, _of_deputies(run, step_edges(run.u)))
-
-
-def velocity_panels(run: InspectionRun) -> list[Panel]:
-    """Return one diagram per component of the velocity of all deputies, between its limits."""
-    most = run.inspection.speed_max
-    limits = [Limit(-most, "", "below"), Limit(most, "", "above")]
-    return [
-        Panel(name, f"Velocity, {name.lower()}", name, "m/s", limits, _of_deputies(run, run.x[..., 3 + k]))
-        for k, name in enumerate(AXES)
-    ]
-
-
-def separation_panel(run: InspectionRun) -> Panel:
-    """Return the diagram of the distance of every pair, and the least that is allowed."""
-    least = run.inspection.deputy_separation
-    series = _of_pairs(run, allowable(run.inspection, run.x, run.sun)["phi2"] + least)
-    title = "Distance of deputies"
-    return Panel("separation", title, title, "m", [Limit(least, "collision", "below")], series, log=True)
-
-
-def sun_panel(run: InspectionRun, pairs: bool = False) -> Panel:
-    """Return the diagram of the angle from the sun to the chief, seen by each deputy, or to a deputy."""
-    half = float(np.degrees(run.inspection.field_of_view / 2))
-    values = np.degrees(allowable(run.inspection, run.x, run.sun)["phi5" if pairs else "phi4"]) + half
-    title, series = ("Deputy to sun", _of_pairs) if pairs else ("Chief to sun", _of_deputies)
-    limits = [Limit(half, "sun in the field of view", "below")]
-    return Panel("sun", title, title, "degrees", limits, series(run, values))
-
-
-def spent_panel(run: InspectionRun) -> Panel:
-    """Return the diagram of the velocity change that each deputy has spent."""
-    return Panel(
-        "spent", "Velocity change so far", "Velocity change", "m/s", [], _of_deputies(run, run.delta_v)
-    )
 
 
 def _of_deputies(run: InspectionRun, values: Array) -> list[Series]:
@@ -148,7 +141,7 @@ def _of_pairs(run: InspectionRun, values: Array) -> list[Series]:
     found = []
     for (i, j), line in zip(run.inspection.pairs.tolist(), values.T, strict=True):
         dash = palette.METHOD_DASHES[j % len(palette.METHOD_DASHES)]
-        found.append(Series(run.t, line, name=f"{i}, {j}", colour=palette.deputy_colour(i), dash=dash))
+        found.append(Series(run.t, line, name=f"{i} and {j}", colour=palette.deputy_colour(i), dash=dash))
     return found
 
 

@@ -93,6 +93,16 @@ class View:
         """Items of these roles, in their order."""
         return [item for role in roles for item in self.items if item.role == role]
 
+    def contains(self, points: Array) -> Any:
+        """Return True for each point (..., dim) that is within."""
+        return np.all((points > self.low) & (points < self.high), axis=-1)
+
+    def seen(self, outline: Array) -> Array:
+        """Points along a closed outline that are within, shape (N, dim)."""
+        s = np.linspace(0, 1, 200)[:, None, None]
+        edge = ((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, outline.shape[1])
+        return np.asarray(edge[self.contains(edge)])
+
 
 @dataclass(frozen=True, eq=False)
 class Scene(View):

@@ -22,6 +22,7 @@ from .unsafe import unsafe_items
 MOST_FRAMES = (1, 960, 240)
 """Most sets of a tube that are drawn on the line (one per step), in the plane and in space."""
 
+WIDEN = 2.5  # sets on the line are shown that are no further than so many times what else is shown
 INSTANTS = 121  # times at which sets on the line are drawn
 
 PATHS = ("reference", "tail")  # roles of the reference until the horizon and after it
@@ -60,7 +61,9 @@ def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
     end, start, space = picture.duration, picture.initial_positions, Space.of(picture, paths)
     parts = space.goal()
     goal = np.unique(np.concatenate([part.points[:, 0] for part in parts])) if parts else np.zeros(0)
-    shown = np.concatenate([space.low, space.high, goal])
+    sides = [_ends(obstacle, picture)[1].ravel() for obstacle in picture.obstacles]
+    points, wide = np.concatenate([space.low, space.high, goal, *sides]), WIDEN * (space.high - space.low)
+    shown = points[(points >= space.low - wide) & (points <= space.high + wide)]
     pad = 0.1 * float(np.ptp(shown))
     low, high = np.array([0.0, shown.min() - pad]), np.array([end, shown.max() + pad])
     labels = ("Time (s)", picture.frame.labels[0])
@@ -75,14 +78,21 @@ def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
     return replace(scene, items=(*items, *_tube(picture, [0])))
 
 
+def _ends(obstacle: Obstacle, picture: Picture) -> tuple[Array, Array]:
+    """Times (T,), and the ends then of a set (of a keep-in set's inside), (2, T) [m]; perhaps infinite."""
+    times, shape = np.linspace(0, picture.duration, INSTANTS), obstacle.drawn
+    if isinstance(shape, Ball):
+        shape = Box.of(np.full(1, shape.radius))
+    H = shape.H[:, 0]
+    at = (shape.b + H * obstacle.centre(times, picture.system)) / H
+    low, high = np.where(H < 0, at, -np.inf).max(axis=1), np.where(H > 0, at, np.inf).min(axis=1)
+    return times, np.stack([low, high])
+
+
 def _on_line(obstacle: Obstacle, scene: Scene) -> list[Item]:
     """A band that is unsafe, or both limits of a set to stay in, at the view's edge if they are beyond it."""
     (_, low), (end, high) = scene.low, scene.high
-    times = np.linspace(0, end, INSTANTS)
-    shape = Box.of(np.full(1, obstacle.drawn.radius)) if isinstance(obstacle.drawn, Ball) else obstacle.drawn
-    H, b = shape.H[:, 0], shape.b + shape.H[:, 0] * obstacle.centre(times, scene.picture.system)
-    with np.errstate(divide="ignore"):
-        ends = [np.where(-H > 0, b / H, -np.inf).max(axis=1), np.where(H > 0, b / H, np.inf).min(axis=1)]
+    times, ends = _ends(obstacle, scene.picture)
     if not isinstance(obstacle, KeepIn):
         first, last = np.clip(ends, low, high)
         if not np.any(last > first):
