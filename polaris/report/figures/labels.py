@@ -25,6 +25,7 @@ ANCHORS = 24  # points along an outline beside which its name may stand
 RINGS = (0.0, 0.7, 1.6, 3.0, 5.0, 8.0)  # further distances to the anchor, in heights of the text
 SIDES = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))  # above first, then right
 WITHIN = [(x, y) for x in (0, 0.25, -0.25, 0.4, -0.4) for y in (0, 0.25, -0.25)]  # places in a large set
+MOST_POINTS = 50_000  # along one line; what goes far beyond the frame has them farther apart
 TRIED = 300  # cheapest places of which the first with a free leader is taken
 LEADER = 7.0  # a name further than this from its anchor is led to it by a line [pt]
 CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; each point of distance
@@ -183,26 +184,20 @@ def _display(ax: Any, points: Array) -> Array:
 
 def _drawn(ax: Any, step: float, point: float) -> Array:
     """Points (N, 2) [px] along all lines and outlines in axes, and round their markers."""
-    parts = []
+    parts, cross = [np.zeros((0, 2))], np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     for artist in (*ax.lines, *ax.patches, *ax.collections):
         if isinstance(artist, PathCollection):
             continue
-        for vertices in polylines(artist):
+        for vertices in filter(len, polylines(artist)):
             if isinstance(artist, Line2D) and artist.get_marker() not in ("None", None, "", " "):
-                turn = (
-                    np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * artist.get_markersize() / 2 * point
-                )
-                parts.append((vertices[:, None] + turn).reshape(-1, 2))
+                parts += [vertices + turn for turn in cross * artist.get_markersize() / 2 * point]
             if isinstance(artist, Line2D) and artist.get_linestyle() == "None":
                 continue
-            length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
-            count = np.minimum(np.ceil(np.nan_to_num(length) / step).astype(int) + 1, 2000)
-            start = np.repeat(np.arange(len(length)), count)
-            share = (np.arange(len(start)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(
-                count, count
-            )
-            parts.append(vertices[start] + share[:, None] * np.diff(vertices, axis=0)[start])
-    drawn = np.vstack([np.zeros((0, 2)), *parts])
+            length = np.nan_to_num(np.linalg.norm(np.diff(vertices, axis=0), axis=1))
+            along = np.append(0.0, np.cumsum(length))
+            s = np.linspace(0, along[-1], min(int(along[-1] / step) + 2, MOST_POINTS))
+            parts.append(np.column_stack([np.interp(s, along, axis) for axis in vertices.T]))
+    drawn = np.vstack(parts)
     return np.asarray(drawn[np.isfinite(drawn).all(axis=1)])
 
 
