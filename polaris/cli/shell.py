@@ -284,23 +284,17 @@ def answering() -> Iterator[None]:
 @contextmanager
 def _warning() -> Iterator[None]:
     """Warnings of the planner's clock on standard error, each once, even if asked to be quiet."""
-    with warnings.catch_warnings():
-        told: list[str] = []
-        known = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if not issubclass(category, ClockWarning):
-                known(message, category, *where, **more)
-            elif str(message) not in told:
-                told.append(str(message))
-
-        warnings.simplefilter("always", ClockWarning)
-        warnings.showwarning = show
-        try:
+    caught: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ClockWarning)
             yield
-        finally:
-            for text in told:
+    finally:
+        for text, one in {str(one.message): one for one in caught}.items():
+            if issubclass(one.category, ClockWarning):
                 echo(f"warning: {text}", err=True)
+            else:
+                warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
 
 
 def _terminated(number: int, frame: Any) -> NoReturn:
