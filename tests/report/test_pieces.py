@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markupsafe import escape
 
+from polaris.cli.show import show_cells
 from polaris.report.html.comparison_report import _log, stretches
 from polaris.report.html.page import badge, script_json, table
 from polaris.report.html.scene import plain
@@ -126,6 +127,14 @@ def test_table_has_heads_scopes_and_inert_texts():
     assert found.texts.count(evil) == 4  # caption, head, two cells
     assert [attrs["scope"] for tag, attrs in found.tags if tag == "th"] == ["col", "col", "row", "row"]
     assert [attrs["data-sort"] for tag, attrs in found.tags if tag == "td"] == [evil, "2.5"]
+
+
+def test_the_command_line_and_the_page_show_the_same_table(capsys):
+    rows = [[Cell("least"), Cell("-1 m", -1.0, bad=True), words("deputy 0")]]
+    shown = Table("of a flight", ["", "value", "who"], rows)
+    show_cells(shown)
+    printed, page = capsys.readouterr().out, Tags(table(shown)).texts
+    assert all(text in printed and text in page for text in ("of a flight", "value", "-1 m", "deputy 0"))
 
 
 def test_badges_tell_by_word_and_not_only_by_colour():

@@ -17,7 +17,7 @@ from ..scene.scene import describe
 from .cuts import mark_cuts
 from .labels import name
 from .scene import draw_unsafe, frame_axes
-from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened, text_width
+from .style import DASHES, DOTS, WIDTH, dot, legend_above, new_figure, printing, shortened, text_width
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 TITLES = ((GREEN, "with a proof"), (RED, "without a proof"))
@@ -179,7 +179,7 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
     ax.grid(True)
     handles = [dot("o", BLACK, 4, "no other outdoes it"), dot("o", GREY, 4, "outdone")]
     handles.append(dot("D", PURPLE, 4, "printed algorithms", mfc="none"))
-    ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
+    legend_above(ax, handles, 3)
     return figure
 
 

@@ -18,7 +18,7 @@ from ..scene.inspections import deputies, diagrams
 from ..scene.palette import BLUE, LOOKS, RED, SKY, deputy_colour, tint
 from ..scene.timelines import Limit, Panel, Series
 from ..scene.unsafe import AXES
-from .style import ABOVE, WIDTH, dot, legend_above, new_figure
+from .style import WIDTH, dot, legend_above, new_figure
 from .timelines import SAFE, UNSAFE, draw_panel, timeline_figure
 
 SHOWN_FLIGHTS = 16  # free flights that are drawn
@@ -131,7 +131,7 @@ def _passive(ax: Any, run: InspectionRun) -> None:
     ax.set(xlabel=f"{AXES[plane[0]]} (m)", ylabel=f"{AXES[plane[1]]} (m)")
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
-    ax.legend(handles=handles, handlelength=1.2, columnspacing=0.9, **ABOVE)
+    legend_above(ax, handles, 3)
 
 
 FIGURES: Mapping[str, Callable[[InspectionRun], Any]] = {

@@ -12,7 +12,7 @@ from ..scene.inspections import fuel_timeline, predicted_fuel
 from ..scene.palette import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
 from ..scene.unsafe import ORDER
 from .flight import draw_chief
-from .style import ABOVE, WIDTH, dot, new_figure
+from .style import WIDTH, dot, legend_above, new_figure
 from .timelines import timeline_figure
 
 BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
@@ -100,7 +100,7 @@ def _path(run: FuelRun) -> Any:
     ax.set_ylim(y0, y1, auto=True)
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
-    ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
+    legend_above(ax, handles, 3)
     figure.colorbar(lines, ax=ax, label="Time (s)", aspect=20, pad=0.03)
     return figure
 
