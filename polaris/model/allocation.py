@@ -33,7 +33,7 @@ class Allocation:
 
     directions: Array  # (N, m)
     limits: Array  # (N,) [N]
-    u_max: Array  # (m,): every input within these is made in every case (docs/theory.md, Lemma 31)
+    u_max: Array  # (m,): every input within these is made in every case (docs/theory.md, Proposition 5 (c))
     corners: Array
     """Thrusts (cases, 2^m, N) that reach at least to each corner of the box: without a fault, or of each
     fault in turn with each thruster."""

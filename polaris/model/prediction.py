@@ -43,7 +43,7 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
 
     The prediction follows the model under the commands in force, which are known: what is left is the error
     of the estimate (n,) carried along, the disturbance, and errors of what is applied (m,), each at its
-    worst (docs/theory.md, Lemma 25). Rounded upwards; the estimate itself for tau = 0.
+    worst (docs/theory.md, Proposition 7 (a)). Rounded upwards; the estimate itself for tau = 0.
     """
     if not tau > 0:
         return estimate
@@ -67,7 +67,7 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
     """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
 
     Just after a measurement, with every pattern of missed periods that may be. `moved` bounds by how much
-    states are displaced when they are measured (docs/theory.md, Propositions 40 and 40a).
+    states are displaced when they are measured (docs/theory.md, Proposition 7 (c)).
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
 def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:
     """What commands add that take effect up to `jitter` [s] early or late, renewed every h [s].
 
-    An error of every input [N], and a displacement (n,) that does not add up (docs/theory.md, Lemma 26):
+    An error of every input [N], and a displacement (n,) that does not add up (docs/theory.md, Lemma 6 (a)):
     as much impulse at the same place is spread over a period about the instant.
 
     Raises
@@ -232,7 +232,7 @@ def pulse_error(system: LinearSystem, fired: Array, h: float) -> tuple[float, Ar
     """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
 
     An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
-    Lemma 36). Errors of the thrusters hold for a period. Raises what `jitter_error` does.
+    Lemma 6 (b)). Errors of the thrusters hold for a period. Raises what `jitter_error` does.
     """
     A, B, m = system.A, system.B, system.m
     each = (fired * scale for scale in (h / 8, h**2 / 32, h**3 / 62))

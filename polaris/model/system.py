@@ -226,7 +226,7 @@ class LinearSystem:
         """Bounds on the errors of the estimate, shape (..., n).
 
         `most` (..., m) bounds the commands of the periods before whose errors are not measured yet, if known
-        (docs/theory.md, Lemma 44).
+        (docs/theory.md, Proposition 7 (b)).
         """
         if most is None or not self.timing.hidden or self.transients:
             return self.navigation if most is None else self.navigation + np.zeros((*most.shape[:-1], 1))
@@ -241,7 +241,7 @@ class LinearSystem:
         """By how much what is applied may differ from what a law, clipped, would command on the exact state.
 
         Under commands up to `most`, shape (m,). Two clipped commands differ by no more than the commands do
-        (docs/theory.md, Lemmas 21 and 23).
+        (docs/theory.md, Proposition 5).
         """
         return np.asarray(self.command_error(gain) + self.thrusters.error(most))
 

@@ -10,7 +10,7 @@ from .errors import ScenarioError
 
 @dataclass(frozen=True)
 class Thrusters:
-    """Errors of what is applied, at any time and however they change (docs/theory.md, Lemma 23)."""
+    """Errors of what is applied, at any time and however they change (docs/theory.md, Proposition 5 (b))."""
 
     along: float = 0.0  # of every input, as a share of its own command
     across: float = 0.0  # of every input, as a share of the 2-norm of the commands of the others

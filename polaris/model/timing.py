@@ -17,7 +17,7 @@ WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and 
 
 @dataclass(frozen=True)
 class Timing:
-    """What lies between a measurement and the thrust that answers it (theory, Lemmas 25, 26, 36, 37).
+    """What lies between a measurement and the thrust that answers it (theory, Proposition 7 (a) and Lemma 6).
 
     Controllers act on the state as it is predicted for the instant at which their command takes effect.
     """
@@ -78,7 +78,7 @@ class Observer:
 
 @dataclass(frozen=True, eq=False)
 class Transient:
-    """Of one fault, once in a flight, the time until S flies on for good (docs/theory.md, Lemma 41)."""
+    """Of one fault, once in a flight, the time until S flies on for good (docs/theory.md, Proposition 8)."""
 
     name: str  # kind of the fault
     lasts: float  # for how long at most [s]

@@ -104,7 +104,7 @@ class LinearFlow:
         """Zonotope enclosing ``{int_0^h e^{A_x s} B v(s) ds}`` for measurable v in a set about zero.
 
         The mean of v lies in the set, as it is convex; the rest is bounded by ``h^2/3 sup |B v|``
-        times the Lipschitz constant of ``e^{A_x s}`` (docs/theory.md, Lemma 11).
+        times the Lipschitz constant of ``e^{A_x s}`` (docs/theory.md, Proposition 9 (c)).
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class LinearFlow:
     def disturbance_support(self, rows: Array, count: int) -> Array:
         """``sum_{l<L} sup_w rows phi^l int_0^h e^{A_x s} D w ds`` for L = 0..count, shape (count+1, r).
 
-        Each period's integral: the trapezoid plus ``h^3/12 sup |second derivative|`` (theory item 3).
+        Each period's integral: the trapezoid plus ``h^3/12 sup |second derivative|`` (Proposition 9 (b)).
         """
         if rows.ndim != 2 or rows.shape[1] != len(self.phi):
             raise ReachError(f"rows must have shape (r, {len(self.phi)}), got {rows.shape}")

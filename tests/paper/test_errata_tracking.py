@@ -1,4 +1,4 @@
-"""One named test per error of the papers about tracking and recoverable sets (docs/theory.md, Errata).
+"""One named test per error of the paper about tracking (Lemma 1) and recoverable sets (Lemma 2).
 
 Each shows the printed form failing and ours holding.
 """
@@ -188,7 +188,7 @@ def test_item_7_reference_inputs_leave_room_for_the_tracker():
 
 
 def test_item_12_a_reference_safe_until_T_may_be_unsafe_right_after_it():
-    """As printed the plan ends at T, and nothing keeps what follows clear; ours reports or avoids it."""
+    """As printed the plan ends at T, and nothing keeps clear later; ours says so (Proposition 12)."""
     from dataclasses import replace
 
     from polaris.model.scene.obstacles import BoxObstacle

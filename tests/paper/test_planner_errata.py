@@ -1,4 +1,4 @@
-"""Errors of the paper's planner as printed: the printed form fails, ours holds (theory notes 8-11, 13)."""
+"""Errors of the paper's planner and its Lemma 3 as printed: the printed form fails, ours holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What schedules and online monitors claim, against closed loops flown at their worst by `closed_loops`."""
+"""What S (Theorem 1), schedules (Theorem 2) and monitors claim, against closed loops flown at their worst."""
 
 from dataclasses import replace
 from functools import cache

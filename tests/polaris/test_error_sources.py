@@ -1,4 +1,4 @@
-"""Errors of navigation and thrusters, the chaser's size: in sets, certificates, and flown at their worst."""
+"""Errors of navigation and thrusters (Proposition 5), the chaser's size: in proofs, flown at their worst."""
 
 import json
 import pydoc

@@ -11,7 +11,7 @@ CAMERA = ("navigation.measurement.position_error_m=0.1",)
 DELAY = ("timing.delay_s=2.0",)
 THRUSTERS = ("thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03")
 BIT = ("thrusters.impulse_bit_N_s=0.005", 'thrusters.remainder="carried"')
-MOST = {  # position [m] and command [mN] for ever, as sections 15 and 16 of the theory bound them
+MOST = {  # position [m] and command [mN] for ever, as sections 2 and 3 of the theory bound them
     "disturbance": ((), 0.104, 0.45),
     "estimate, delay": ((*ESTIMATE, *DELAY), 0.37, 2.2),
     "thrusters": ((*ESTIMATE, *DELAY, *THRUSTERS), 0.60, 3.0),

@@ -1,4 +1,4 @@
-"""Bounds on a tracking loop against flight software coded by itself: exact at nodes, never below a flight."""
+"""Theorem 3 against flight software coded by itself: exact at nodes, never below a flight."""
 
 from dataclasses import replace
 from functools import cache, lru_cache
@@ -412,7 +412,7 @@ CARRIED = [("", 0), ("estimate", 0), ("estimate", 1.4), ("observer", 0.5)]
 )
 @pytest.mark.parametrize(("nav", "delay"), CARRIED)
 def test_no_flight_exceeds_the_bounds_with_carried_impulses(plant, errors, nav, delay):
-    """Errors act on what is made. A law that sees the true state needs their displacement too (Lemma 37)."""
+    """Errors act on what is made. A law that sees the true state needs their offset too (Lemma 6 (c))."""
     errors, L = Thrusters(*errors) if errors else THRUSTERS, 40
     base, reached = software(plant, nav, delay, True), []
     n, m = base.B.shape

@@ -1,4 +1,4 @@
-"""Navigation by phase of the flight, and an observer on board: bounds, sets, certificates and flights."""
+"""Navigation by phase (Proposition 4), and an observer on board: bounds, sets, certificates and flights."""
 
 import json
 from copy import copy

@@ -1,4 +1,4 @@
-"""Passive safety and upkeep: flown at their worst, forged claims, and what is required of a schedule."""
+"""Passive safety (Proposition 15) and upkeep: flown at their worst, forged claims, what is required."""
 
 import copy
 import json

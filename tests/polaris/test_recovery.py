@@ -1,4 +1,4 @@
-"""The checker's recovery argument: no limit is left out, whenever it is."""
+"""The checker's recovery argument (Proposition 11): no limit is left out, whenever it is."""
 
 import math
 from types import SimpleNamespace

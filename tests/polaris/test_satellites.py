@@ -1,4 +1,4 @@
-"""Other bodies under thrust: their acceleration is one of position, in m/s^2, whatever D is."""
+"""Other bodies under thrust (Lemma 16): their acceleration is one of position, in m/s^2, whatever D is."""
 
 import tomllib
 from types import SimpleNamespace

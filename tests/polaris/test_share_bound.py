@@ -1,4 +1,4 @@
-"""The bound on the share of U over all schedules: below nothing that can be flown."""
+"""The bound on the share of U over all schedules (Proposition 13): below nothing that can be flown."""
 
 from dataclasses import replace
 from functools import cache

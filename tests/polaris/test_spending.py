@@ -1,4 +1,4 @@
-"""Bounds on the velocity change: of linear loops all at once, attacked, and derived alike twice."""
+"""Bounds on the velocity change (Proposition 14 (c)): linear loops all at once, attacked, derived twice."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Delay, missed periods, jitter, clocks: what predictions are off by, in proofs, certificates and flights."""
+"""Delay, missed periods, jitter, clocks (Proposition 7, Lemma 6): in proofs, certificates and flights."""
 
 import json
 from dataclasses import replace

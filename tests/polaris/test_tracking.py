@@ -1,4 +1,4 @@
-"""The tracking controller: gains, refused by name where there are none, and the control period."""
+"""The tracking controller (Proposition 1): gains, refused by name where there are none, and its period."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Faults that are isolated late: in sets, certificates, and flown where they are worst."""
+"""Faults that are isolated late (Proposition 8): in sets, certificates, and flown where they are worst."""
 
 import copy
 import dataclasses

@@ -1,4 +1,4 @@
-"""Reachable tubes against simulation: at the nodes, and between them."""
+"""Reachable tubes (Theorem 10) against simulation: at the nodes, and between them (Proposition 9)."""
 
 import numpy as np
 import pytest

@@ -74,7 +74,7 @@ class Departures:
         """Every state in which thrust may stop in period i leads back into the group's parallelotope.
 
         `d` and `end` are the ends of the chords of undisturbed motion about the base arc, `moved` the second
-        less the first, point by point; `bow` bounds how far states leave the chords (Lemma 28).
+        less the first, point by point; `bow` bounds how far states leave the chords (Proposition 15 (a)).
         """
         A, h, first, last = self.plant.A, self.plant.h, base.nodes[i], base.nodes[i + 1]
         group = self.groups[self._group[i]]

@@ -21,7 +21,7 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     """The limits of the inputs lie within the scenario's, and within what its thrusters make in every fault.
 
     What they make is convex. It holds a box if for each of its corners it has a point that lies, in every
-    input, at least as far out as the corner: no plane separates the box from those points (Lemma 31).
+    input, at least as far out as the corner: no plane separates the box from those points (Proposition 5).
     """
     spec, every = scenario.get("thrusters", {}), scenario.get("faults", [])
     faults = [fault for fault in every if fault["kind"] != "navigation_lost"]

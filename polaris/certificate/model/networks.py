@@ -1,7 +1,7 @@
 """Neural networks over sets of states, in ball arithmetic: each activation within an affine band.
 
 Of a network that is evaluated in floating point each layer adds a box for its rounding: sums in any order,
-with or without fused multiply-add, are off by at most ``gamma_k (|W| |x| + |b|)`` (docs/theory.md, Lemma 34).
+with or without fused multiply-add, are off by at most ``gamma_k (|W| |x| + |b|)`` (theory, Theorem 10).
 """
 
 from dataclasses import dataclass

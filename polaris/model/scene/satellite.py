@@ -82,7 +82,7 @@ class SatelliteObstacle(Obstacle):
         return self.shape
 
     def timed_polytopes(self, system: LinearSystem, delta: float, cells: int) -> tuple[TimedPolytope, ...]:
-        """One timed polytope; offsets cover the whole of every cell (see `_cover`)."""
+        """One timed polytope; offsets cover all of every cell (docs/theory.md, Lemma 16; see `_cover`)."""
         self._check_cells(system, delta, cells, system.d)
         self._fits(system)
         normals = self._normals(system)

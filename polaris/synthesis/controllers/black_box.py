@@ -2,7 +2,7 @@
 
 For every period of a step that the box flies, what it commands is fitted as an affine function of the error
 with a band about it. Whether commands keep to their bands is what sampled flights are asked
-(`polaris.simulation.sampled`); all else is proven of every admissible disturbance (docs/theory.md).
+(`polaris.simulation.sampled`); the rest is proven of every disturbance (docs/theory.md, Theorem 10).
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -30,7 +30,7 @@ ORDER, WIDE = 25.0, 200.0
 @brief
 @dataclass(frozen=True, eq=False)
 class TubeSegment:
-    """Reachable set of one controller over one planning step, sound in continuous time.
+    """Reachable set of one controller over a step, sound in continuous time (docs/theory.md, Theorem 10).
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class AffineController(AffineLaw):
         nodes = self.powers @ d + self.disturbance
         bow = affine_bow(self, nodes[:-1], k)
         commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
-        # Without a clip, what the estimate adds to a command counts; else it comes after the clip (Lemma 21).
+        # Without a clip errors of the estimate count; with one they come after it (Proposition 5 (a)).
         noise = self.system.command_error(self.gain)
         over = commanded + (0.0 if self.clips else noise) - self.system.u_max
         excess, axis = float(over.max()), int(np.argmax(over))

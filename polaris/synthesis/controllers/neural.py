@@ -1,7 +1,7 @@
 """A feed-forward network as experimental controller, evaluated once a control period, clipped by thrusters.
 
-Its tube is that of `reach.networks.loop.NetworkLoop` in error coordinates about the safe reference; the
-proposition and its proof stand in docs/theory.md.
+Its tube is that of `reach.networks.loop.NetworkLoop` in error coordinates about the safe reference
+(docs/theory.md, Theorem 10).
 """
 
 from dataclasses import dataclass, replace

@@ -18,7 +18,7 @@ from .recoverable import Margin, left
 
 @dataclass(frozen=True, eq=False)
 class BallSets:
-    """Balls ``norm(W e) <= r`` about the reference (eqs. 11 and 12; theory items 2, 5, 6, 7).
+    """Balls ``norm(W e) <= r`` about the reference (eqs. 11 and 12 as docs/theory.md, Lemma 2, has them).
 
     The radius weighs the room at every later time by what is left of the error by then. The least radius is
     that of the constant ball, from the smallest room over all time.

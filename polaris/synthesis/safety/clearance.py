@@ -20,7 +20,7 @@ from .demand import Scheduled, command_noise
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """What S's error from one set needs along fixed rows, period by period (theory item 3).
+    """What S's error from one set needs along fixed rows, by period (docs/theory.md, Proposition 11 (a)).
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def facet_room(
 ) -> Array:
     """Distance from the reference to every facet of one set at every node, shape (cells, q+1, F).
 
-    Already reduced by the bow of the reference between nodes and by rounding.
+    Already reduced by the bow of the reference between nodes (docs/theory.md, Lemma 3) and by rounding.
     """
     system, h = tracking.system, reference.delta / q
     nodes = reference.fine(q) if nodes is None else nodes

@@ -1,4 +1,4 @@
-"""Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
+"""Errors by the time of the flight, of commands and navigation (docs/theory.md, Proposition 4)."""
 
 from functools import cached_property
 

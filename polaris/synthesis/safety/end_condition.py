@@ -1,4 +1,4 @@
-"""What is proven after T (theory item 12): coasting on a natural motion, tracked by S."""
+"""What is proven after T, S tracking a natural motion that coasts (docs/theory.md, Proposition 12)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Algorithm 1, GetSafety: the safety controller and its recoverable sets."""
+"""Algorithm 1, GetSafety: the safety controller and its recoverable sets (docs/theory.md, Theorem 1)."""
 
 from collections.abc import Mapping
 from contextlib import suppress

@@ -43,7 +43,7 @@ class Drift:
     """What becomes of all flights whose thrust stops in some periods of one step.
 
     The start is a parallelotope around the states at the start of the step from which free motion leads to
-    the states in which thrust stops (docs/theory.md, Lemma 28).
+    the states in which thrust stops (docs/theory.md, Proposition 15 (a)).
     """
 
     periods: int  # how many, one after another
@@ -124,9 +124,9 @@ class FreeFlight:
         return tuple(found)
 
     def _start(self, nodes: Zonotope, bow: Array, first: int, q: int) -> Zonotope:
-        """Enclose, as of the start of a step of q periods, the states in which thrust may stop (Lemma 28).
+        """Enclose the states in which thrust may stop, carried to the start of the step (Proposition 15 (a)).
 
-        In the periods between some nodes, the first of them the node `first` of the step.
+        In the periods between some nodes of a step of q periods, the first of them its node `first`.
         """
         system = self.system
         h = self.delta / q

@@ -24,7 +24,7 @@ class PolytopeSets:
 
     ``C^t = {e : row_j Phi(t_j - t) e + disturbance <= room_j for every later t_j}``: exact for the
     chosen facets up to what is booked between nodes. Limits further away than the memory of the
-    loop are collected in one ball, which they can hardly touch (docs/theory.md, Proposition 6).
+    loop are collected in one ball, which they can hardly touch (docs/theory.md, Proposition 11).
     """
 
     clearance: Clearance
@@ -197,7 +197,7 @@ class PolytopeSets:
         # Rounding is booked on the size of the terms, not on what is left of them after cancelling.
         support = centre + spread + ROUNDING * (np.abs(centre) + spread)
         if np.any(bow > 0):
-            # More than is needed: only U's own claim between two nodes is left, at lag 0 (Lemma 5).
+            # More than is needed: only U's own claim between two nodes is left, at lag 0 (Proposition 11).
             before = np.concatenate([carried[:1], carried[:-1]])[keep]
             support += np.maximum(np.abs(exact) @ bow.T, np.abs(before) @ bow.T)
         need = np.repeat(coarse[None], len(nodes), axis=0)

@@ -1,7 +1,7 @@
 """Recoverable sets (Definition 1): from which errors the safety controller stays safe to the end.
 
 Two kinds behind one interface: the paper's balls, corrected, and the less conservative polytopes. Both
-include "S does not saturate from here to the end" (theory item 7) and hold for the whole of every period.
+include "S does not saturate from here to the end" (Proposition 11) and hold for the whole of every period.
 """
 
 from dataclasses import dataclass

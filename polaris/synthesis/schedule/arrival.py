@@ -1,4 +1,4 @@
-"""The goal as a claim: when every flight is proven to be within a tolerance of it, or how far off."""
+"""The goal as a claim: when every flight is proven to be near it (docs/theory.md, Proposition 14 (a))."""
 
 from dataclasses import astuple, dataclass
 
@@ -212,7 +212,7 @@ def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
 
 
 def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
-    """What is proven of S's velocity change for all time, from that until T (Proposition 30).
+    """What is proven of S's velocity change for all time, from that until T (Proposition 14 (d)).
 
     None if S need not track a coasting reference, or is not proven to keep within its thrust.
     """

@@ -4,7 +4,7 @@ Without disturbance and from the middle of the initial set, a flight must keep c
 ends of all steps: where U flies it moves as U's law has it, where S flies by any thrust within the limits.
 If that is impossible although S flies a set of steps, it is so with any part of them. So each set that is
 proven impossible demands a step more, and an integer program tells how few steps meet every demand
-(docs/theory.md, Proposition 20).
+(docs/theory.md, Proposition 13).
 """
 
 from collections.abc import Sequence

@@ -63,7 +63,7 @@ class Spell:
         told, hidden, at = centre + 0.0, system.timing.hidden, system.at_step(k)
         for i in range(q + 1):
             if isinstance(law, AffineController):  # a network flies on exact states
-                before = told[i - hidden : i].max(axis=0) if i >= hidden > 0 else None  # Lemma 44
+                before = told[i - hidden : i].max(axis=0) if i >= hidden > 0 else None  # Proposition 7 (b)
                 known[i] = at.command_error(law.gain, before)
             top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
             told[i] = np.minimum(top, system.u_max)
@@ -88,7 +88,7 @@ def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
 
 
 def together(run: Sequence[Spell], count: int) -> float:
-    """Bound on the thrust of the first periods of a run under one linear law [N] (Proposition 45)."""
+    """Bound on the thrust of the first periods of a run under one linear law [N] (Proposition 14 (c))."""
     law, start = run[0].law, run[0].tube.nodes[0]
     assert isinstance(law, AffineController)
     system, m = law.system, law.system.m

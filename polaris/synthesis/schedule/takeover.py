@@ -1,4 +1,4 @@
-"""What is proven of S where a flight is aborted: from which sets it takes over, and along which branch."""
+"""S where a flight is aborted: from which sets, along which branch (docs/theory.md, Proposition 15 (c))."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

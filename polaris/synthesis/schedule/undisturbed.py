@@ -2,7 +2,7 @@
 
 What moves is a zonotope whose generators are shared by all instants: the thrust of free steps in parts, and
 what a clipped command may differ from its band. Where every choice of facets is refuted, no flight keeps
-clear (docs/theory.md, Proposition 20).
+clear (docs/theory.md, Proposition 13).
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from ..safety.get_safety import Safety
 from ..tracker.affine_law import clipped_map
 
 FREE = 0  # a step in which any thrust within the limits is allowed, as under S
-PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Lemma 11 covers the rest)
+PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Proposition 9 (c) covers the rest)
 EACH = 60  # most linear programs for one question; left open, it counts as possible
 OPEN = 1e-6
 """Share of the scene's size by which a path may miss a facet that its linear program does not state."""

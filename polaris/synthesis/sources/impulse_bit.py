@@ -18,7 +18,7 @@ class CarriedImpulse:
     along, across : float
         Errors of magnitude and direction (`polaris.model.thrusters.Thrusters`). They act on what is made, not
         on what is commanded: the difference moves the plant as a carried impulse times `share` does
-        (docs/theory.md, Lemma 37).
+        (docs/theory.md, Lemma 6 (c)).
     """
 
     bit: float

@@ -14,7 +14,7 @@ class ThrusterErrors:
 
     errors: Thrusters
     carried: bool = False
-    """An impulse bit is carried: commands of the others count by their sum (docs/theory.md, Lemma 37)."""
+    """An impulse bit is carried: commands of the others count by their sum (docs/theory.md, Lemma 6 (c))."""
 
     def share(self, u: Array) -> Array:
         """Return the part of the errors that grows with the commands u (..., m), shape (..., m)."""

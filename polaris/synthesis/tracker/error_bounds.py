@@ -18,7 +18,7 @@ from .tracking import Tracking
 @brief
 @dataclass(frozen=True, eq=False)
 class ErrorBounds:
-    """ISS bounds on the error ``e = x - xi`` (Lemma 1; theory, items 1 to 4), w being all that disturbs it.
+    """ISS bounds on the error ``e = x - xi`` (docs/theory.md, Lemma 1), w being all that disturbs it.
 
     Each bound reads ``gamma exp(-beta t) norm(W e(0), 2) + gain w_max``, for all t >= 0.
 

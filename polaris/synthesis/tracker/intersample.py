@@ -1,4 +1,4 @@
-"""Intersample bounds: the elementwise distance of a flight from the chords between its nodes."""
+"""Intersample bounds: distance of a flight from the chords between its nodes (docs/theory.md, Theorem 10)."""
 
 import numpy as np
 

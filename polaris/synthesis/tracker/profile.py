@@ -1,4 +1,4 @@
-"""A bound on what S's feedback commands after a hand-over, and the response to errors that vary by period."""
+"""Feedback bound: what S's feedback commands at most after a hand-over (docs/theory.md, Proposition 4)."""
 
 from collections.abc import Callable
 

@@ -199,7 +199,7 @@ class Tightening:
         raise ScenarioError("thrusters", P.tolist(), "errors that grow with the commands feed on themselves")
 
     def between(self, rows: Array, bound: Array | None = None) -> tuple[Array, Array]:
-        """Return intersample bounds of rows of the plant's error.
+        """Return intersample bounds of rows of the plant's error (docs/theory.md, Proposition 9 (d)).
 
         Over the period between two nodes a row is at most the chord of its bounds there, and besides this.
 

@@ -1,4 +1,4 @@
-"""What faults add to the states until they are isolated (docs/theory.md, Lemma 41)."""
+"""What faults add to the states until they are isolated (docs/theory.md, Proposition 8 (a))."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -61,7 +61,7 @@ def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Arra
     """How far estimates are off because an observer does not know of a fault, shape (J, count, n).
 
     From the node on at which S flies because of it and no command is older, period by period, or ever after;
-    the first row holds before, too (docs/theory.md, Lemma 41a).
+    the first row holds before, too (docs/theory.md, Proposition 8 (c)).
     """
     observer, timing, n, first = system.observer, system.timing, system.n, np.zeros(system.n)
     if observer is None:
