@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import shlex
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
-from .shell import REFUTED, Assignments, Force, Json, Target, echo, print_json, verb
+from .shell import REFUTED, Assignments, Force, Json, Target, echo, print_result, verb
 
 if TYPE_CHECKING:
     from ..simulation.falsification.search import Falsification
@@ -34,10 +35,7 @@ def model_error_command(
     loaded = load_target(target, assignments or ())
     Environment.of(loaded.scenario)  # what is missing is refused before the synthesis
     found = justify(loaded.scenario) if fit else model_error(loaded.scenario, loaded.schedule())
-    if as_json:
-        print_json(found.summary())
-    else:
-        _show_model_error(found)
+    print_result(found.summary(), as_json, partial(_show_model_error, found))
     return None if found.covered else REFUTED
 
 
@@ -62,10 +60,7 @@ def falsify_command(
     scenario = loaded.scenario
     check_file(out or f"{scenario.name}.case.json", force=force)
     found = falsify(loaded.schedule(), runs, seed)
-    if as_json:
-        print_json(found.summary())
-    else:
-        _show_falsification(scenario.name, found)
+    print_result(found.summary(), as_json, partial(_show_falsification, scenario.name, found))
     if found.failure is not None:
         path = write_case(out or f"{scenario.name}.case.json", scenario, found, force=force)
         echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)

@@ -7,12 +7,13 @@ import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError
-from .shell import Assignments, BlackBoxes, Force, Json, Quiet, drawing, echo, finish, print_json, verb
+from .shell import Assignments, BlackBoxes, Force, Json, Output, echo, print_result, verb
 
 if TYPE_CHECKING:
     from ..runs.campaign.folder import CampaignFolder
@@ -43,9 +44,6 @@ class Options:
     resume: bool = Option(
         True, "--resume/--fresh", help="Fly only what is missing, or replace what is there."
     )
-    figures: bool = Option(True, help="Draw the figures (inspection only).")
-    as_json: Json = False
-    quiet: Quiet = False
 
 
 SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
@@ -55,6 +53,7 @@ SCHEDULES_ONLY = ("seed", "grid", "mode", "batch", "initial", "disturbance")
 @verb("campaign")
 def campaign_command(
     options: Options,
+    output: Output,
     asked: BlackBoxes,
     scenarios: list[str] = Argument(..., metavar="NAME_OR_FILE...", help="Bundled scenarios, or files."),
 ) -> int | None:
@@ -65,12 +64,11 @@ def campaign_command(
     """
     from ..runs.campaign.workers import cluster, local
     from ..scenario.scenario import ScheduleScenario, load_scenario
-    from .console import ShownStages
 
     if options.workers is not None and options.scheduler is not None:
         rule = "must not be given with --scheduler: the cluster has its own"
         raise ScenarioError("--workers", options.workers, rule)
-    stages = ShownStages(options.quiet or options.as_json)
+    stages = output.stages
     scheduler = options.scheduler
     crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
     with stages.stage("load"):
@@ -79,7 +77,7 @@ def campaign_command(
     if inspected and asked.black_box:
         raise ScenarioError("--black-box", asked.black_box, "is for switching schedules")
     if inspected:
-        _fly_inspection(loaded, inspected[0], options, crew, stages)
+        _fly_inspection(loaded, inspected[0], options, output, crew, stages)
         return None
     from ..runs.campaign import run_campaign
     from ..runs.campaign.folder import check_place
@@ -99,7 +97,7 @@ def campaign_command(
         folder = run_campaign(
             plan, out, executor=executor, fresh=not options.resume, worst=options.worst, progress=progress
         )
-    return _finish(folder, options)
+    return _finish(folder, output)
 
 
 @verb("campaign-replay")
@@ -137,10 +135,7 @@ def replay_command(
             assert case is not None and batch is not None and run is not None
             chosen = case, batch, run
         found = replay_run(replace(folder, plan=folder.plan.asking(boxes)), *chosen, mode)
-    if as_json:
-        print_json(found.row)
-    else:
-        show_run(found.row)
+    print_result(found.row, as_json, partial(show_run, found.row))
     if out is not None:
         echo(f"Written: {found.write(out, force=force)}", err=True)
 
@@ -163,6 +158,7 @@ def _fly_inspection(
     scenarios: Sequence[Scenario],
     one: Scenario,
     options: Options,
+    output: Output,
     crew: AbstractContextManager[Workers],
     stages: Stages,
 ) -> None:
@@ -186,20 +182,20 @@ def _fly_inspection(
             one,
             options.out,
             overrides=overrides,
-            draw=drawing(options.figures),
+            draw=output.draw,
             stages=stages,
             executor=executor,
             fresh=not options.resume,
         )
-    finish(folder, options.figures, options.as_json, options.quiet)
+    output.finish(folder)
 
 
-def _finish(folder: CampaignFolder, options: Options) -> int:
+def _finish(folder: CampaignFolder, output: Output) -> int:
     """Print the summary; returns the exit code: that of the first case if no case has a schedule."""
     summary = folder.summary
-    if options.as_json:
+    if output.as_json:
         sys.stdout.write((folder.path / "summary.json").read_text(encoding="utf-8"))
-    elif not options.quiet:
+    elif not output.quiet:
         from .show.schedule import show_campaign
 
         show_campaign(summary, str(folder.path))

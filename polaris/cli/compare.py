@@ -8,7 +8,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperOption
 
 from ..model.errors import ClockWarning, ScenarioError
-from .shell import Assignments, BlackBoxes, Figures, Json, Name, Quiet, Target, drawing, finish, verb
+from .shell import Assignments, BlackBoxes, Name, Output, Target, verb
 
 
 class _Compare(TyperCommand):
@@ -45,17 +45,12 @@ class Options:
     tune: list[str] = Option([], metavar="METHOD.OPTION=VALUE", help="Tune a method; repeatable.")
     out: str | None = Option(None, metavar="DIR", help="Folder; default runs/<scenario>-comparison.")
     assignments: Assignments = None
-    figures: Figures = True
-    as_json: Json = False
-    quiet: Quiet = False
 
 
 @verb("compare", cls=_Compare)
-def compare_command(target: Target, options: Options, asked: BlackBoxes) -> None:
+def compare_command(target: Target, options: Options, asked: BlackBoxes, output: Output) -> None:
     """Fly every run-time assurance method on one scene, under the same disturbances, and compare."""
-    from .console import ShownStages
-
-    stages = ShownStages(options.quiet or options.as_json)
+    stages = output.stages
     given, tuning = options.estimate_error, _tuning(options.tune)
     numbers = None if given is None else _numbers("--estimate-error", given)
     named = None if options.methods is None else options.methods.replace(" ", "").split(",")
@@ -88,9 +83,8 @@ def compare_command(target: Target, options: Options, asked: BlackBoxes) -> None
                 progress=lambda key, done, total: stages.note(f"flights: {key}", done, total),
             )
         with stages.stage("folder"):
-            draw = drawing(options.figures)
-            folder = write_comparison(place, scenario, comparison, draw=draw, stages=stages)
-    finish(folder, True, options.as_json, options.quiet)
+            folder = write_comparison(place, scenario, comparison, draw=output.draw, stages=stages)
+    output.finish(folder)
 
 
 def _numbers(option: str, text: str) -> list[float]:
@@ -129,20 +123,16 @@ class TradeoffOptions:
     share: float = Option(0.9, help="Share of U for which it is said how far a value of --sweep may go.")
     workers: int | None = Option(None, min=1, help="Processes; default one per processor.")
     assignments: Assignments = None
-    figures: Figures = True
-    as_json: Json = False
-    quiet: Quiet = False
 
 
 @verb("tradeoff")
-def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes) -> None:
+def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes, output: Output) -> None:
     """Find the front of share of U against velocity change against switches: a run folder for each price.
 
     Or how both change with any number of the scenario. What was stopped goes on where it was.
     """
     from ..runs.campaign.workers import local
     from ..runs.tradeoff import PRICES, tradeoff
-    from .console import ShownStages
 
     if options.sweep and options.prices is not None:
         raise ScenarioError("--prices", options.prices, "must be left out with --sweep")
@@ -154,8 +144,8 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
             dict(map(_sweep, options.sweep)) or prices,
             share=options.share,
             overrides=options.assignments or (),
-            draw=drawing(options.figures),
-            stages=ShownStages(options.quiet or options.as_json),
+            draw=output.draw,
+            stages=output.stages,
             executor=None if boxes else local(options.workers),
             black_boxes=boxes,
         )
@@ -164,7 +154,7 @@ def tradeoff_command(scenario: Name, options: TradeoffOptions, asked: BlackBoxes
         told = f"the planner's wall clock ended its search early ({', '.join(cut)})"
         why = "another machine, or another run, may find another plan; allow more time"
         warnings.warn(f"{told}: {why}", ClockWarning, stacklevel=2)
-    finish(folder, options.figures, options.as_json, options.quiet)
+    output.finish(folder)
 
 
 def _sweep(text: str) -> tuple[str, list[float]]:

@@ -4,26 +4,16 @@ from typing import Any, Literal
 
 from typer import Argument, Option
 
-from .shell import (
-    REFUTED,
-    Assignments,
-    BlackBoxes,
-    Figures,
-    Force,
-    Json,
-    Name,
-    Quiet,
-    drawing,
-    echo,
-    finish,
-    verb,
-)
+from .shell import REFUTED, Assignments, BlackBoxes, Force, Name, Output, Quiet, echo, verb
+
+FOLDER = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare.")
 
 
 @verb("run")
 def run(
     scenario: Name,
     asked: BlackBoxes,
+    output: Output,
     out: str | None = Option(None, metavar="DIR", help="Run folder; default runs/<name of the scenario>."),
     assignments: Assignments = None,
     solver: Literal["facets", "highs", "gurobi"] | None = Option(
@@ -32,34 +22,29 @@ def run(
     recoverable: Literal["polytope", "ball"] | None = Option(
         None, help="Short for --set recoverable.kind=...; default polytope."
     ),
-    figures: Figures = True,
-    as_json: Json = False,
-    quiet: Quiet = False,
 ) -> int:
     """Synthesise a schedule, prove it, fly it in simulation, and write a run folder.
 
     A scenario of the inspection problem is flown under its filter instead; many flights, on all processors.
     One flight that violates a constraint or its fuel limit ends with exit code 5.
     """
-    from .console import ShownStages
-
     short = {"planner.solver": solver, "recoverable.kind": recoverable}
     overrides = [*(assignments or []), *(f"{key}={value}" for key, value in short.items() if value)]
-    stages = ShownStages(quiet or as_json)
+    stages = output.stages
     with stages.stage("load"):
         from ..runs.campaign.workers import local
         from ..runs.run import run as run_scenario
         from ..scenario.scenario import load_scenario
 
         loaded = load_scenario(scenario, overrides)
-        if not quiet:
+        if not output.quiet:
             _show_warnings(loaded, err=True)
     with asked.running() as boxes:
-        flying: dict[str, Any] = {"draw": drawing(figures), "stages": stages, "executor": local()}
+        flying: dict[str, Any] = {"draw": output.draw, "stages": stages, "executor": local()}
         folder = run_scenario(loaded, out, black_boxes=boxes, **flying)
     if folder.kind.name == "schedule" and folder.summary["guarantee"]["kind"] == "statistical":
         echo("warning: statistical, not proven: steps of black boxes rest on samples", err=True)
-    finish(folder, figures, as_json, quiet)
+    output.finish(folder)
     return 0 if folder.summary.get("safe", True) else REFUTED
 
 
@@ -93,10 +78,7 @@ def scenarios() -> None:
 
 
 @verb("plot")
-def plot(
-    folder: str = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare."),
-    quiet: Quiet = False,
-) -> None:
+def plot(folder: str = FOLDER, quiet: Quiet = False) -> None:
     """Redraw the figures of a run folder from its files alone."""
     from ..report.figures import draw_run
     from ..runs.run import read_run
@@ -110,7 +92,7 @@ def plot(
 
 @verb("report")
 def report(
-    folder: str = Argument(..., metavar="RUN_OR_COMPARISON", help="A run folder, or one of polaris compare."),
+    folder: str = FOLDER,
     out: str | None = Option(None, metavar="FILE.html", help="Default report.html in the folder."),
     force: Force = False,
     quiet: Quiet = False,

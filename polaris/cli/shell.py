@@ -25,6 +25,7 @@ from ..model.errors import ClockWarning, PolarisError, ScenarioError, escape_con
 
 if TYPE_CHECKING:
     from ..runs.files.folder import RunFolder
+    from ..runs.stages import Stages
     from ..synthesis.controllers.black_box import Ask
 
 app = typer.Typer(
@@ -120,6 +121,50 @@ class BlackBoxes:
             yield {name: programs.enter_context(each) for name, each in started.items()}
 
 
+@dataclass
+class Output:
+    """What a verb prints of its result, and whether it draws: a group of options of its own."""
+
+    figures: Figures = True
+    as_json: Json = False
+    quiet: Quiet = False
+
+    @property
+    def stages(self) -> Stages:
+        """Progress on standard error, unless nothing else than the result may be printed."""
+        from .console import ShownStages
+
+        return ShownStages(self.quiet or self.as_json)
+
+    @property
+    def draw(self) -> Any:
+        """Return the function that draws figures, or None if none are wanted."""
+        if not self.figures:
+            return None
+        from ..report.figures import draw_run
+
+        return draw_run
+
+    def finish(self, folder: RunFolder) -> None:
+        """Tell what a run folder holds, and how to draw what was not drawn."""
+        if self.as_json:
+            sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
+        elif not self.quiet:
+            from .show import comparison, inspection, schedule
+
+            show: dict[str, Callable[[Any, str], None]] = {
+                "schedule": schedule.show_summary,
+                "inspection": inspection.show_flight,
+                "fuel_limit": inspection.show_fuel,
+                "monte_carlo": inspection.show_campaign,
+                "comparison": comparison.show_comparison,
+                "tradeoff": comparison.show_tradeoff,
+            }
+            show[folder.kind.name](folder.summary, str(folder.path))
+            if not self.figures:
+                echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         from ..model.version import version
@@ -186,45 +231,19 @@ def tested_packages() -> None:
         raise failed(str(error), 2) from None
 
 
-def drawing(figures: bool) -> Any:
-    """Return the function that draws figures, or None if none are wanted."""
-    if not figures:
-        return None
-    from ..report.figures import draw_run
-
-    return draw_run
-
-
 def echo(text: str, err: bool = False) -> None:
     """Print lines to standard output, or to standard error; no terminal obeys a name in them."""
     typer.echo(escape_controls(text), err=err)
 
 
-def print_json(data: object) -> None:
-    """Print a result as JSON."""
+def print_result(data: object, as_json: bool, show: Callable[[], None]) -> None:
+    """Print a result as JSON, or show it."""
     from ..runs.files.tables import json_text
 
-    sys.stdout.write(json_text(data))
-
-
-def finish(folder: RunFolder, figures: bool, as_json: bool, quiet: bool) -> None:
-    """Tell what a run folder holds: its summary as JSON or as text, and how to draw what was not drawn."""
     if as_json:
-        sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
-    elif not quiet:
-        from .show import comparison, inspection, schedule
-
-        show: dict[str, Callable[[Any, str], None]] = {
-            "schedule": schedule.show_summary,
-            "inspection": inspection.show_flight,
-            "fuel_limit": inspection.show_fuel,
-            "monte_carlo": inspection.show_campaign,
-            "comparison": comparison.show_comparison,
-            "tradeoff": comparison.show_tradeoff,
-        }
-        show[folder.kind.name](folder.summary, str(folder.path))
-        if not figures:
-            echo(f"To draw the figures: polaris plot {shlex.quote(str(folder.path))}")
+        sys.stdout.write(json_text(data))
+    else:
+        show()
 
 
 # -- how it ends ------------------------------------------------------------------------------------
@@ -265,23 +284,17 @@ def answering() -> Iterator[None]:
 @contextmanager
 def _warning() -> Iterator[None]:
     """Warnings of the planner's clock on standard error, each once, even if asked to be quiet."""
-    with warnings.catch_warnings():
-        told: list[str] = []
-        known = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if not issubclass(category, ClockWarning):
-                known(message, category, *where, **more)
-            elif str(message) not in told:
-                told.append(str(message))
-
-        warnings.simplefilter("always", ClockWarning)
-        warnings.showwarning = show
-        try:
+    caught: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ClockWarning)
             yield
-        finally:
-            for text in told:
+    finally:
+        for text, one in {str(one.message): one for one in caught}.items():
+            if issubclass(one.category, ClockWarning):
                 echo(f"warning: {text}", err=True)
+            else:
+                warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
 
 
 def _terminated(number: int, frame: Any) -> NoReturn:

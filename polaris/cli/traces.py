@@ -7,7 +7,7 @@ from typing import Any
 from typer import Argument, Option
 
 from ..model.errors import ScenarioError, quoted
-from .shell import Force, Json, Quiet, echo, print_json, verb
+from .shell import Force, Json, Quiet, echo, print_result, verb
 
 
 @dataclass
@@ -66,10 +66,7 @@ def evaluate_command(
         radius = options.agent_radius
         metrics = evaluate_trace(read, restamp=options.restamp, system=system, agent_radius=radius, **how)
         told, show = metrics.summary(), partial(show_metrics, metrics)
-    if options.as_json:
-        print_json(told)
-    elif not options.quiet:
-        show()
+    print_result(told, options.as_json, (lambda: None) if options.quiet else show)
 
 
 @verb("export")

@@ -13,10 +13,10 @@ from polaris.certificate.checker import verify
 from polaris.certificate.files.demands import CHECKED, NO_DEMAND, UNCHECKED, listed
 from polaris.certificate.files.scenario_keys import SCENARIO
 from polaris.certificate.files.structure import Kinds, Rows
-from polaris.cli.show.schedule import _goal
 from polaris.model.errors import ScenarioError
 from polaris.report import write_report
 from polaris.report.figures import draw_run
+from polaris.report.sentences import goal as _goal
 from polaris.runs.files.arrays import read_arrays, tube_arrays
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml

@@ -22,7 +22,7 @@ from polaris.planning.reference import Reference
 from polaris.report.figures import FIGURES, draw_figures, plot_reference, plot_schedule
 from polaris.report.figures.style import legend_above, new_figure, style
 from polaris.report.figures.timelines import limit_group
-from polaris.report.scene.geometry import faces, flat_outline, tube_support
+from polaris.report.scene.geometry import edges, flat_outline, tube_support
 from polaris.report.scene.items import MOST, closeups, outline_gap, under_mode
 from polaris.report.scene.palette import (
     GREEN,
@@ -107,7 +107,7 @@ def test_axes_have_units_and_obstacles_have_names(picture):
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("Position x (m)", "Position y (m)")
     texts = " ".join(text.get_text() for text in ax.texts)
     assert "pillar" in texts and "trolley, " in texts
-    upper, _, lower = drawn("distance", picture).axes
+    upper, *_, lower = drawn("distance", picture).axes
     assert upper.get_ylabel() == "Distance (m)" and lower.get_xlabel() == "Time (s)"
 
 
@@ -618,6 +618,6 @@ def test_a_path_is_drawn_under_the_mode_that_flew_it():
 
 def test_outline_and_faces_of_a_cube():
     corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T.astype(float)
-    assert sorted(map(len, faces(corners))) == [4] * 6
+    assert sorted(np.ptp(edges(corners), axis=1).sum(axis=1)) == [1] * 12
     assert len(flat_outline(np.vstack([corners[:, :2], [[0.5, 0.5]]]))) == 4
-    assert faces(corners[:, [0, 1, 1]]) == []
+    assert len(edges(corners[:, [0, 1, 1]])) == 0

@@ -7,9 +7,9 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from polaris.cli.show.schedule import _share
 from polaris.model.errors import PolarisError
 from polaris.planning.lp import GrowingLP
+from polaris.report.sentences import share as _share
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
 from polaris.synthesis.schedule.search import SwitchingRules

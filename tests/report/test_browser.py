@@ -333,6 +333,19 @@ def test_a_report_fits_a_phone_in_light_and_dark(browser, page, screen, scheme):
     assert_quiet(browser)
 
 
+TITLES = """const own = document.getElementById('timelines'), frame = own.getBoundingClientRect();
+return [...own.querySelectorAll('.annotation-text')].map((one) => (
+  [one.textContent, one.getBoundingClientRect().right - frame.right]));"""
+
+
+@pytest.mark.parametrize("width", [390, 1200])
+def test_titles_of_diagrams_are_not_cut(browser, page, screen, width):
+    screen(width, "light")
+    open_page(browser, page)
+    beyond = dict(browser.execute_script(TITLES))
+    assert any("Containment margin" in title for title in beyond) and max(beyond.values()) <= 1, beyond
+
+
 NAMES = """const scene = document.getElementById('scene'), frame = scene.getBoundingClientRect();
 return Object.fromEntries([...scene.querySelectorAll('.annotation-text-g')].map((one) => {
   const { left, top, right, bottom } = one.getBoundingClientRect();

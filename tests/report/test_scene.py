@@ -16,9 +16,9 @@ from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.scene import scene_data
-from polaris.report.html.timelines import proven_distance
 from polaris.report.scene.items import plane_gap
 from polaris.report.scene.scene import describe, shown_axes
+from polaris.report.scene.timelines import proven_distance
 from polaris.runs.picture import Picture, TubePicture
 from reach.sets.zonotope import Zonotope
 

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...model.errors import escape_controls
+from ...report.tables import Table as Cells
 
 RED = "bold red"
 
@@ -49,6 +50,17 @@ def table(*heads: str, words: int = 1, wrap: int = 99, rows: Iterable[tuple[str 
     for row in rows:
         shown.add_row(*row)
     return shown
+
+
+def show_cells(shown: Cells, width: int = 0) -> None:
+    """Print a table that pages show, too; its caption is the head of the first column if that has none."""
+    first, *heads = shown.heads
+    found = table(first or shown.caption, *heads)
+    for column, cell in zip(found.columns[1:], shown.rows[0][1:], strict=True):
+        column.justify = "left" if cell.words else "right"
+    for row in shown.rows:
+        found.add_row(*(alarming(cell.text, cell.bad) for cell in row))
+    show_table(found, width)
 
 
 def alarming(text: str, bad: bool) -> Text:

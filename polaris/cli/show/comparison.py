@@ -61,11 +61,10 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
 def _cell(key: str, told: Any) -> str:
     if not isinstance(told, dict):
         return "-" if told is None else _number(told)
-    if key in LEAST:
-        return "none" if told["worst"] is None else _number(told["worst"])
+    value = told["worst" if key in LEAST else "mean"]
     if key == "violations":
-        return str(told["mean"])
-    return "-" if told["mean"] is None else _number(told["mean"])
+        return str(value)
+    return ("none" if key in LEAST else "-") if value is None else _number(value)
 
 
 def _number(value: float) -> str:

@@ -3,26 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.text import Text
-
 from ...model.checks import counted
-from ...runs.inspections.inspection import MEANING
-from . import RED, alarming, say, show_claim, show_table, table
+from ...report.tables import constraints, studies
+from . import RED, say, show_cells, show_claim, show_table, table
 
 
 def show_flight(summary: Mapping[str, Any], folder: str) -> None:
     """Print the least value of every constraint, the answers of the filter, and what is claimed."""
     say(str(summary["title"]), "bold")
-    crew = counted(summary["deputies"], "deputy", "deputies")
-    found = table(f"{crew}, {summary['duration_s']:g} s", "least", "at", "deputies")
-    for row in summary["constraints"]:
-        found.add_row(
-            f"{row['constraint']:6} {MEANING[row['constraint']][0]}",
-            alarming(f"{row['least']:.4g} {row['unit']}", row["least"] < 0),
-            f"{row['time_s']:g} s",
-            ", ".join(map(str, row["deputies"])),
-        )
-    show_table(found)
+    say(f"{counted(summary['deputies'], 'deputy', 'deputies')}, {summary['duration_s']:g} s")
+    show_cells(constraints(summary), 96)
     safe, steps, seconds = summary["safe"], summary["steps"], summary["filter_seconds"]
     say("No constraint is violated." if safe else "CONSTRAINTS ARE VIOLATED.", "" if safe else RED)
     total = sum(steps.values())
@@ -72,17 +62,8 @@ def show_fuel(summary: Mapping[str, Any], folder: str) -> None:
 def show_campaign(summary: Mapping[str, Any], folder: str) -> None:
     """Print the success of every study and what its failures were."""
     say(str(summary["title"]), "bold")
-    kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
-    head = f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s"
-    found = table(head, "success", "at least, 95%", *kinds, wrap=0)
-    for study in summary["studies"]:
-        failures = [study["failures"].get(kind, 0) for kind in kinds]
-        found.add_row(
-            study["name"],
-            f"{study['success_share']:.2%}",
-            f"{study['success_share_lower_95']:.2%}",
-            *(Text(str(count), style="red" if count else "") for count in failures),
-        )
-    show_table(found, 60 + 8 * len(kinds))
+    shown = studies(summary)
+    say(shown.caption)
+    show_cells(shown, 20 + 16 * len(shown.heads))
     show_claim(summary["guarantee"])
     say(f"Run folder: {folder}")

@@ -3,123 +3,33 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
-from ...runs.files.tables import besides, pilots
-from ...synthesis.safety.recoverable import directed
-from . import RED, alarming, assume, say, show_table, table
-
-ROWS = (
-    ("least distance to an unsafe set", "min_distance_m", "{:.4g} m", "no unsafe set"),
-    ("least time to collision, straight on", "min_ttc_s", "{:.4g} s", "none"),
-    ("least time to collision, free drift", "min_ttc_free_drift_s", "{:.4g} s", "none"),
-    ("share of experimental control", "experimental_share", "{:.1%}", ""),
-    ("switches", "switches", "{:d}", ""),
-    ("velocity change, mean", "delta_v_m_s", "{:.4g} m/s", ""),
-    ("largest demand of thrust by S", "max_thrust_ratio_safety", "{:.1%}", "-"),
-    ("largest demand of thrust by U", "max_thrust_ratio_experimental", "{:.1%}", "-"),
-)
-"""Title, key, form, and what stands where there is no value."""
+from ...report.sentences import goal, reach, synthesis
+from ...report.tables import BRIEF, metrics
+from ...runs.files.tables import besides
+from . import RED, alarming, assume, say, show_cells, show_table, table
 
 
 def show_summary(summary: Mapping[str, Any], folder: str) -> None:
     """Print the metrics, the guarantee with its assumptions, and where the folder lies."""
     say(str(summary["title"]), "bold")
-    show_table(_metrics(summary))
-    synthesis, claim = summary["synthesis"], summary["guarantee"]
-    seconds, plan = dict(synthesis["seconds"]), synthesis["planner"]
-    total, _ = seconds.pop("total"), seconds.pop("plan_parts")
-    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items() if spent >= 0.005)
-    clearance = directed(plan["margin_m"], ".4g")
-    reached = f"{plan['delta_v_m_s']:.4g} m/s, clearance {clearance} m beyond the tube"
-    say(f"Plan: {_planned(plan)}, {reached}.")
-    start, limit = synthesis["start_margin"], synthesis["start_limit"]
-    if start is not None:
-        say(f"Start: {directed(start, '.1%')} of the room is left, least at {limit}.")
-    say(f"U flies {_share(synthesis)}.")
-    if "proven_share" in synthesis:
-        told = "proven for anything within the thrust limits instead of black boxes"
-        say(f"{synthesis['proven_share']:.1%} of the time is {told}.")
-        say(_worst(synthesis["worst_found"]))
-    say(f"Time: {total:.2f} s ({stages}).")
+    show_cells(metrics(summary, f"{counted(summary['polaris']['runs'], 'simulated run')} each", BRIEF))
+    claim = summary["guarantee"]
+    for head, sentence in synthesis(summary):
+        say(f"{head}: {sentence}.")
     proved = claim["kind"] != "none"
-    say(f"Guarantee: {_claim(claim)}", "bold" if claim["kind"] == "proved" else RED)
+    say(
+        f"Guarantee: {claim['kind']}, safe {reach(claim)} ({claim['reason']}), assuming that",
+        "bold" if claim["kind"] == "proved" else RED,
+    )
     assume(claim["assumptions"] if proved else ())
     if proved:
-        say(f"Goal: {_goal(claim['goal'])}")
+        say(f"Goal: {goal(claim['goal'])}")
     for head, sentence in besides(claim) if proved else ():
         say(f"{head}: {sentence}")
     say(f"Run folder: {folder}")
-
-
-def _share(synthesis: Mapping[str, Any]) -> str:
-    """Share of the time under U, and what is proven of any schedule."""
-    flies, most = f"{synthesis['experimental_share']:.1%} of the time", synthesis["share_at_most"]
-    return f"{flies}; no schedule can exceed {directed(most - 1e-12, '.1%', up=True)}" if most < 1 else flies
-
-
-def _planned(plan: Mapping[str, Any]) -> str:
-    """Describe the planner's outcome and its solver."""
-    gap = "" if plan["gap"] is None else f" with a gap of {plan['gap']:.2g}"
-    ended = {
-        "optimal": "optimal",
-        "in_view": "with U in view",
-        "effort_limit": f"stopped at the limit of its effort{gap}",
-        "time_limit": f"stopped by the clock{gap}",
-    }[plan["status"]]
-    return f"{ended} ({plan['solver_name']})"
-
-
-def _worst(found: Mapping[str, Any] | None) -> str:
-    """Describe the worst flights found with black boxes."""
-    if found is None:
-        return "Black boxes fly no step: nothing could be said of them with the probability asked for."
-    hit = "one enters an unsafe set" if found["violated"] else "none enters an unsafe set"
-    near = "" if found["least_m"] is None else f", least distance {found['least_m']:.4g} m"
-    leave = f"{found['leave_sets']:.1%} of flights at their worst leave the bands of black boxes"
-    told = f"Of {counted(found['runs'], 'flight')} searched for the worst {hit}{near}; {leave}."
-    why = " Asked again, or about few flights alone, they answer otherwise: a condition is not met."
-    return told + ("" if found["repeats"] else why)
-
-
-def _claim(claim: Mapping[str, Any]) -> str:
-    reach = {
-        "infinite": "for all time",
-        "one_period": f"until {claim['until_s'] or 0:.6g} s",
-        "none": "up to the end of the schedule only",
-    }[claim["horizon"]]
-    if "statement" in claim:
-        said = claim["statement"]
-        most = directed(said["probability"], ".2g", up=True)
-        reach += f" but for {most} of all flights, said with a confidence of {said['confidence']:g}"
-    return f"{claim['kind']}, safe {reach} ({claim['reason']}), assuming that"
-
-
-def _goal(claim: Mapping[str, Any]) -> str:
-    """Say whether the goal is reached, how nearly, what keeps flights there, and the cost."""
-    near, drift = directed(claim["distance_m"], ".4g", up=True), claim["drift_m_per_orbit"]
-    counts, off = claim["velocity_time_s"], f"within {near} m"
-    off += "" if counts is None else f" (velocities count as the length they make in {counts:.4g} s)"
-    alone = "" if drift is None else f": alone it drifts up to {directed(drift, '.3g', up=True)} m per orbit"
-    spent = f"Velocity change until then at most {directed(claim['delta_v_max_m_s'], '.4g', up=True)} m/s."
-    if claim["reached"] is True:
-        return f"reached at {claim['by_s']:.6g} s, {off}. To stay there S must fly on{alone}. {spent}"
-    missed = "not proven to be reached" if claim["reached"] == "not_proven" else "not reached"
-    return f"{missed}: {off} at best, {claim['tolerance_m']:.4g} m count as reached. {spent}"
-
-
-def _metrics(summary: Mapping[str, Any]) -> Table:
-    shown = pilots(summary)
-    runs = summary["polaris"]["runs"]
-    found = table(f"{counted(runs, 'simulated run')} each", *shown.values())
-    for title, key, form, absent in ROWS:
-        values = [summary[who][key] for who in shown]
-        found.add_row(title, *(absent if value is None else form.format(value) for value in values))
-    hits = [int(summary[who]["collided_runs"]) for who in shown]
-    found.add_row("runs that enter an unsafe set", *(alarming(str(count), count > 0) for count in hits))
-    return found
 
 
 COLUMNS: tuple[str, ...] = ("mode", "guarantee", "runs", "violations", "probability, 95 %", "least distance")

@@ -228,7 +228,7 @@ class Families(Table):
         if held is not None:
             push = self.stack(held) / q.mass
             rates = drift + np.concatenate([np.zeros_like(push), push], axis=-1)
-            return self.sampled.held(every, rates, q.mean_motion, np.sqrt(dot(push, push)))
+            return self.sampled.motion(every, rates, q.mean_motion, np.sqrt(dot(push, push)), known=True)
         thrust = np.full(every.shape[-2], self._largest)
         thrust[q.deputies :] *= 2
         return self.sampled.motion(every, drift, q.mean_motion, thrust)

@@ -62,30 +62,20 @@ class SampledData:
             raise ScenarioError("period", D, rule)
         return 1 / rest
 
-    def motion(self, z: Array, drift: Array, n: float, thrust: Array) -> "Motion":
+    def motion(self, z: Array, rates: Array, n: float, thrust: Array, known: bool = False) -> "Motion":
         """Bounds over the period, from states z (..., 6) at the sample, of deputies or relative ones.
 
-        `drift` (..., 6) are their natural rates, n the mean motion [rad/s], `thrust` (...) the largest
-        acceleration by thrust [m/s^2].
+        `rates` (..., 6) are natural ones, n the mean motion [rad/s], `thrust` (...) the largest acceleration
+        by thrust [m/s^2]. If thrust is `known`, that is its length, and `rates` have what it gives.
         """
         D, speed = self.period, length(z[..., 3:])
-        a = self._acceleration(length(drift[..., 3:]) + thrust, speed, n)
+        first = length(rates[..., 3:]) + (0.0 if known else thrust)
+        # a <= first + 3 n^2 (speed + a D) D + 2 n a D, solved for a: thrust does not change it meanwhile.
+        a = (first + 3 * n**2 * speed * D) * self.growth(n)
         fastest = speed + a * D
         # Thrust is within a box whose half-diagonal is `thrust`; the rest is natural motion.
-        along = a - (1 - 1 / np.sqrt(3)) * thrust
+        along = a if known else a - (1 - 1 / np.sqrt(3)) * thrust
         return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, np.asarray(thrust, dtype=float), along)
-
-    def held(self, z: Array, rates: Array, n: float, thrust: Array) -> "Motion":
-        """As `motion`, of known thrust: `rates` (..., 6) have what it gives, `thrust` (...) is its length."""
-        D, speed = self.period, length(z[..., 3:])
-        a = self._acceleration(length(rates[..., 3:]), speed, n)
-        fastest = speed + a * D
-        return Motion(D, fastest, a, 3 * n**2 * fastest + 2 * n * a, thrust, a)
-
-    def _acceleration(self, first: Array, speed: Array, n: float) -> Array:
-        """Largest acceleration of a period that begins with `first`, which thrust does not change."""
-        # a <= first + 3 n^2 (speed + a D) D + 2 n a D, solved for a.
-        return np.asarray((first + 3 * n**2 * speed * self.period) * self.growth(n))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from ..scene.items import alone, under_mode
 from ..scene.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from ..scene.scene import describe
 from .cuts import mark_cuts
-from .scene import draw_unsafe
-from .style import ABOVE, DASHES, DOTS, WIDTH, dot, new_figure, printing, shortened, text_width
-from .view import View
+from .labels import name
+from .scene import draw_unsafe, frame_axes
+from .style import DASHES, DOTS, WIDTH, dot, legend_above, new_figure, printing, shortened, text_width
 
 MODES = ((1, ORANGE, "U's input"), (-1, GREY, "filtered input"), (0, BLUE, "S"))
 TITLES = ((GREEN, "with a proof"), (RED, "without a proof"))
@@ -92,19 +92,19 @@ def _paths(found: ComparisonPicture) -> Any:
     if picture.system.d == 1:
         return None
     bare = replace(picture, tube=None, slices=None)
-    view = View(describe(bare), mute=True)
-    columns = 3 if view.aspect < 0.8 else 4
+    view = describe(bare)
+    aspect = float(np.divide(*(view.high - view.low)[::-1]))
+    columns = 3 if aspect < 0.8 else 4
     rows = -(-len(methods) // columns)
     width = 7.2
-    figure = new_figure(rows * (width / columns * view.aspect + 0.4) + 0.7, width)
+    figure = new_figure(rows * (width / columns * aspect + 0.4) + 0.7, width)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     flat, frame = picture.frame.flat, picture.frame
     for ax in grid.flat[len(methods) :]:
         ax.set_axis_off()
     cut: list[Any] = []
     for ax, method in zip(grid.flat, methods, strict=False):
-        ax.set_aspect("equal")
-        ax.set(xlim=view.span[0], ylim=view.span[1])
+        frame_axes(ax, view)
         one = shown.get(method["key"])
         # The distance tells whether a set is passed or entered, which a plane need not show.
         told = "not flown" if one is None else f"least distance {float(one.nearest[0].min()):.3g} m"
@@ -116,8 +116,8 @@ def _paths(found: ComparisonPicture) -> Any:
         ax.plot(*picture.path()[0][:, flat].T, **REFERENCE, zorder=2)
         for u in [] if one is None else alone(picture):  # beside every method
             ax.plot(*picture.positions(u.flights)[:, flat].T, color=u.colour, **ALONE, zorder=3)
-        own: Any = {} if one is None else {"polaris": one}
-        draw_unsafe(ax, describe(replace(bare, flights=own)), view)
+        shown_sets = describe(replace(bare, flights={} if one is None else {"polaris": one}))
+        draw_unsafe(ax, replace(shown_sets, low=view.low, high=view.high), named=False)
         if one is not None:
             flown = (one.states[0] @ picture.system.position.T)[:, flat]
             for mode, colour, _ in MODES:
@@ -136,28 +136,26 @@ def _paths(found: ComparisonPicture) -> Any:
     return figure
 
 
-GAP = 0.14  # height of a label [in]
 SPREAD = 4.0  # ratio of the largest velocity change to the least from which on the axis is logarithmic
 
 Places = dict[tuple[float, float, int], list[Mapping[str, Any]]]
 """Points by velocity change [m/s], share [%] and switches."""
 
 
-def _in_lines(name: str, width: float) -> str:
+def _in_lines(text: str, width: float) -> str:
     """Return a name in one line, or in two if it is wider than this [in]."""
-    words = name.split()
+    words = text.split()
     fit = max([k for k in range(1, len(words) + 1) if text_width(" ".join(words[:k])) <= width], default=1)
     return "\n".join(shortened(" ".join(part), width) for part in (words[:fit], words[fit:]) if part)
 
 
 def _front(points: Sequence[Mapping[str, Any]]) -> Any:
-    """Points by velocity change and share, those that no other outdoes joined; prices and switches beside."""
+    """Points by velocity change and share, those that no other outdoes joined; with prices and switches."""
     places: Places = {}
     for point in points:
         place = (point["delta_v_m_s"], 100 * point["weighted_share"], point["switches"])
         places.setdefault(place, []).append(point)
-    height = max(2.0, GAP * (len(places) + 1))
-    figure = new_figure(height + 0.7, 1.4 * WIDTH)
+    figure = new_figure(2.7 + 0.07 * len(places), 1.4 * WIDTH)
     ax = figure.add_subplot()
     ax.margins(0.1)
     spent = [place[0] for place in places]
@@ -172,34 +170,17 @@ def _front(points: Sequence[Mapping[str, Any]]) -> Any:
         ax.plot(x, y, "o", color=BLACK if (x, y, _) in front else GREY, ms=4, zorder=3)
         if any(one["value"] is None for one in here):
             ax.plot(x, y, "D", color=PURPLE, ms=8, mfc="none", mew=1.0, zorder=4)
-    _label(ax, places, GAP / height)
+    known = sorted(point["value"] for point in points if point["value"] is not None)
+    for (x, y, switches), here in places.items():
+        name(ax, f"{_prices(here, known)}, {counted(switches, 'switch', 'switches')}", [[x, y]], BLACK)
     weighted = any(point["share"] != point["weighted_share"] for point in points)
     ax.set_ylabel(f"{'Weighted share' if weighted else 'Share'} of time under U (%)")
     ax.set_xlabel("Velocity change, mean over runs (m/s)")
     ax.grid(True)
     handles = [dot("o", BLACK, 4, "no other outdoes it"), dot("o", GREY, 4, "outdone")]
     handles.append(dot("D", PURPLE, 4, "printed algorithms", mfc="none"))
-    ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
+    legend_above(ax, handles, 3)
     return figure
-
-
-def _label(ax: Any, places: Places, gap: float) -> None:
-    """Prices and switches in a column beside the axes, in order of the share, led to their points."""
-    low, high = ax.get_ylim()
-    order = sorted(places, key=lambda place: (place[1], -place[0]))
-    heights = [(place[1] - low) / (high - low) for place in order]
-    for i in range(1, len(order)):
-        heights[i] = max(heights[i], heights[i - 1] + gap)
-    heights[-1] = min(heights[-1], 1.0)
-    for i in reversed(range(len(order) - 1)):
-        heights[i] = min(heights[i], heights[i + 1] - gap)
-    every = [one["value"] for here in places.values() for one in here]
-    known = sorted(price for price in every if price is not None)
-    for place, height in zip(order, heights, strict=True):
-        text = f"{shortened(_prices(places[place], known), 1.4)}, {counted(place[2], 'switch', 'switches')}"
-        look = {"arrowstyle": "-", "lw": 0.4, "color": GREY, "shrinkA": 1, "shrinkB": 3}
-        where: Any = {"xytext": (1.04, height), "textcoords": "axes fraction", "va": "center", "fontsize": 7}
-        ax.annotate(text, place[:2], arrowprops=look, annotation_clip=False, **where)
 
 
 def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection, PathCollection
-from matplotlib.colors import to_hex, to_rgba, to_rgba_array
+from matplotlib.colors import to_hex, to_rgba_array
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -18,6 +18,7 @@ MARKERS = {(0, 0): "<", (0, 1): ">", (1, 0): "v", (1, 1): "^"}
 """Markers of a cut by axis and side."""
 ROUNDING = 1e-6
 APART = 0.03  # least distance of marks of one colour, in shares of the frame
+LINES = (Line2D, LineCollection)
 PALE = 0.75  # a colour lighter than this is not seen as a mark
 
 
@@ -35,36 +36,19 @@ def mark_cuts(ax: Any) -> list[Any]:
     drawn = [one for one in (*ax.lines, *ax.collections, *ax.patches) if not isinstance(one, PathCollection)]
     drawn = [one for one in drawn if all(one.get_transform().contains_branch_seperately(ax.transData))]
     for artist in sorted(drawn, key=_is_face):  # a face has the mark of its edge
-        closed, colour, face = (
-            not isinstance(artist, (Line2D, LineCollection)),
-            _colour(artist),
-            _is_face(artist),
-        )
+        closed, colour, face = not isinstance(artist, LINES), _colour(artist), _is_face(artist)
         parts = [to_data.transform(part) for part in polylines(artist)]
         for (axis, side), known in places.items():
-            cut = [
-                _crossings(part, axis, side, limits[axis, side], limits[1 - axis], closed) for part in parts
-            ]
-            for at in sorted(one for part in cut for one in part):
-                near = (
-                    other
-                    for other, mark in known
-                    if abs(at - other) <= apart[1 - axis] and (face or mark == colour)
-                )
-                if not any(True for _ in near):
+            ends = limits[axis, side], limits[1 - axis]
+            for at in sorted(at for part in parts for at in _crossings(part, axis, side, *ends, closed)):
+                near = [mark for other, mark in known if abs(at - other) <= apart[1 - axis]]
+                if not (near if face else colour in near):
                     known.append((at, colour))
-    look: dict[str, Any] = {
-        "ms": 3.5,
-        "mec": "white",
-        "mew": 0.3,
-        "clip_on": False,
-        "zorder": 6.5,
-        "gid": "cut",
-    }
+    look: dict[str, Any] = {"ms": 3.5, "mec": "white", "mew": 0.3, "clip_on": False, "zorder": 6.5}
     for (axis, side), known in places.items():
         for at, colour in known:
             point = (at, limits[axis, side]) if axis else (limits[axis, side], at)
-            ax.plot(*point, MARKERS[axis, side], color=colour, **look)
+            ax.plot(*point, MARKERS[axis, side], color=colour, gid="cut", **look)
     return [dot(">", GREY, 3.5, OUT_OF_FRAME)] if any(places.values()) else []
 
 
@@ -92,14 +76,9 @@ def _crossings(part: Array, axis: int, upper: int, side: float, along: Array, cl
 def _colour(artist: Any) -> str:
     """Colour of the line or edge of an artist, or of its face if it has none; grey if it is too light."""
     if isinstance(artist, Line2D):
-        found = [to_rgba(artist.get_color())]
+        found = to_rgba_array(artist.get_color())
     else:
-        found = [
-            one
-            for one in np.vstack(
-                [to_rgba_array(artist.get_edgecolor()), to_rgba_array(artist.get_facecolor())]
-            )
-            if one[3]
-        ]
-    dark = [to_hex(one) for one in found if np.mean(one[:3]) < PALE]
-    return dark[0] if dark else GREY
+        both = artist.get_edgecolor(), artist.get_facecolor()
+        found = np.vstack([to_rgba_array(one) for one in both])
+    dark = found[(found[:, 3] > 0) & (found[:, :3].mean(axis=1) < PALE)]
+    return to_hex(dark[0]) if len(dark) else GREY

@@ -1,75 +1,21 @@
-"""Figures of a campaign (figure 8) and of the fuel limit (figure 9), and parts of those of flights."""
+"""Figures of a campaign (figure 8) and of the fuel limit (figure 9)."""
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
 
 from ...inspection.flights.fuel_run import FuelRun
-from ...inspection.inspection import Inspection
 from ...runs.inspections.monte_carlo import CampaignPicture
-from ..scene.palette import BLACK, BLUE, GREEN, GREY, LOOKS, ORANGE, PURPLE, RED, SKY, VERMILION, tint
-from ..scene.unsafe import AXES, ORDER
-from .style import ABOVE, WIDTH, dot, new_figure, step_edges
+from ..scene.inspections import fuel_timeline, predicted_fuel
+from ..scene.palette import BLACK, BLUE, GREY, ORANGE, PURPLE, RED, SKY, VERMILION, tint
+from ..scene.unsafe import ORDER
+from .flight import draw_chief
+from .style import WIDTH, dot, legend_above, new_figure
+from .timelines import timeline_figure
 
 BAR_COLOURS = (RED, ORANGE, PURPLE, SKY, BLACK, BLUE, VERMILION, GREY)
-
-SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
-
-Panel = Callable[[Any, Any], None]
-
-
-def stack(height: float, *panels: Panel) -> Callable[[Any], Any]:
-    """A figure of some height [in] of panels over each other, named and labelled once."""
-
-    def drawn(run: Any) -> Any:
-        figure = new_figure(height)
-        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
-        for ax, draw in zip(axes, panels, strict=True):
-            draw(ax, run)
-            if ax is not axes[0]:
-                without_legend(ax)
-            if ax is not axes[-1]:
-                ax.set_xlabel("")
-        return figure
-
-    return drawn
-
-
-def draw_chief(ax: Any, q: Inspection) -> Any:
-    """Draw the sphere round the chief as a circle; a handle for legends."""
-    ax.add_patch(Circle((0, 0), q.separation, fc=tint(RED, 0.45), ec=RED, zorder=2.5))
-    look: dict[str, Any] = {"marker": "o", "mfc": tint(RED, 0.45), "ls": "none", "ms": 5}
-    return Line2D([], [], color=RED, label=LOOKS["chief"].legend, **look)
-
-
-def shade(ax: Any, low: float, high: float, limits: Any) -> None:
-    """Shade an axis of values: safe, and unsafe beyond each limit (value, whether above it is unsafe)."""
-    ax.axhspan(low, high, color=SAFE, lw=0, zorder=0)
-    for value, above in limits:
-        ax.axhspan(value, high if above else low, color=UNSAFE, lw=0, zorder=0.1)
-        ax.axhline(value, color=RED, lw=0.7, zorder=0.2)
-    ax.set_ylim(low, high)
-
-
-def shade_thrust(ax: Any, q: Inspection) -> None:
-    """Shade the thrust that is within its limits, and that beyond."""
-    most = q.thrust_max
-    shade(ax, -1.25 * most, 1.25 * most, ((most, True), (-most, False)))
-
-
-def tell(ax: Any, text: str, x: float, y: float, **options: Any) -> None:
-    """Write the name of a limit in its colour."""
-    ax.text(x, y, text, color=RED, fontsize=6.5, zorder=6, **options)
-
-
-def without_legend(ax: Any) -> None:
-    """Take the legend away, if there is one."""
-    if ax.get_legend() is not None:
-        ax.get_legend().remove()
 
 
 def initial_conditions(picture: CampaignPicture) -> Any:
@@ -127,11 +73,12 @@ def failures(picture: CampaignPicture) -> Any:
 
 FIGURES = {"initial_conditions": initial_conditions, "failures": failures}  # figures of a campaign
 PIECES = 400  # pieces in which a path changes its colour
-AFTER = 500.0  # time [s] for which a predicted flight is shown after its last thrust: nothing more is spent
 
 
-def _path(ax: Any, run: FuelRun) -> None:
-    """The path in the plane of the orbit, cyan at the start and magenta at the end."""
+def _path(run: FuelRun) -> Any:
+    """Draw the path in the plane of the orbit, cyan at the start and magenta at the end."""
+    figure = new_figure(2.0)
+    ax = figure.add_subplot()
     near = 1.5 * run.inspection.separation
     chosen = np.unique(np.linspace(0, len(run.t) - 1, PIECES + 1).astype(int))
     points = run.x[chosen][:, ORDER[:2]]
@@ -153,37 +100,24 @@ def _path(ax: Any, run: FuelRun) -> None:
     ax.set_ylim(y0, y1, auto=True)
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True)
-    ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
-    ax.figure.colorbar(lines, ax=ax, label="Time (s)", aspect=20, pad=0.03)
+    legend_above(ax, handles, 3)
+    figure.colorbar(lines, ax=ax, label="Time (s)", aspect=20, pad=0.03)
+    return figure
 
 
-def _fuel(ax: Any, run: FuelRun) -> None:
+def _fuel(run: FuelRun) -> Any:
     """Draw the velocity change spent, its limit, and that of the predicted backup flights."""
-    most = run.inspection.delta_v_max
-    shade(ax, 0, 1.1 * max(most, float(run.delta_v.max())), [(most, True)])
-    for one in run.predictions:
-        ax.plot([*one.t, one.t[-1] + AFTER], [*one.delta_v, one.delta_v[-1]], color=SKY, lw=0.9, zorder=2)
-    switch = len(run.t) - 1 if run.latched_at is None else int(np.searchsorted(run.t, run.latched_at))
-    ax.plot(run.t[: switch + 1], run.delta_v[: switch + 1], color=BLUE, lw=1.6, zorder=3)
-    ax.plot(run.t[switch:], run.delta_v[switch:], color=VERMILION, lw=1.6, zorder=3)
-    tell(ax, "fuel limit", 0.99 * run.t[-1], most * 1.005, ha="right", va="bottom")
-    ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel="Velocity change (m/s)")
-    told = ((BLUE, 1.6, "primary"), (VERMILION, 1.6, "backup"), (SKY, 0.9, LOOKS["predicted"].legend))
-    handles = [Line2D([], [], color=colour, lw=width, label=name) for colour, width, name in told]
-    ax.legend(handles=handles, columnspacing=0.9, **ABOVE)
+    timeline = fuel_timeline(run)
+    spent = timeline.panels[0]
+    panel = replace(spent, series=[*spent.series, *predicted_fuel(run)])
+    return timeline_figure([panel], timeline.pilots, timeline.marks, 2.0)
 
 
-def _thrust(ax: Any, run: FuelRun) -> None:
-    """The thrust along each axis between its limits, and when the backup took over."""
-    for name, values, shown in zip(AXES, step_edges(run.u).T, (BLUE, ORANGE, PURPLE), strict=True):
-        ax.plot(run.t, values, drawstyle="steps-post", color=shown, lw=0.8, zorder=3, label=name)
-    shade_thrust(ax, run.inspection)
-    if run.latched_at is not None:
-        ax.axvline(run.latched_at, color=BLACK, lw=0.7, ls=(0, (3, 2)), zorder=2)
-        ax.text(run.latched_at, 1.13 * run.inspection.thrust_max, " backup", fontsize=6.5, va="center")
-    ax.set(xlim=(0, run.t[-1]), xlabel="Time (s)", ylabel="Thrust (N)")
-    ax.legend(columnspacing=0.9, **ABOVE)
+def _thrust(run: FuelRun) -> Any:
+    """Draw the thrust along each axis between its limits, and when the backup took over."""
+    timeline = fuel_timeline(run)
+    return timeline_figure(timeline.panels[1:], timeline.pilots, timeline.marks)
 
 
-FUEL_FIGURES = {"path": stack(2.0, _path), "fuel": stack(2.6, _fuel), "thrust": stack(2.4, _thrust)}
+FUEL_FIGURES = {"path": _path, "fuel": _fuel, "thrust": _thrust}
 """Figures of a flight into the fuel limit."""

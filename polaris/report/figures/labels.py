@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
+from scipy.spatial import cKDTree
 
 from ...model.system import Array
 
@@ -24,6 +25,7 @@ ANCHORS = 24  # points along an outline beside which its name may stand
 RINGS = (0.0, 0.7, 1.6, 3.0, 5.0, 8.0)  # further distances to the anchor, in heights of the text
 SIDES = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))  # above first, then right
 WITHIN = [(x, y) for x in (0, 0.25, -0.25, 0.4, -0.4) for y in (0, 0.25, -0.25)]  # places in a large set
+MOST_POINTS = 50_000  # along one line; what goes far beyond the frame has them farther apart
 TRIED = 300  # cheapest places of which the first with a free leader is taken
 LEADER = 7.0  # a name further than this from its anchor is led to it by a line [pt]
 CROSSING, FAR = 4.0, 1 / 40  # what a place costs: all of it crossed by lines; each point of distance
@@ -53,33 +55,19 @@ class _Label:
 
 @dataclass(eq=False)
 class _Map:
-    """Occupied area of a frame: counts of drawn cells, and the boxes (M, 4) that are taken [px]."""
+    """Occupied area of a frame [px]: cells (N, 2) with something drawn, and boxes (M, 4) that are taken."""
 
     low: Array
     high: Array
     cell: float
-    sums: Array
+    drawn: Array
     taken: list[Array] = field(default_factory=list)
 
-    @classmethod
-    def of(cls, low: Array, high: Array, cell: float, drawn: Array) -> "_Map":
-        shape = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
-        inside = np.all((drawn >= low) & (drawn < high), axis=1)
-        x, y = np.minimum(((drawn[inside] - low) / cell).astype(int), shape - 1).T
-        seen = np.zeros(shape)
-        seen[x, y] = 1.0
-        return cls(low, high, cell, np.pad(seen.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))))
-
-    def crossed(self, low: Array, high: Array) -> Array:
-        """Share of the cells of boxes (M, 2) in which something is drawn."""
-        most = np.array(self.sums.shape) - 1
-        a = np.clip(np.floor((low - self.low) / self.cell).astype(int), 0, most)
-        b = np.clip(np.ceil((high - self.low) / self.cell).astype(int), 0, most)
-        sums = self.sums
-        count = (
-            sums[b[:, 0], b[:, 1]] - sums[a[:, 0], b[:, 1]] - sums[b[:, 0], a[:, 1]] + sums[a[:, 0], a[:, 1]]
-        )
-        return np.asarray(count / np.maximum(np.prod(b - a, axis=1), 1))
+    def crossed(self, at: Array, size: Array) -> Array:
+        """Share of the cells of boxes of one size, about places (M, 2), in which something is drawn."""
+        tree = cKDTree(self.drawn / (size / 2))
+        count = tree.query_ball_point(at / (size / 2), 1.0, p=np.inf, return_length=True)
+        return np.asarray(count * self.cell**2 / np.prod(size))
 
     def clashes(self, low: Array, high: Array, gap: float) -> Array:
         """Return the overlap [px] of boxes (M, 2) with those that are taken; 0 for free ones."""
@@ -126,7 +114,10 @@ class Labels(Artist):
         ax: Any = self.axes
         point = renderer.points_to_pixels(1.0)
         low, high = ax.bbox.min + point, ax.bbox.max - point
-        room = _Map.of(low, high, CELL * point, _drawn(ax, CELL * point, point))
+        cell = CELL * point
+        drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
+        inside = np.all((drawn >= low) & (drawn < high), axis=1)
+        room = _Map(low, high, cell, drawn[inside])
         room.taken += [
             np.array(one.extents) for one in _texts(ax, renderer, {label.text for label in self.known})
         ]
@@ -175,7 +166,7 @@ def _best(room: _Map, anchors: Array, outline: Array, size: Array, point: float)
     inside = (rows < len(within)) & (some is not anywhere)
     led = ~inside & (gap > LEADER * point)
     leaders[~led] = np.nan
-    crossed = room.crossed(low - point, high + point)
+    crossed = room.crossed(at, size + 2 * point)
     cost = 1e6 * clash + CROSSING * (crossed + 0.08 * (crossed > 0))
     cost += np.where(inside, -0.3, FAR * gap / point) + 0.01 * rows / len(rows)
     best = np.argsort(np.round(cost, 6), kind="stable")[:TRIED]
@@ -193,26 +184,20 @@ def _display(ax: Any, points: Array) -> Array:
 
 def _drawn(ax: Any, step: float, point: float) -> Array:
     """Points (N, 2) [px] along all lines and outlines in axes, and round their markers."""
-    parts = []
+    parts, cross = [np.zeros((0, 2))], np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     for artist in (*ax.lines, *ax.patches, *ax.collections):
         if isinstance(artist, PathCollection):
             continue
-        for vertices in polylines(artist):
+        for vertices in filter(len, polylines(artist)):
             if isinstance(artist, Line2D) and artist.get_marker() not in ("None", None, "", " "):
-                turn = (
-                    np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * artist.get_markersize() / 2 * point
-                )
-                parts.append((vertices[:, None] + turn).reshape(-1, 2))
+                parts += [vertices + turn for turn in cross * artist.get_markersize() / 2 * point]
             if isinstance(artist, Line2D) and artist.get_linestyle() == "None":
                 continue
-            length = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
-            count = np.minimum(np.ceil(np.nan_to_num(length) / step).astype(int) + 1, 2000)
-            start = np.repeat(np.arange(len(length)), count)
-            share = (np.arange(len(start)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(
-                count, count
-            )
-            parts.append(vertices[start] + share[:, None] * np.diff(vertices, axis=0)[start])
-    drawn = np.vstack([np.zeros((0, 2)), *parts])
+            length = np.nan_to_num(np.linalg.norm(np.diff(vertices, axis=0), axis=1))
+            along = np.append(0.0, np.cumsum(length))
+            s = np.linspace(0, along[-1], min(int(along[-1] / step) + 2, MOST_POINTS))
+            parts.append(np.column_stack([np.interp(s, along, axis) for axis in vertices.T]))
+    drawn = np.vstack(parts)
     return np.asarray(drawn[np.isfinite(drawn).all(axis=1)])
 
 

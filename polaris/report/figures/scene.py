@@ -16,13 +16,17 @@ from matplotlib.path import Path
 
 from ...model.system import Array
 from ...runs.picture import Picture, taking_over
+from ..scene.geometry import closed
 from ..scene.items import Item, Scene, alone
 from ..scene.palette import BLACK, DARK_OLIVE, DULL_RED, GREEN, GREY, LOOKS, OLIVE, RED, mode_colour, tint
 from ..scene.scene import describe
 from . import style
+from .closeups import LETTERS, draw_closeup
 from .cuts import mark_cuts
+from .labels import name
 from .style import DASHES, DOTS, GOAL_DASHES, LONG, WIDTH, draw_safe_path, new_figure, shortened
-from .view import LETTERS, View, draw_closeup
+
+AXES_WIDTH = 2.8  # of the axes [in]
 
 
 def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> Any:
@@ -43,8 +47,7 @@ def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> 
         own = figure.add_subplot(place)
         handles += draw_closeup(own, picture, one, LETTERS[i], panel / across, across)
     top = draw_scene(ax, scene, handles, lettered=True)
-    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
-    main = 2.9 / 3.5 * WIDTH * ((y1 - y0) / (x1 - x0) if ax.get_aspect() == 1.0 else 0.6)
+    main = 2.9 / 3.5 * WIDTH * _aspect(scene)
     grid.set_height_ratios([main + 0.45 + top, *[panel + 0.75] * rows])
     figure.set_figheight(main + 0.58 + top + rows * (panel + 0.75))
     style.keep_ticks(figure.axes)
@@ -56,51 +59,61 @@ def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: boo
 
     The legend also has the handles of others, each name once.
     """
-    view = View(scene)
-    if not scene.over_time:
-        ax.set_aspect("equal")
-    ax.set(xlim=view.span[0], ylim=view.span[1], xlabel=scene.labels[0], ylabel=scene.labels[1])
+    frame_axes(ax, scene)
+    ax.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)
     drawers: tuple[Callable[..., list[Any]], ...] = (_slices, _tube, _goal, _paths)
-    found = [handle for draw in drawers for handle in draw(ax, scene, view)]
+    found = [handle for draw in drawers for handle in draw(ax, scene)]
     for item in scene.of("initial"):
         if not scene.over_time:
             _outline(ax, item.points, 0.6, "-", BLACK, 5)
         else:
             ax.plot(*item.points.T, color=BLACK, lw=3, clip_on=False, zorder=6)
-    found += draw_unsafe(ax, scene, view, lettered)
+    found += draw_unsafe(ax, scene, lettered)
     slices = scene.picture.printed_slices() if not scene.over_time else ()
-    for one in sorted(
-        slices, key=lambda one: float(np.prod(np.ptp(one.outline, axis=0)))
-    ):  # least room first
+    for one in sorted(slices, key=lambda one: np.prod(np.ptp(one.outline, axis=0))):  # least room first
         colour = DARK_OLIVE if one.mode is None else mode_colour(one.mode)
-        if len(view.seen(one.outline)):
-            view.label(ax, taking_over(one.time, one.mode), one.outline, colour)
-    if scene.picture.system.mean_motion is not None:
+        if len(scene.seen(one.outline)):
+            label(ax, scene, taking_over(one.time, one.mode), one.outline, colour)
+    system = scene.picture.system
+    if system.mean_motion is not None:
         ax.plot(0, 0, marker="+", color=BLACK, ms=5, mew=0.8, zorder=6)
-        system, origin = scene.picture.system, np.zeros(scene.picture.system.d)
+        origin = np.zeros(system.d)
         near = [obstacle.signed_distance(0.0, origin, system) for obstacle in scene.picture.obstacles]
         # Else an unsafe set round the target has its own name there.
-        if np.all(np.array(near) > 0) and view.contains(np.zeros(2)):
-            view.label(ax, "target", np.zeros((1, 2)), BLACK)
+        if np.all(np.array(near) > 0) and scene.contains(np.zeros(2)):
+            label(ax, scene, "target", np.zeros((1, 2)), BLACK)
     found += mark_cuts(ax)
     return style.legend_above(ax, list({one.get_label(): one for one in (*found, *handles)}.values()), 3)
 
 
-def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
+def frame_axes(ax: Any, scene: Scene) -> None:
+    """Give axes the limits of a scene; one scale serves both, unless one of them is time."""
+    if not scene.over_time:
+        ax.set_aspect("equal")
+    (x0, y0), (x1, y1) = scene.low, scene.high
+    ax.set(xlim=(x0, x1), ylim=(y0, y1))
+
+
+def label(ax: Any, scene: Scene, text: str, points: Array, colour: str) -> None:
+    """Write a name at the part of an outline (or a point) that is in view."""
+    name(ax, text, np.clip(points, scene.low, scene.high), colour)
+
+
+def _slices(ax: Any, scene: Scene) -> list[Any]:
     """Recoverable sets at the hand-overs, with the chaser in them, rimmed in the colour of who takes over."""
     look, slices, printed = LOOKS["slice"], scene.picture.slices, list(scene.picture.printed_slices())
+    colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
     if slices is not None and scene.over_time:
         ends = slices.outlines[:, 0, :, 0]
         low, high = ends.min(axis=1), ends.max(axis=1)
-        colour, edge = tint(look.colour, 0.6), tint(look.colour, 0.6)
+        colour = edge = tint(look.colour, 0.6)
         ax.vlines(slices.times, low, high, color=colour, lw=1.0, zorder=1)
-        seen = bool(np.any((high > view.low[1]) & (low < view.high[1])))
+        seen = bool(np.any((high > scene.low[1]) & (low < scene.high[1])))
     else:
-        colour, edge = tint(look.colour, 0.28), tint(OLIVE, 0.5)
         outlines = [one.outline for one in printed]
         ax.add_collection(PolyCollection(outlines, facecolor=colour, edgecolor="none", zorder=1))
-        seen = any(len(view.seen(outline)) for outline in outlines)
+        seen = any(len(scene.seen(outline)) for outline in outlines)
     for one in printed:
         rim, when = edge if one.mode is None else mode_colour(one.mode), np.array([one.time])
         outline = one.outline
@@ -112,15 +125,13 @@ def _slices(ax: Any, scene: Scene, view: View) -> list[Any]:
     if not seen:
         return []
     chaser = style.dot("o", look.colour, 2.6, "chaser then", mec=DARK_OLIVE, mew=0.6)
-    return [
-        Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend),
-        *([chaser] if printed else []),
-    ]
+    return [Patch(facecolor=colour, edgecolor=edge, lw=0.35, label=look.legend), *[chaser] * bool(printed)]
 
 
-def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
+def _tube(ax: Any, scene: Scene) -> list[Any]:
     """The tube by mode; the handle is of the mode that can be seen best beside the path."""
     seen: dict[int, Any] = {}
+    inch = (scene.high - scene.low) / AXES_WIDTH / (1, _aspect(scene))
     for item in scene.of("tube"):
         outlines = np.stack([shape.points for shape in item.shapes if shape])
         for mode in np.unique(scene.picture.modes):
@@ -129,34 +140,39 @@ def _tube(ax: Any, scene: Scene, view: View) -> list[Any]:
             together = Path.make_compound_path_from_polys(chosen)
             patch = PathPatch(together, facecolor=colour, edgecolor=colour, lw=0.2, zorder=2)
             ax.add_artist(patch)  # not add_patch, which would go through every corner for its limits
-            size = np.ptp(chosen, axis=1) / view.inch(ax)
+            size = np.ptp(chosen, axis=1) / inch
             wide = int(np.sum((size[:, 1] if scene.over_time else size.min(axis=1)) > 4 / 72))
             if wide:  # else hidden under the path
                 seen[wide] = Patch(facecolor=colour, label=LOOKS["tube"].legend)
     return [seen[max(seen)]] if seen else []
 
 
-def _goal(ax: Any, scene: Scene, view: View) -> list[Any]:
+def _aspect(scene: Scene) -> float:
+    """Height over width of axes on paper: one scale serves both, or they have a shape of their own."""
+    x, y = scene.high - scene.low
+    return 0.6 if scene.over_time else float(y / x)
+
+
+def _goal(ax: Any, scene: Scene) -> list[Any]:
     """The goal as far as it is in view, on the line if it all is; a handle if it is."""
-    over = scene.over_time
-    handles: list[Any] = []
+    over, handles, shapes = scene.over_time, list[Any](), [item.shape for item in scene.of("goal")]
     line: dict[str, Any] = {"color": GREEN, "lw": 3 if over else 0.7, "ls": "-" if over else GOAL_DASHES}
     star: dict[str, Any] = {"marker": "*", "color": GREEN, "ls": "none"}
-    shapes = [item.shape for item in scene.of("goal") if item.shape]
-    for shape in shapes:
-        points, look = shape.points, star | {"ms": 6} if shape.kind == "points" else line
+    order: dict[str, Any] = {"zorder": 6 if over else 2.5, "clip_on": not over}
+    for shape in filter(None, shapes):
+        points = closed(shape.points) if shape.kind == "area" else shape.points
         inside = np.all((points >= scene.low) & (points <= scene.high))
         if over and not inside:
             continue
         if shape.kind == "points":
-            ax.plot(*points[0], **star, ms=12, mec="white", mew=0.4, zorder=5.5, clip_on=not over)
-        elif shape.kind == "area":
-            _outline(ax, points, 0.7, GOAL_DASHES, GREEN, 2.5)
+            ax.plot(*points[0], **star, **order | {"zorder": 5.5}, ms=12, mec="white", mew=0.4)
         else:
-            ax.plot(*points.T, **line, zorder=6 if over else 2.5, clip_on=not over)
-        if not handles and (inside or len(view.seen(points))):
-            label = "goal ring" if len(shapes) == 2 else LOOKS["goal"].legend
-            handles.append(Line2D([], [], label=label, **look))
+            ax.plot(*points.T, **line, **order)
+        if not handles and (inside or len(scene.seen(points))):
+            look = star | {"ms": 6} if shape.kind == "points" else line
+            handles.append(
+                Line2D([], [], label="goal ring" if len(shapes) == 2 else LOOKS["goal"].legend, **look)
+            )
     return handles
 
 
@@ -166,7 +182,7 @@ def _outline(
     ax.add_patch(Polygon(outline, facecolor=face, edgecolor=edge, lw=width, ls=dashes, zorder=order))
 
 
-def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
+def _paths(ax: Any, scene: Scene) -> list[Any]:
     """Reference, U alone, and the trajectory under Polaris coloured by mode."""
     handles = []
     looks: dict[str, dict[str, Any]] = {
@@ -175,41 +191,41 @@ def _paths(ax: Any, scene: Scene, view: View) -> list[Any]:
     }
     for item in scene.of(*looks):
         ax.plot(*item.points.T, zorder=4.5 if item.role == "reference" else 2.6, **looks[item.role])
-        if view.contains(item.points).sum() > 1:
+        if scene.contains(item.points).sum() > 1:
             handles.append(Line2D([], [], label=LOOKS[item.role].legend, **looks[item.role]))
     for one in alone(scene.picture):
         look: dict[str, Any] = {"color": one.colour, "lw": 0.9, "ls": DASHES}
         path = scene.placed(scene.picture.positions(one.flights), one.flights.times)
         ax.plot(*path.T, zorder=3.5, **look)
-        if view.contains(path).sum() > 1:
+        if scene.contains(path).sum() > 1:
             handles.append(Line2D([], [], label=one.short, **look))
     picture, flown = scene.picture, scene.safe_path()
     for mode in draw_safe_path(ax, picture, flown):
-        name = f"under {picture.mode_name(mode)}"
-        handles.append(Line2D([], [], color=mode_colour(mode), lw=1.5, label=name))
+        look = {"color": mode_colour(mode), "lw": 1.5}
+        handles.append(Line2D([], [], label=f"under {picture.mode_name(mode)}", **look))
     if not scene.over_time:
         for text, marker, place in (("start", "o", flown[0]), ("end", "s", flown[-1])):
             ax.plot(*place, marker=marker, color=BLACK, ms=2.6, zorder=6)
-            view.label(ax, text, place[None], BLACK)
+            label(ax, scene, text, place[None], BLACK)
     return handles
 
 
-def draw_unsafe(ax: Any, scene: Scene, view: View, lettered: bool = False) -> list[Any]:
-    """Draw every unsafe set and keep-in set with its name; a handle of covers, if there are any."""
-    cover = False
+def draw_unsafe(ax: Any, scene: Scene, lettered: bool = False, named: bool = True) -> list[Any]:
+    """Draw every unsafe set and keep-in set, perhaps with its name; a handle of covers, if there are any."""
+    covered = False
     for item in scene.items:
         if item.role == "unsafe" and scene.over_time:
             _outline(ax, item.points, 0.6, "-", RED, 3, tint(RED, 0.45))
             for mark in item.marks:
-                view.label(ax, shortened(item.name, 1.5), mark.shape.points, RED)
+                label(ax, scene, shortened(item.name, 1.5), mark.shape.points, RED)
         elif item.role == "unsafe":
-            cover |= _unsafe(ax, item, view, lettered)
+            covered |= _unsafe(ax, scene, item, lettered, named)
         elif item.role == "keep_in":
-            _keep_in(ax, item, view)
-    return [Line2D([], [], color=DULL_RED, lw=0.7, label=LOOKS["cover"].legend)] if cover else []
+            _keep_in(ax, scene, item, named)
+    return [Line2D([], [], color=DULL_RED, lw=0.7, label=LOOKS["cover"].legend)] if covered else []
 
 
-def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> bool:
+def _unsafe(ax: Any, scene: Scene, item: Item, lettered: bool, named: bool) -> bool:
     """Draw one set at some instants, the most important one first; True if a cover is drawn about it."""
     covered = False
     aside = len(item.passages) > 0
@@ -217,7 +233,8 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> bool:
     note = "" if not aside else f" (see {letters})" if lettered else " (out of plane)"
     for mark in item.marks:
         first, outline = mark is item.marks[0], mark.shape.points
-        if not (len(view.seen(outline)) or (not aside and view.within(outline))):
+        around = np.all((outline.min(axis=0) < scene.low) & (outline.max(axis=0) > scene.high))
+        if not len(scene.seen(outline)) and (aside or not around):
             continue  # out of view; or passed out of the plane, and all of the view
         edge = tint(RED, 1.0 if first else 0.5)
         if aside:
@@ -227,28 +244,26 @@ def _unsafe(ax: Any, item: Item, view: View, lettered: bool) -> bool:
             _outline(ax, outline, 0.6, "-", edge, 1.6)
         if mark.cover is not None:
             _outline(ax, mark.cover, 0.7, "-", DULL_RED, 1.6)
-            covered |= len(view.seen(mark.cover)) > 1
+            covered |= len(scene.seen(mark.cover)) > 1
         parts = [shortened(item.name, 1.5) if first else "", mark.told]
-        text = ", ".join(filter(None, parts)) + (note if first else "")
-        view.label(ax, text, outline, RED)
+        if named:
+            label(ax, scene, ", ".join(filter(None, parts)) + (note if first else ""), outline, RED)
     if item.way is not None:
         ax.plot(*item.way.T, color=tint(RED, 0.6), lw=0.6, ls=(0, (1, 2)), zorder=1.4)
     for mark in item.marks:
-        if mark.place is not None and view.contains(mark.place):
+        if mark.place is not None and scene.contains(mark.place):
             ax.plot(*mark.place, "o", ms=3, mfc="white", mec=RED, mew=0.7, zorder=6)
-            view.label(ax, mark.told, mark.place[None], RED)
+            if named:
+                label(ax, scene, mark.told, mark.place[None], RED)
     return covered
 
 
-def _keep_in(ax: Any, item: Item, view: View) -> None:
+def _keep_in(ax: Any, scene: Scene, item: Item, named: bool) -> None:
     """Draw a keep-in set and write its name at the line, as far as it is in view."""
-    name, _, inside = item.name.rpartition(" (")
-    told = f"{shortened(name, 1.5)} ({inside}"
     if item.shape is not None:
         ax.plot(*item.points.T, color=RED, lw=0.8, ls=LONG, zorder=3 if item.marks else 1.6)
-    if item.marks:
-        view.label(ax, told + item.marks[0].told, item.marks[0].shape.points, RED)
-        return
-    seen = view.seen(item.points[:-1])
-    if len(seen):
-        view.label(ax, told, seen, RED)
+    called, _, inside = item.name.rpartition(" (")
+    told = f"{shortened(called, 1.5)} ({inside}" + "".join(mark.told for mark in item.marks)
+    points = item.marks[0].shape.points if item.marks else scene.seen(item.points[:-1])
+    if named and len(points):
+        label(ax, scene, told, points, RED)

@@ -28,9 +28,6 @@ WIDTH = 3.5  # width of a figure [in]: one column of a two-column page
 
 DOTS, DASHES, LONG, GOAL_DASHES = (0, (1, 1.4)), (0, (3, 1.2)), (0, (5, 1.5)), (0, (4, 2))
 
-ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "ncols": 3}
-"""A legend of one line above the axes."""
-
 _STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -181,11 +178,6 @@ def legend_above(ax: Any, handles: Any, columns: int = 2) -> float:
 def dot(marker: str, colour: Any, size: float, name: str, **look: Any) -> Any:
     """A handle of a legend: a marker alone."""
     return Line2D([], [], ls="none", marker=marker, color=colour, ms=size, label=name, **look)
-
-
-def step_edges(values: Any) -> Any:
-    """Repeat the last value, so that a step plot reaches the end of the last step."""
-    return np.concatenate([values, values[-1:]])
 
 
 def draw_safe_path(ax: Any, picture: Picture, shown: Array, span: tuple[int, int] | None = None) -> list[int]:

@@ -1,7 +1,7 @@
-"""Figures over time: distance and thrust, which controller flies, and how much room is left."""
+"""Figures over time: diagrams of a timeline, which controller flies, and how much room is left."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,106 +12,134 @@ from ...model.scene.distances import stretches
 from ...model.system import Array
 from ...runs.picture import Picture
 from ..scene import palette
-from ..scene.items import drawn_pilots
+from ..scene.items import Pilot, drawn_pilots
 from ..scene.palette import BLACK, GREEN, GREY, RED, mode_colour, shades, tint
+from ..scene.timelines import Limit, Panel, Series, schedule_timeline
 from .cuts import mark_cuts
 from .labels import name
-from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure, step_edges
+from .style import GOAL_DASHES, keep_ticks, legend_above, new_figure
 
-INPUT_DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)))
+DASHES: dict[str, Any] = {
+    "solid": "-",
+    "dash": (0, (4, 1.2)),
+    "dot": (0, (1.2, 1)),
+    "dashdot": (0, (4, 1, 1, 1)),
+    "longdash": (0, (7, 1.2)),
+}
+FAR = 3.0  # a line of a pilot that is not shown at first is cut above so many times the range of the others
+PAD = 0.07  # room above and below what is drawn, as a share of its range
+SAFE, UNSAFE = tint(GREEN, 0.14), tint(RED, 0.16)
 
-FLOWN: dict[str, tuple[Any, float, float]] = {"polaris": ("-", 1.6, 3.1), "safety": ((0, (4, 1.2)), 1.0, 3.2)}
-"""Dashes, width and order of those that flew."""
-FAR = 3.0  # a velocity change above so many times that of the others leaves the panel
-ALONE = ((0, (3, 1, 1, 1)), 1.0, 3.0)  # the same of experimental controllers on their own
+MOST_NAMED = 10  # most lines that a legend names
 
 
-def distance_figure(picture: Picture) -> Any:
-    """Distance to the nearest unsafe set, the velocity change so far, and the input."""
-    figure = new_figure(4.8)
-    upper, middle, lower = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 3))
-    _distance(upper, picture)
-    _spent(middle, picture)
-    _input(lower, picture)
-    for mode in np.unique(picture.modes):  # along the foot, which controller flies
-        look = {"transform": lower.get_xaxis_transform(), "zorder": 5}
-        _bars(lower, picture, picture.modes == mode, (0, 0.035), mode_colour(int(mode)), **look)
-    keep_ticks(figure.axes)
+def timeline_figure(
+    panels: Sequence[Panel],
+    pilots: Sequence[Pilot],
+    marks: Sequence[tuple[float, str]] = (),
+    height: float = 1.25,
+) -> Any:
+    """Draw diagrams over each other, each of a height [in], and marks at instants [s]."""
+    figure = new_figure(0.8 + height * len(panels))
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False).ravel()
+    named: set[str] = set()
+    for ax, panel in zip(axes, panels, strict=True):
+        draw_panel(ax, panel, pilots, named)
+        ax.set_xlabel("Time (s)" if ax is axes[-1] else "")
+        for t, text in marks:  # after T a line is not seen
+            ax.axvline(t, color=GREEN, lw=1.2, ls=GOAL_DASHES)
+            if ax is axes[-1]:
+                name(ax, text, [(t, y) for y in ax.get_ylim()], GREEN)
+    keep_ticks(axes)
     return figure
 
 
-def _distance(ax: Any, picture: Picture) -> None:
-    """Least distance over runs, band up to the largest."""
-    handles, lowest, highest = [], 0.0, 0.0
-    for one in drawn_pilots(picture):
-        (dashes, width, order), flights, colour = FLOWN.get(one.key, ALONE), one.flights, one.colour
-        if not np.all(np.isfinite(flights.nearest)):
-            continue
-        least, _, most = flights.nearest
-        ax.fill_between(flights.times, least, most, color=tint(colour, 0.25), lw=0, zorder=order - 1)
-        look = {"color": colour, "ls": dashes, "lw": width, "label": one.short}
-        handles += ax.plot(flights.times, least, zorder=order, **look)
-        lowest, highest = min(lowest, float(least.min())), max(highest, float(most.max()))
-    pad = 0.06 * (highest - lowest) + 1e-9
-    bottom = lowest - 2 * pad
-    _beyond(ax, 0.0, bottom)
-    name(ax, "unsafe", _across(picture, (bottom, 0.0)), RED)
-    ax.set(xlim=(0, picture.duration), ylim=(bottom, highest + pad), ylabel="Distance (m)")
-    ax.grid(True)
-    legend_above(ax, handles, 3)
-
-
-def _spent(ax: Any, picture: Picture) -> None:
-    """Velocity change of the first runs as it adds up, what is proven of it, and when the goal is reached."""
-    if picture.delta_v_max is not None:
-        ax.axhline(picture.delta_v_max, color=GREY, lw=0.7)
-        name(ax, "proven bound until the goal", _across(picture, 2 * (picture.delta_v_max,)), GREY)
-    spent = {one.key: picture.velocity_change(one.flights)[0] for one in drawn_pilots(picture)}
-    shown = [float(spent[key][-1]) for key in FLOWN if key in spent]
-    top = 1.15 * max([picture.delta_v_max or 0.0, *shown])
-    for one in drawn_pilots(picture):
-        (dashes, width, order), line = FLOWN.get(one.key, ALONE), spent[one.key]
-        ax.plot(one.flights.times, line, zorder=order, color=one.colour, ls=dashes, lw=width)
-        if line[-1] > FAR * top > 0:  # else nothing of the others would be seen
-            at = int(np.argmax(line > top))
-            name(
-                ax, f"{one.short}: {line[-1]:.3g} m/s at the end", [[one.flights.times[at], top]], one.colour
-            )
-        else:
-            top = max(top, 1.05 * float(line[-1]))
-    if picture.reached is not None:  # at T or later: a line there is seen only if it is at T
-        ax.axvline(picture.reached, color=GREEN, lw=1.2, ls=GOAL_DASHES)
-    look = {"color": GREEN, "fontsize": 7, "ha": "right", "va": "bottom"}
-    ax.text(1.0, 1.01, picture.arrival, transform=ax.transAxes, **look)
-    ax.set(xlim=(0, picture.duration), ylim=(0, top or None), ylabel="Velocity\nchange (m/s)")
+def draw_panel(ax: Any, panel: Panel, pilots: Sequence[Pilot], named: set[str] | None = None) -> None:
+    """Draw one diagram of the first runs; its legend has the lines that have not been `named` above."""
+    known, named = {one.key: one for one in pilots}, set() if named is None else named
+    # Inputs of pilots that are not shown at first would hide those that are.
+    lines = [one for one in panel.series if one.pilot is None or known[one.pilot].on or not one.step]
+    heavy = [one for one in pilots if one.on] if not all(one.on for one in pilots) else []
+    end = max(float(one.times[-1]) for one in [pilot.flights for pilot in pilots] or lines)
+    low, high = _range(panel, lines, known)
+    handles: dict[str, Any] = {}
+    for order, line in enumerate(lines):
+        own = line if line.pilot is None else known[line.pilot]
+        label = own.name if isinstance(own, Series) else own.short
+        step: Any = {"step": "post"} if line.step else {}
+        if line.fill or line.band is not None and np.all(np.isfinite(line.band)):
+            ends = line.band if line.band is not None else (np.minimum(0, line.values), line.values)
+            ax.fill_between(line.times, *ends, color=tint(own.colour, 0.22), lw=0, zorder=2, **step)
+        look: Any = {"drawstyle": "steps-post"} if line.step else {}
+        look |= {"color": own.colour, "ls": DASHES[own.dash], "zorder": 3 + 0.01 * order}
+        look["lw"] = 1.6 if line.pilot and own in heavy else 1.0
+        values = first_run(line)
+        (handles[label],) = ax.plot(line.times, values, label=label, **look)
+        if np.any(values > high):
+            at, told = int(np.argmax(values > high)), f"{label}: {values[-1]:.3g} {panel.unit} at the end"
+            name(ax, told, [[line.times[at], high]], own.colour)
+    if panel.log:
+        ax.set_yscale("log")
+    ax.set(xlim=(0, end), ylim=(low, high), xlabel="Time (s)", ylabel=f"{panel.label} ({panel.unit})")
+    for limit in panel.limits:
+        _draw_limit(ax, limit, (low, high), end)
     ax.grid(True)
     mark_cuts(ax)
+    unique = [one for label, one in handles.items() if label and label not in named]
+    named.update(handles)
+    if len(unique) <= MOST_NAMED and (len(pilots) > 1 or not all(line.pilot for line in lines)):
+        legend_above(ax, unique, 5)
 
 
-def _input(ax: Any, picture: Picture) -> None:
-    """Input under Polaris: nominal run, band over all runs, limits shaded."""
-    flights, limit = picture.flights["polaris"], picture.system.u_max
-    assert flights.input_range is not None  # known of controllers
-    label, names = palette.input_labels(picture.system)
-    same = bool(np.all(limit == limit[0]))
-    scale, top = (np.ones_like(limit), float(limit[0])) if same else (limit, 1.0)
-    handles = []
-    for axis, (title, colour) in enumerate(zip(names, shades((BLACK, "#8C8C8C"), len(names)), strict=True)):
-        low, high = (step_edges(bound[:, axis]) / scale[axis] for bound in flights.input_range)
-        ax.fill_between(flights.times, low, high, step="post", color=tint(GREY, 0.25), lw=0, zorder=2)
-        nominal = step_edges(flights.inputs[0][:, axis]) / scale[axis]
-        look = {"color": colour, "ls": INPUT_DASHES[axis % 3], "lw": 1.0, "label": title, "zorder": 3}
-        handles += ax.plot(flights.times, nominal, drawstyle="steps-post", **look)
-    for side in (-top, top):
-        _beyond(ax, side, 1.2 * side)
-    label = label if same else f"{label.split(' (')[0]} / limit"
-    ax.set(xlim=(0, picture.duration), ylim=(-1.2 * top, 1.2 * top), xlabel="Time (s)", ylabel=label)
-    ax.grid(True)
-    legend_above(ax, handles, 3)
+def first_run(line: Series) -> Array:
+    """Return the values (N,) of a line, or of the first run of its pilot."""
+    return line.values if line.values.ndim == 1 else line.values[0]
+
+
+def _range(panel: Panel, lines: Sequence[Series], known: Mapping[str, Pilot]) -> tuple[float, float]:
+    """Return the ends of the axis: all that is drawn, but for lines that would make the others flat."""
+    limits = [limit.y for limit in panel.limits]
+
+    def ends(some: Sequence[Series]) -> Array:
+        bands = [np.ravel(one.band) for one in some if one.band is not None]
+        values = np.concatenate([limits, *map(first_run, some), *bands])
+        values = values[np.isfinite(values)]
+        return np.array([values.min(initial=np.inf), values.max(initial=-np.inf)])
+
+    low, high = ends(lines)
+    shown = ends([one for one in lines if one.pilot is None or known[one.pilot].on])
+    if 0 < FAR * np.ptp(shown) < high - min(shown):
+        high = shown[1]
+    if panel.log:
+        return 0.6 * low, 1.6 * high
+    pad = PAD * (high - low) or 1e-9 + abs(high)
+    return low - pad, high + pad
+
+
+def _draw_limit(ax: Any, limit: Limit, view: tuple[float, float], end: float) -> None:
+    """Draw a limit with its name, and shade what lies beyond it."""
+    colour = RED if limit.unsafe else GREY
+    ax.axhline(limit.y, color=colour, lw=0.7, zorder=0.6)
+    beyond = {"below": view[0], "above": view[1]}.get(limit.unsafe, limit.y)
+    if limit.unsafe:
+        ax.axhspan(limit.y, beyond, color=UNSAFE, lw=0, zorder=0.5)
+    if limit.text:
+        name(ax, limit.text, [(0, limit.y), (end, limit.y), (end, beyond), (0, beyond)], colour)
+
+
+def distance_figure(picture: Picture) -> Any:
+    """Draw the distance to the nearest unsafe set, the velocity change so far, and the inputs."""
+    timeline = schedule_timeline(picture, drawn_pilots(picture), picture.delta_v_max is not None)
+    figure = timeline_figure(timeline.panels, timeline.pilots, timeline.marks)
+    lower = figure.axes[-1]
+    for mode in np.unique(picture.modes):  # along the foot, which controller flies
+        look = {"transform": lower.get_xaxis_transform(), "zorder": 5}
+        _bars(lower, picture, picture.modes == mode, (0, 0.035), mode_colour(int(mode)), **look)
+    return figure
 
 
 def modes_figure(picture: Picture) -> Any:
-    """One row per controller: when it flies, and its share of the time."""
+    """Draw one row per controller: when it flies, and its share of the time."""
     rows = len(picture.controllers)
     figure = new_figure(0.6 + 0.28 * rows)
     ax = figure.add_subplot()
@@ -172,17 +200,6 @@ def _beside(ax: Any, x: float, y: float, text: str, **look: Any) -> None:
     ax.text(x, y, text, fontsize=7, transform=ax.get_yaxis_transform(), **look)
 
 
-def _across(picture: Picture, ends: Sequence[float]) -> Array:
-    """Points at these values, from the start to the horizon."""
-    return np.array([(t, end) for end in ends for t in np.linspace(0, picture.duration, 25)])
-
-
-def _beyond(ax: Any, value: float, end: float) -> None:
-    """A limit, and what lies beyond it."""
-    ax.axhspan(value, end, color=tint(RED, 0.16), lw=0, zorder=0.5)
-    ax.axhline(value, color=RED, lw=0.7, zorder=0.6)
-
-
 def limit_group(name: str) -> str:
-    """Name of a limit without the number of a keep-in set's facet."""
+    """Return the name of a limit without the number of a keep-in set's facet."""
     return re.sub(r"\[\d+\]$", "", name)

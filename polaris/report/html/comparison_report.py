@@ -14,23 +14,11 @@ from ...model.files import parse_json, read_text
 from ...runs.comparison import ComparisonPicture
 from ...runs.files.folder import RunFolder
 from ...synthesis.safety.recoverable import directed
+from ..scene.items import Pilot
 from ..scene.palette import method_style
-from .page import (
-    Cell,
-    Measure,
-    Page,
-    badge,
-    details,
-    escape,
-    macros,
-    number_cell,
-    reading,
-    shown,
-    table,
-    text_cell,
-)
-from .run_report import NOTE, guarantee
-from .timelines import Flown, flight_data
+from ..tables import Cell, Measure, Table, number, value_cell, words
+from .page import Page, details, macros, reading, table
+from .run_report import NOTE, guarantee, schedule_data
 
 FIRST = 4  # methods that are shown at first; the others can be chosen
 MOST_STRETCHES = 40  # stretches of alike decisions that are listed of each method
@@ -64,15 +52,16 @@ def comparison_page(folder: RunFolder) -> Page:
 
 def comparison_data(picture: ComparisonPicture, proved: bool) -> dict[str, Any]:
     """Return the plot data of a comparison; methods without flights are left out."""
-    flown: list[Flown] = []
-    kept = picture.shown
-    for method in (method for method in picture.table["methods"] if method["key"] in kept):
-        look = method_style(len(flown)) | {"on": len(flown) < FIRST}
-        flown.append(Flown(str(method["key"]), str(method["name"]), look, kept[method["key"]]))
-    known = [one.runs for one in flown[:FIRST] if np.isfinite(one.runs.nearest[0]).all()]
+    pilots: list[Pilot] = []
+    for method in (method for method in picture.table["methods"] if method["key"] in picture.shown):
+        name, look, flights = str(method["name"]), method_style(len(pilots)), picture.shown[method["key"]]
+        pilots.append(Pilot(str(method["key"]), name, name, *look, flights, len(pilots) < FIRST))
+    known = [one.flights for one in pilots[:FIRST] if np.isfinite(one.flights.nearest[0]).all()]
     least = [(float(one.nearest[0].min()), float(one.times[np.argmin(one.nearest[0])])) for one in known]
     opened = (min(least)[1] if least else 0.0) or None  # not at the start
-    return flight_data(replace(picture.run.picture(), slices=None), flown, proved, "pilot", opened)
+    return schedule_data(
+        replace(picture.run.picture(), slices=None), pilots, proved, by="pilot", opened=opened
+    )
 
 
 def _tradeoffs(methods: Methods) -> Markup:
@@ -86,45 +75,45 @@ def _tradeoffs(methods: Methods) -> Markup:
     return Markup(macros().picture(base64.b64encode(tradeoffs_png(methods)).decode(), told))
 
 
-def _claim_cell(method: Mapping[str, Any], told: str) -> Cell:
-    return Cell(told, str(method["guarantee"]), text=True)
+def _claim(method: Mapping[str, Any], why: str = "") -> Cell:
+    kind = str(method["guarantee"])
+    return Cell(kind, kind, words=True, why=why, badge=kind)
 
 
 def _methods(methods: Methods) -> Markup:
     measures = Measure.known(*(method.get("metrics") or {} for method in methods))
     rows = []
     for method in methods:
-        values, name = method.get("metrics") or {}, Cell(str(method["name"]), str(method["name"]))
-        if not method.get("available", True):
-            name = replace(name, html=macros().not_available(name.html))
-        told = macros().titled(badge(method["guarantee"]), method.get("reach") or "")
+        values, name = method.get("metrics") or {}, str(method["name"])
+        there = "" if method.get("available", True) else " (not available)"
         cells = [one.cell(values[one.key], unit=False) if one.key in values else Cell("") for one in measures]
-        rows.append([name, _claim_cell(method, told), *cells])
+        rows.append([Cell(name + there, name), _claim(method, method.get("reach") or ""), *cells])
     caption = (
         "Mean over runs, of violations the number of runs, with 95 % confidence bounds; select a head to sort"
     )
-    return table(caption, ["method", "guarantee", *(one.head for one in measures)], rows, sort=True)
+    return table(Table(caption, ["method", "guarantee", *(one.head for one in measures)], rows, sort=True))
 
 
 def _protocol(protocol: Mapping[str, Any]) -> Markup:
     measures = [Measure.of(key) for key in protocol if key != "statement"]
-    rows = [[Cell(one.title), number_cell(protocol[one.key], one.key, unit=one.unit)] for one in measures]
+    rows = [[Cell(one.title), value_cell(protocol[one.key], one.key, one.unit)] for one in measures]
     statement = protocol.get("statement")
     told = Markup("<p>{}</p>").format(statement) if statement else ""
-    return Markup("<h3>How it was compared</h3>") + told + table("Protocol", ["", "value"], rows)
+    return Markup("<h3>How it was compared</h3>") + told + table(Table("Protocol", ["", "value"], rows))
 
 
 def _claims(methods: Methods) -> Markup:
     rows = [
         [
             Cell(str(method["name"])),
-            _claim_cell(method, badge(method["guarantee"])),
-            text_cell(method.get("reach") or "none"),
-            text_cell(method.get("note") or ""),
+            _claim(method),
+            words(method.get("reach") or "none"),
+            words(method.get("note") or ""),
         ]
         for method in methods
     ]
-    return table("How far each claim goes", ["method", "guarantee", "reach", "decisions by reason"], rows)
+    heads = ["method", "guarantee", "reach", "decisions by reason"]
+    return table(Table("How far each claim goes", heads, rows))
 
 
 def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Markup:
@@ -145,7 +134,7 @@ def _paired(paired: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> Ma
             f"Method less {names.get(against, against)}, in the same runs; mean and 95 % confidence bounds;"
             " differences that could as well be 0 say so"
         )
-        tables.append(table(caption, ["method", *(one.head for one in measures)], rows, sort=True))
+        tables.append(table(Table(caption, ["method", *(one.head for one in measures)], rows, sort=True)))
     return Markup("\n").join(tables) or Markup("<p>None were computed.</p>")
 
 
@@ -155,7 +144,7 @@ def _difference(one: Mapping[str, Any]) -> Cell:
     cell = Measure.of(one["metric"]).cell(told, difference=True)
     if low is None or high is None or low > 0 or high < 0 or low == high:
         return cell
-    return replace(cell, html=escape(cell.html) + macros().range("perhaps 0"))
+    return replace(cell, lines=(*cell.lines, "perhaps 0"))
 
 
 Decisions = list[dict[str, Any]]
@@ -187,20 +176,21 @@ def _log(own: Sequence[Decisions]) -> Markup:
     for alike in own[:MOST_STRETCHES]:
         first, last = alike[0], alike[-1]
         least = min((one["margin"] for one in alike if one.get("margin") is not None), default=None)
-        margin = number_cell(least)
+        margin = value_cell(least)
         if least is not None and np.isfinite(least):
             margin = Cell(directed(least, ".4g"), least)  # a share of room left is rounded down
         rows.append(
             [
-                Cell(shown(first["t"]) + " to " + shown(last["t"]) + " s", first["t"]),
-                text_cell({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})")),
-                number_cell(len(alike)),
+                Cell(f"{number(first['t'])} to {number(last['t'])} s", first["t"]),
+                words({0: "S", -1: "filtered"}.get(first["mode"], f"U ({first['mode']})")),
+                value_cell(len(alike)),
                 margin,
-                text_cell(first.get("reason") or "none"),
+                words(first.get("reason") or "none"),
             ]
         )
     total, changes = sum(map(len, own)), len(own)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
-    body = table(f"{total} decisions in {changes} stretches of the same reason", heads, rows)
+    caption = f"{total} decisions in {changes} stretches of the same reason"
+    body = table(Table(caption, heads, rows))
     more = [f"and {changes - MOST_STRETCHES} more"] if changes > MOST_STRETCHES else []
     return body + (Markup(macros().items(more)) if more else "")

@@ -1,22 +1,29 @@
 """The page of an ordinary run folder, and guarantees in words: what is proven, how far, on what grounds."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
 from ...model.checks import counted
 from ...model.scene.distances import stretches
 from ...runs.files.folder import RunFolder
-from ...runs.files.tables import besides, pilots
+from ...runs.files.tables import besides
 from ...runs.picture import Picture
 from ...synthesis.safety.recoverable import directed
-from ..scene.items import drawn_pilots
+from ..scene.items import Pilot, drawn_pilots
 from ..scene.palette import mode_colour
-from .page import Cell, Measure, Page, badge, macros, reading, table
-from .timelines import Flown, flight_data
+from ..scene.scene import describe, shown_axes
+from ..scene.timelines import schedule_timeline
+from ..sentences import goal, reach, synthesis
+from ..tables import Cell, Measure, Table, metrics
+from .page import Page, badge, macros, reading, table
+from .scene import plain
+from .timelines import page_data
 
+CAPTION = "From simulated runs, under random and worst-case disturbances"
 MOST_TOLD = 3  # most stretches under S that are told one by one
 
 NOTE = (
@@ -36,43 +43,62 @@ def run_page(folder: RunFolder) -> Page:
     claim = summary["guarantee"]
     proved = claim["kind"] == "proved"
     picture = folder.picture()
-    flown = [
-        Flown(
-            one.key,
-            one.name,
-            {"colour": one.colour, "dash": one.dash, "on": one.key == "polaris"},
-            one.flights,
-        )
-        for one in drawn_pilots(picture)
-    ]
+    rows = [[Cell(head), Cell(sentence)] for head, sentence in synthesis(summary)]
     return Page(
         str(summary["title"]),
         answers(summary, picture),
         (
-            ("numbers", "Metrics", metrics(summary)),
+            ("numbers", "Metrics", table(metrics(summary, CAPTION))),
             ("guarantee", "The guarantee", guarantee(claim) + aborts(claim)),
-            ("synthesis", "Synthesis", synthesis(summary)),
+            ("synthesis", "Synthesis", table(Table("Before the flight", ["", ""], rows))),
             reading(summary, f"{NOTE} {SLICE}"),
         ),
-        flight_data(picture, flown, proved, "mode"),
+        schedule_data(picture, drawn_pilots(picture), proved),
         summary,
     )
+
+
+def schedule_data(picture: Picture, pilots: Sequence[Pilot], proved: bool, **how: Any) -> dict[str, Any]:
+    """Return the plot data of a schedule and its pilots; see `schedule_timeline`."""
+    C = picture.system.position
+    paths = [one.flights.states[0] @ C.T for one in pilots]
+    scene = describe(picture, paths, shown_axes(picture, paths))
+    data = page_data(scene, schedule_timeline(picture, pilots, proved, **how), C)
+    data["panels"].insert(min(len(picture.obstacles), 1), _margins(picture))
+    return data
+
+
+def _margins(picture: Picture) -> dict[str, Any]:
+    """Return the diagram of the room left in the recoverable sets: a bar per step, by who flies."""
+    delta, told = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
+    bars: dict[str, Any] = {
+        "t": (np.arange(len(picture.modes)) + 0.5) * delta,
+        "width": delta,
+        "y": picture.margins,
+        "modes": picture.modes,
+    }
+    text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in told]
+    series = {"pilot": None, "name": "margin", "bars": True, "text": text} | {
+        key: plain(one) for key, one in bars.items()
+    }
+    title, limits = "Containment margin of each step of the schedule", [{"y": 0, "text": "", "unsafe": ""}]
+    return {"key": "margin", "title": title, "unit": "share of room", "limits": limits, "series": [series]}
 
 
 def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
     """The first screen: is it safe, does it arrive, what does it cost, and who flies when."""
     claim, flown, found = summary["guarantee"], summary["polaris"], summary["synthesis"]
-    goal, proved = claim["goal"], claim["kind"] == "proved"
-    within, most = _most(goal, "distance_m"), _most(goal, "delta_v_max_m_s")
+    end, proved = claim["goal"], claim["kind"] == "proved"
+    within, most = (directed(end[key], ".4g", up=True) for key in ("distance_m", "delta_v_max_m_s"))
     arrives = ("nothing is claimed", "the proof that it would rest on is missing")
     cost = f"mean of {counted(flown['runs'], 'simulated run')}"
     if proved:
-        word = "not proven" if goal["reached"] == "not_proven" else "no"
-        arrives = (word, f"at best within {within} m; {goal['tolerance_m']:.4g} m would do")
-        if goal["reached"] is True:
+        word = "not proven" if end["reached"] == "not_proven" else "no"
+        arrives = (word, f"at best within {within} m; {end['tolerance_m']:.4g} m would do")
+        if end["reached"] is True:
             there = f"proven, within {within} m of the goal; to stay there S must fly on"
-            arrives = (f"at {_time(goal['by_s'])}", there)
-        then = "to the goal" if goal["reached"] is True else "until it is nearest"
+            arrives = (f"at {_time(end['by_s'])}", there)
+        then = "to the goal" if end["reached"] is True else "until it is nearest"
         cost += f"; {then} at most {most} m/s, proven"
     if "safety" in summary:
         cost += "; S alone " + Measure.of("delta_v_m_s").text(summary["safety"]["delta_v_m_s"])
@@ -87,11 +113,6 @@ def answers(summary: Mapping[str, Any], picture: Picture) -> Markup:
     return Markup(macros("run.html").answers(cards, runs, _time(picture.duration)))
 
 
-def _most(goal: Mapping[str, Any], key: str) -> str:
-    """A bound of the goal's claim."""
-    return directed(goal[key], ".4g", up=True)
-
-
 def _time(t: float) -> str:
     return f"{t:.6g} s"
 
@@ -104,56 +125,11 @@ def _when(picture: Picture) -> str:
     return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in found) or "never")
 
 
-def metrics(summary: Mapping[str, Any]) -> Markup:
-    """Metrics of S alone, U alone and the schedule."""
-    who = pilots(summary)
-    rows = [
-        [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in who)]
-        for one in Measure.known(*(summary[name] for name in who))
-        if one.key != "controller"
-    ]
-    heads = ["", *who.values()]
-    return table("From simulated runs, under random and worst-case disturbances", heads, rows)
-
-
-def synthesis(summary: Mapping[str, Any]) -> Markup:
-    """Return the table of the synthesis: its result and its time."""
-    found = summary["synthesis"]
-    plan, start = found["planner"], Measure.of("start_share")
-    room = start.text(found["start_margin"], proven=True)
-    rows = {
-        "recoverable sets": str(found["recoverable"]),
-        "plan": f"{plan['status'].replace('_', ' ')} ({plan.get('solver_name', plan['solver'])})",
-        "clearance of the plan beyond the tube": Measure.of("margin_m").text(plan["margin_m"], proven=True),
-        "velocity change of the plan": Measure.of("delta_v_m_s").text(plan["delta_v_m_s"]),
-        "room left at the start": room + f", least at {found['start_limit']}",
-        "time of the run": Measure.of("total_s").text(found["seconds"]["total"]),
-    }
-    return table("Before the flight", ["", ""], [[Cell(name), Cell(text)] for name, text in rows.items()])
-
-
-def reach(claim: Mapping[str, Any]) -> str:
-    """Describe until when a schedule's claim holds."""
-    until = claim.get("until_s")
-    if "statement" in claim:
-        most = directed(claim["statement"]["probability"], ".2g", up=True)
-        proven = {key: value for key, value in claim.items() if key != "statement"}
-        return f"{reach(proven)}, but for at most {most} of all flights"
-    if claim.get("horizon") == "infinite":
-        return "for all time"
-    if claim.get("horizon") == "one_period" and until is not None:
-        return f"until {until:.6g} s: the end of the schedule and one further period under S"
-    return "up to the end of the schedule only"
-
-
 def guarantee(claim: Mapping[str, Any]) -> Markup:
     """The section of an ordinary run folder, from ``summary.json``."""
-    goal, arrives = claim["goal"], None
-    if goal["reached"] is True:
-        arrives = {"distance": _most(goal, "distance_m"), "delta_v": _most(goal, "delta_v_max_m_s")}
-        arrives["by"] = _time(goal["by_s"])
-    told = claim, badge(claim["kind"]), reach(claim), arrives, besides(claim)
-    return Markup(macros("run.html").guarantee(*told))
+    told = [("Goal", goal(claim["goal"])), *besides(claim)] if claim["kind"] == "proved" else []
+    reached = claim["goal"]["reached"] is True
+    return Markup(macros("run.html").guarantee(claim, badge(claim["kind"]), reach(claim), reached, told))
 
 
 def aborts(claim: Mapping[str, Any]) -> Markup:
@@ -170,4 +146,4 @@ def aborts(claim: Mapping[str, Any]) -> Markup:
         cells = f"{steps[0]['step']} to {steps[-1]['step']}", *(("", "") if why else map(_time, (leaves, by)))
         rows.append([Cell(text) for text in (*cells, told)])
     heads = ["in steps", "leaves the reference", "on the orbit by", "velocity change at most, or why not"]
-    return table("Abort with thrust", heads, rows) if rows else Markup()
+    return table(Table("Abort with thrust", heads, rows)) if rows else Markup()

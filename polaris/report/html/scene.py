@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from ...runs.picture import taking_over
 from ..scene.geometry import Shape, closed
-from ..scene.items import Item, Scene
+from ..scene.items import Item, Scene, View
 from ..scene.palette import LOOKS, mode_colour
 
 Layer = dict[str, Any]
@@ -51,18 +51,21 @@ def _short(value: float) -> float | int | None:
     return int(short) if short.is_integer() and abs(short) < 1e15 else short
 
 
-def scene_data(scene: Scene) -> dict[str, Any]:
+def scene_data(scene: View) -> dict[str, Any]:
     """A scene: ``space`` (2 or 3 axes), ``equal`` (one scale serves all), ``axes``, ``range``, ``layers``."""
     return {
         "space": len(scene.labels),
         "equal": not scene.over_time,
         "axes": list(scene.labels),
         "range": plain(np.stack([scene.low, scene.high], axis=1)),
-        "layers": [*_slices(scene), *(layer(item) for item in scene.items if item.shape is not None)],
+        "layers": [
+            *(_slices(scene) if isinstance(scene, Scene) else ()),
+            *(_layer(item) for item in scene.items if item.shape is not None),
+        ],
     }
 
 
-def layer(item: Item) -> Layer:
+def _layer(item: Item) -> Layer:
     """One thing of a scene as the page's script reads it."""
     shape, look = item.shape, LOOKS[item.role]
     assert shape is not None

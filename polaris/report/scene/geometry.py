@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,15 +98,13 @@ def polyhedron(normals: Array, support: Array, inside: Array) -> Shape | None:
 
 @cache
 def _unit_ball() -> Shape:
-    """An icosahedron, its triangles split in four twice."""
-    golden = (1 + 5**0.5) / 2
-    corners = np.array([[-1.0, golden, 0.0], [1.0, golden, 0.0], [-1.0, -golden, 0.0], [1.0, -golden, 0.0]])
-    points = np.vstack([np.roll(corners, turn, axis=1) for turn in range(3)])
-    for _ in range(3):
-        surface: Any = hull(points / np.linalg.norm(points, axis=1, keepdims=True))
-        edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        points = np.vstack([surface.points, surface.points[np.unique(edges, axis=0)].mean(axis=1)])
-    return Shape("mesh", surface.points, surface.faces)
+    """Return a sphere through points on a spiral that winds evenly about it, and those opposite."""
+    height, turn = np.linspace(-1, 1, 100), np.pi * (3 - 5**0.5) * np.arange(100)
+    wide = np.sqrt(1 - height**2)
+    points = np.stack([wide * np.cos(turn), wide * np.sin(turn), height], axis=1)
+    surface = hull(np.unique(np.vstack([points, -points]), axis=0))
+    assert surface is not None
+    return surface
 
 
 def ball(radius: float) -> Shape:
@@ -146,19 +143,16 @@ def on_box(parts: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     return np.asarray(np.any(np.all(apart <= 1e-6 * np.max(high - low), axis=2), axis=(0, 2)))
 
 
-def faces(vertices: Array) -> list[Array]:
-    """Faces of the convex hull of points in space, corners in order, each of shape (V, 3)."""
-    if len(vertices) < 4:
-        return []
-    try:
-        hull = ConvexHull(vertices)
-    except QhullError:  # no volume
-        return []
-    found = []
-    for *normal, offset in np.unique(np.round(hull.equations, 6), axis=0):
-        on = vertices[np.abs(vertices @ normal + offset) <= 1e-4 * (1 + np.abs(offset))]
-        if len(on) >= 3:
-            beside = on - on.mean(axis=0)
-            x, y = np.linalg.svd(beside)[2][:2] @ beside.T
-            found.append(on[np.argsort(np.arctan2(y, x))])
-    return found
+def edges(points: Array) -> Array:
+    """Return the edges of the convex hull of points in space, shape (L, 2, 3); none if it has no volume."""
+    surface = hull(points)
+    if surface is None or surface.faces is None:
+        return np.zeros((0, 2, 3))
+    corners = surface.points[surface.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    sides = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    kinds, place = np.unique(sides, axis=0, return_inverse=True)
+    first, second = np.argsort(place, kind="stable").reshape(-1, 2).T // 3  # the two triangles beside each
+    bent = np.abs(np.sum(normal[first] * normal[second], axis=1)) < 1 - 1e-9
+    return np.asarray(surface.points[kinds[bent]])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -68,20 +68,18 @@ class Item:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """Drawing of a picture in two or three axes, from `low` to `high` (dim,) [m].
+class View:
+    """Items in two or three axes of the position, from `low` to `high` (dim,) [m].
 
     Motion on a line is drawn `over_time`: the first axis is time [s].
     """
 
-    picture: Picture
     axes: list[int]
     labels: tuple[str, ...]
     low: Array
     high: Array
     items: tuple[Item, ...] = ()
     over_time: bool = False
-    closeups: tuple[CloseUp, ...] = ()
 
     def placed(self, positions: Array, times: Array) -> Array:
         """Positions (..., N, d) at times (N,) in the axes of the scene, shape (..., N, dim)."""
@@ -91,23 +89,36 @@ class Scene:
         along = np.broadcast_to(times[:, None], (*shown.shape[:-1], 1))
         return np.concatenate([along, shown], axis=-1)
 
-    def flown(self, key: str) -> Array | None:
-        """The first run of a pilot, shape (N, dim); None if there is none."""
-        flights = self.picture.flights.get(key)
-        return None if flights is None else self.placed(self.picture.positions(flights), flights.times)
+    def of(self, *roles: str) -> list[Item]:
+        """Items of these roles, in their order."""
+        return [item for role in roles for item in self.items if item.role == role]
+
+    def contains(self, points: Array) -> Any:
+        """Return True for each point (..., dim) that is within."""
+        return np.all((points > self.low) & (points < self.high), axis=-1)
+
+    def seen(self, outline: Array) -> Array:
+        """Points along a closed outline that are within, shape (N, dim)."""
+        s = np.linspace(0, 1, 200)[:, None, None]
+        edge = ((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, outline.shape[1])
+        return np.asarray(edge[self.contains(edge)])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(View):
+    """Drawing of a picture."""
+
+    picture: Picture = field(kw_only=True)
+    closeups: tuple[CloseUp, ...] = ()
 
     def safe_path(self) -> Array:
         """The first run under Polaris, or the reference without one, shape (N, dim)."""
         times, path = self.picture.safe_path()
         return self.placed(path, times)
 
-    def of(self, *roles: str) -> list[Item]:
-        """Items of these roles, in their order."""
-        return [item for role in roles for item in self.items if item.role == role]
-
 
 class Pilot(NamedTuple):
-    """Controller that flew: key, name on the page and in print, colour, dashes on the page, and its runs."""
+    """Controller or spacecraft, its names on the page and in print, and its runs; shown at first if `on`."""
 
     key: str
     name: str
@@ -115,6 +126,7 @@ class Pilot(NamedTuple):
     colour: str
     dash: str
     flights: Flights
+    on: bool = True
 
 
 def drawn_pilots(picture: Picture) -> list[Pilot]:
@@ -127,7 +139,7 @@ def drawn_pilots(picture: Picture) -> list[Pilot]:
             name = short = f"{short} ({flights.controller})"
             if flights.controller in picture.controllers:
                 colour = mode_colour(picture.controllers.index(flights.controller))
-        found.append(Pilot(key, name, short, colour, dash, flights))
+        found.append(Pilot(key, name, short, colour, dash, flights, key == "polaris"))
     return found
 
 

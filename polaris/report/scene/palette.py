@@ -96,11 +96,16 @@ def deputy_colour(deputy: int) -> str:
     return DEPUTY_COLOURS[deputy % len(DEPUTY_COLOURS)]
 
 
-def method_style(place: int) -> dict[str, str]:
+def margin_colour(place: int) -> str:
+    """Colour of the i-th constraint of a diagram of margins."""
+    return MARGIN_COLOURS[place % len(MARGIN_COLOURS)]
+
+
+def method_style(place: int) -> tuple[str, str]:
     """Colour and dashes of the i-th method: no two of the first fifty are alike."""
     count = len(METHOD_COLOURS)
     dash = METHOD_DASHES[(place // count + place) % len(METHOD_DASHES)]
-    return {"colour": METHOD_COLOURS[place % count], "dash": dash}
+    return METHOD_COLOURS[place % count], dash
 
 
 def _rgb(colour: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

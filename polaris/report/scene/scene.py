@@ -1,7 +1,7 @@
 """The scene of a schedule: what is shown of space, or of a line over time, and all in it but the flights."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from .unsafe import unsafe_items
 
 MOST_FRAMES = (1, 960, 240)
 """Most sets of a tube that are drawn on the line (one per step), in the plane and in space."""
+
+WIDEN = 2.5  # sets on the line are shown that are no further than so many times what else is shown
+INSTANTS = 121  # times at which sets on the line are drawn
 
 PATHS = ("reference", "tail")  # roles of the reference until the horizon and after it
 
@@ -50,23 +53,63 @@ def describe(picture: Picture, paths: Sequence[Array] | None = None, axes: list[
     ]
     labels = picture.frame.labels[: len(axes)]
     low, high = space.low[axes], space.high[axes]
-    return Scene(picture, axes, labels, low, high, tuple(items), closeups=tuple(found))
+    return Scene(axes, labels, low, high, tuple(items), picture=picture, closeups=tuple(found))
 
 
 def _on_the_line(picture: Picture, paths: Sequence[Array] | None) -> Scene:
     """The scene of a system that moves on a line: position over time."""
-    space, end = Stretch.of(picture, paths), picture.duration
-    low, high = np.array([0.0, space.low]), np.array([end, space.high])
-    scene = Scene(picture, [0], ("Time (s)", picture.frame.labels[0]), low, high, over_time=True)
-    start = picture.initial_positions
-    reach = float(np.abs(start.G).sum())
-    goal = np.array([[end, value] for value in space.goal()])
-    items = [item for obstacle in picture.obstacles for item in space.unsafe(obstacle)]
+    end, start, space = picture.duration, picture.initial_positions, Space.of(picture, paths)
+    parts = space.goal()
+    goal = np.unique(np.concatenate([part.points[:, 0] for part in parts])) if parts else np.zeros(0)
+    sides = [_ends(obstacle, picture)[1].ravel() for obstacle in picture.obstacles]
+    points, wide = np.concatenate([space.low, space.high, goal, *sides]), WIDEN * (space.high - space.low)
+    shown = points[(points >= space.low - wide) & (points <= space.high + wide)]
+    pad = 0.1 * float(np.ptp(shown))
+    low, high = np.array([0.0, shown.min() - pad]), np.array([end, shown.max() + pad])
+    labels = ("Time (s)", picture.frame.labels[0])
+    scene = Scene([0], labels, low, high, over_time=True, picture=picture)
+    items = [item for obstacle in picture.obstacles for item in _on_line(obstacle, scene)]
     if len(goal):
-        items.append(Item("goal", (Shape("line" if len(goal) == 2 else "points", goal),)))
+        ends = np.column_stack([np.full(len(goal), end), goal])[:: max(len(goal) - 1, 1)]
+        items.append(Item("goal", (Shape("line" if len(goal) > 1 else "points", ends),)))
+    reach = float(np.abs(start.G).sum())
     items.append(_line("initial", np.array([[0.0, start.c[0] - reach], [0.0, start.c[0] + reach]])))
     items.append(_line("reference", scene.placed(picture.path()[0], picture.path_times())))
     return replace(scene, items=(*items, *_tube(picture, [0])))
+
+
+def _ends(obstacle: Obstacle, picture: Picture) -> tuple[Array, Array]:
+    """Times (T,), and the ends then of a set (of a keep-in set's inside), (2, T) [m]; perhaps infinite."""
+    times, shape = np.linspace(0, picture.duration, INSTANTS), obstacle.drawn
+    if isinstance(shape, Ball):
+        shape = Box.of(np.full(1, shape.radius))
+    H = shape.H[:, 0]
+    at = (shape.b + H * obstacle.centre(times, picture.system)) / H
+    low, high = np.where(H < 0, at, -np.inf).max(axis=1), np.where(H > 0, at, np.inf).min(axis=1)
+    return times, np.stack([low, high])
+
+
+def _on_line(obstacle: Obstacle, scene: Scene) -> list[Item]:
+    """A band that is unsafe, or both limits of a set to stay in, at the view's edge if they are beyond it."""
+    (_, low), (end, high) = scene.low, scene.high
+    times, ends = _ends(obstacle, scene.picture)
+    if not isinstance(obstacle, KeepIn):
+        first, last = np.clip(ends, low, high)
+        if not np.any(last > first):
+            return []
+        at = min(max(int(np.argmax(last - first)), INSTANTS // 4), 3 * INSTANTS // 4)
+        widest = np.array([[times[at], first[at]], [times[at], last[at]]])
+        band = Shape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[first, last[::-1]]]))
+        marks = (Mark(Shape("line", widest)),) if last[at] > first[at] else ()
+        return [Item("unsafe", (band,), obstacle.name, marks=marks)]
+    found = []
+    for edge, side in zip((ends[0][0], ends[1][0]), (low, high), strict=True):
+        seen, near = low < edge < high, np.clip(edge, low, high)
+        mark = Mark(Shape("points", np.array([[end / 2, near]])), "" if seen else f": {edge:.4g} m")
+        rim = Shape("line", np.array([[0.0, edge], [end, edge]])) if seen else None
+        if seen or (np.isfinite(edge) and near == side):
+            found.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
+    return found
 
 
 def _line(role: str, points: Array) -> Item:
@@ -136,84 +179,3 @@ def _tube(picture: Picture, axes: list[int]) -> list[Item]:
         shapes = [geometry.polyhedron(rays, b, c) for b, c in zip(support, inside, strict=True)]
     modes = np.repeat(picture.modes, len(edges) - 1) if len(picture.modes) == K else None
     return [Item("tube", tuple(shapes), times=times, modes=modes)]
-
-
-INSTANTS = 121
-WIDEN = 2.5  # sets are shown that are no further from the path than so many times its extent
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """The stretch of the line that is shown over the horizon, from `low` to `high` [m], and what is in it."""
-
-    picture: Picture
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, picture: Picture, paths: Sequence[Array] | None) -> "Stretch":
-        """Room for paths (N, 1) [m], the initial set, the goal, and limits that are not far away."""
-        if paths is None:
-            paths = [picture.positions(flights) for flights in picture.flights.values()]
-        start = picture.initial_positions
-        reach = float(np.abs(start.G).sum())
-        shown = [start.c - reach, start.c + reach, picture.path()[0][:, 0], picture.safe_path()[1][:, 0]]
-        points = np.concatenate(shown)
-        size = float(np.ptp(points))
-        flown = (path[:, 0] for path in paths)
-        near = [one for one in flown if np.ptp(np.append(one, points)) < (1 + 2 * WIDEN) * size]
-        points = np.concatenate([*shown, *near])
-        low, high = float(points.min()) - WIDEN * size, float(points.max()) + WIDEN * size
-        whole = cls(picture, -np.inf, np.inf)
-        edges = [whole.edges(obstacle).ravel() for obstacle in picture.obstacles] + [np.array(whole.goal())]
-        points = np.concatenate([points, *([edge[(edge >= low) & (edge <= high)] for edge in edges])])
-        pad = 0.12 * float(np.ptp(points)) + 1e-9 * (1 + float(np.abs(points).max()))
-        return cls(picture, float(points.min()) - pad, float(points.max()) + pad)
-
-    @property
-    def times(self) -> Array:
-        """Times at which sets are drawn [s]."""
-        return np.linspace(0, self.picture.duration, INSTANTS)
-
-    def edges(self, obstacle: Obstacle) -> Array:
-        """Ends of a set (of a keep-in set's inside) at `times`, shape (T, 2) [m]; perhaps infinite."""
-        shape, centre = obstacle.drawn, obstacle.centre(self.times, self.picture.system)
-        if isinstance(shape, Ball):
-            shape = Box.of(np.full(1, shape.radius))
-        H = shape.H[:, 0]
-        b = shape.b + H * centre
-        high = np.where(H > 0, b / np.abs(H), np.inf).min(axis=1)
-        low = np.where(H < 0, -b / np.abs(H), -np.inf).max(axis=1)
-        return np.stack([low, high], axis=1)
-
-    def goal(self) -> tuple[float, ...]:
-        """Ends of the goal at the horizon [m]; one if it is a point, none if any position will do."""
-        parts = Space(self.picture, np.zeros(1), np.ones(1)).goal()  # what is infinite here has no place
-        points = parts[0].points[:, 0] if parts else np.zeros(0)
-        return tuple(dict.fromkeys((float(points.min()), float(points.max())))) if len(points) else ()
-
-    def unsafe(self, obstacle: Obstacle) -> list[Item]:
-        """A band that is unsafe, or the limits of one to stay in, where they are."""
-        edges, times = self.edges(obstacle), self.times
-        if isinstance(obstacle, KeepIn):
-            return self._limits(obstacle, edges[0])
-        low, high = np.clip(edges, self.low, self.high).T
-        if not np.any(high > low):
-            return []
-        at = min(max(int(np.argmax(high - low)), INSTANTS // 4), 3 * INSTANTS // 4)
-        widest = np.array([[times[at], low[at]], [times[at], high[at]]])
-        band = Shape("area", np.column_stack([np.r_[times, times[::-1]], np.r_[low, high[::-1]]]))
-        marks = (Mark(Shape("line", widest)),) if high[at] > low[at] else ()
-        return [Item("unsafe", (band,), obstacle.name, marks=marks)]
-
-    def _limits(self, obstacle: KeepIn, edges: Array) -> list[Item]:
-        """Both limits [m]; one that is out of view is told at the edge of the view."""
-        found = []
-        ends, middle = [0.0, self.picture.duration], self.picture.duration / 2
-        for edge, end in zip(edges, (self.low, self.high), strict=True):
-            seen, near = self.low < edge < self.high, np.clip(edge, self.low, self.high)
-            mark = Mark(Shape("points", np.array([[middle, near]])), "" if seen else f": {edge:.4g} m")
-            rim = Shape("line", np.column_stack([ends, [edge, edge]])) if seen else None
-            if seen or (np.isfinite(edge) and near == end):
-                found.append(Item("keep_in", (rim,), f"{obstacle.name} (stay inside)", marks=(mark,)))
-        return found

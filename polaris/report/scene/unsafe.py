@@ -13,7 +13,7 @@ from ...model.scene.shapes import Ball, Polytope
 from ...model.system import Array
 from ...runs.picture import seconds
 from . import geometry
-from .geometry import Shape, boxed, closed, faces, flat_outline, gapped, hull, on_box
+from .geometry import Shape, boxed, closed, flat_outline, gapped, hull, on_box
 from .items import CloseUp, Item, Mark
 from .palette import LOOKS
 from .space import Space, moves
@@ -131,18 +131,11 @@ def _keep_in(obstacle: KeepIn, space: Space, axes: list[int]) -> list[Item]:
     surface = geometry.cut_surface(inside.H, inside.b, space.low, space.high)
     found = [Item("keep_in", (surface.along(axes),), name)] if surface else []
     within = boxed(inside.H, inside.b, space.low, space.high)
-    lines = _edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
+    lines = geometry.edges(within.vertices() if within.depth > 0 else np.zeros((0, 3)))
     lines = lines[~on_box(lines, space.low, space.high)][..., axes]
     if len(lines):
         found.append(Item("sides", (Shape("line", gapped(lines, 3)),), f"{obstacle.name}: its sides"))
     return found
-
-
-def _edges(corners: Array) -> Array:
-    """Edges of the convex hull of points in space, shape (L, 2, 3)."""
-    rims = [np.stack([face, np.roll(face, -1, axis=0)], axis=1).tolist() for face in faces(corners)]
-    found = {tuple(sorted(map(tuple, edge))) for rim in rims for edge in rim}  # each is of two faces
-    return np.array(sorted(found)).reshape(-1, 2, 3)
 
 
 def _covers(obstacle: SatelliteObstacle, space: Space, axes: list[int]) -> list[Item]:

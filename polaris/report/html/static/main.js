@@ -109,6 +109,7 @@ function start() {
   controls(data, state, redraw);
   recolour();
   DARK.addEventListener("change", drawAgain);
+  window.addEventListener("resize", drawTimelines); // titles are broken into lines that fit
   [["beforeprint", true], ["afterprint", false]].forEach(([name, on]) => window.addEventListener(name, () => {
     const before = isDark();
     printing = on;

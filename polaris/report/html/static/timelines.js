@@ -68,34 +68,39 @@ function rangeOf(panel, traces) {
   return [low - pad, high + pad];
 }
 
-// A title in lines that fit into a narrow window.
-function wrapped(text, most) {
-  const lines = [""];
-  for (const word of text.split(" ")) {
-    const last = lines[lines.length - 1];
-    if (last && last.length + word.length >= most) lines.push(word); else lines[lines.length - 1] = last ? `${last} ${word}` : word;
+// Parts in rows that are no wider than `most` [px]; each part is its text and how it is drawn.
+function inRows(parts, gap, most, weight) {
+  ruler.font = `${weight} ${TYPE}px system-ui, sans-serif`;
+  const rows = [], width = (row) => ruler.measureText(row.map((one) => one.text).join(gap)).width;
+  for (const part of parts) {
+    const last = rows[rows.length - 1];
+    if (last && width([...last, part]) <= most) last.push(part); else rows.push([part]);
   }
-  return lines;
+  return rows.map((row) => row.map((one) => one.html).join(gap));
 }
 
-// Names of the lines that belong to no pilot and of limits that shade nothing, each beside a piece of its line.
-function linesOf(panel) {
-  const own = panel.series.filter((one) => one.pilot === null && !one.bars);
-  const limits = panel.limits.filter((one) => one.text && !one.unsafe).map((one) => ({ colour: LIMIT, name: one.text }));
-  const lines = [...own, ...limits].map((one) => `<span style="color:${one.colour}">━━</span> ${plain(one.name)}`);
-  return lines.length ? [lines.join("   ")] : [];
+// The title of a diagram, and under it names of the lines that belong to no pilot and of limits that shade nothing.
+function headOf(title, panel, most) {
+  const bold = inRows(title.split(" ").map((text) => ({ text, html: plain(text) })), " ", most, "bold");
+  const own = panel ? panel.series.filter((one) => one.pilot === null && !one.bars) : [];
+  const limits = panel ? panel.limits.filter((one) => one.text && !one.unsafe).map((one) => ({ colour: LIMIT, name: one.text })) : [];
+  const lines = [...own, ...limits].map(({ colour, name }) => (
+    { text: `━━ ${name}`, html: `<span style="color:${colour}">━━</span> ${plain(name)}` }));
+  return [...bold.map((line) => `<b>${line}</b>`), ...inRows(lines, "   ", most, "normal")];
 }
 
 function timelineFigure(data, state) {
   const narrow = isNarrow(), marks = (data.marks || []).map((one) => plain(one.text));
   const rows = rowsOf(data, state), heights = [ROW * rows.length + 8, ...data.panels.map(() => PANEL)];
-  const titles = [data.modes_title, ...data.panels.map((panel) => panel.title + (panel.unit ? ` (${panel.unit})` : ""))].map((title, n) => {
-    const bold = wrapped(title, narrow ? 34 : 90).map((line) => `<b>${plain(line)}</b>`);
-    return [...bold, ...(n ? linesOf(data.panels[n - 1]) : narrow ? marks : [])];
-  });
+  const small = narrow ? 9 : 11; // size of type of the names of who flies, which stand left of the diagrams
+  ruler.font = `${small}px system-ui, sans-serif`;
+  const left = Math.max(narrow ? 62 : 78, ...rows.map((name) => ruler.measureText(name).width + 12));
+  const most = $("timelines").clientWidth - left - 12;
+  const titles = [headOf(data.modes_title, null, most), ...data.panels.map((panel) => headOf(panel.title + (panel.unit ? ` (${panel.unit})` : ""), panel, most))];
+  if (narrow) titles[0].push(...marks);
   const gaps = titles.map((lines) => 30 + LINE * Math.max(lines.length - 1, 1));
   const total = heights.reduce((sum, h, n) => sum + h + gaps[n], 0);
-  const layout = { height: total + 46, margin: { l: narrow ? 62 : 78, r: 12, t: 4, b: 44 }, barmode: "overlay", hovermode: "x",
+  const layout = { height: total + 46, margin: { l: left, r: 12, t: 4, b: 44 }, barmode: "overlay", hovermode: "x",
     hoverdistance: -1, showlegend: false, paper_bgcolor: "#fff", plot_bgcolor: "#fff", dragmode: narrow ? false : "zoom",
     font: { family: "system-ui, sans-serif", size: 11, color: "#222" }, uirevision: "keep", annotations: [],
     shapes: [{ type: "line", xref: "x", yref: "paper", x0: state.t, x1: state.t, y0: 0, y1: 1, line: { color: "#111", width: 1.5 } }],
@@ -115,7 +120,7 @@ function timelineFigure(data, state) {
       yaxis.range = rangeOf(panel, own);
       limitsOf(panel, yaxis.range, name, layout);
     } else Object.assign(yaxis, { type: "category", categoryarray: [...rows].reverse(), range: [-0.6, rows.length - 0.4], nticks: 0, tickmode: "array", tickvals: rows,
-      tickfont: { size: narrow ? 9 : 11 }, automargin: true, showgrid: false });
+      tickfont: { size: small }, showgrid: false });
     layout[n ? "yaxis" + (n + 1) : "yaxis"] = yaxis;
     traces.push(...own);
   });

@@ -1,4 +1,4 @@
-"""The plane that is drawn, and close-ups where it does not tell."""
+"""Close-ups of passages that the plane of the scene does not show."""
 
 from typing import Any
 
@@ -9,54 +9,11 @@ from matplotlib.patches import Polygon
 from ...model.system import Array
 from ...runs.picture import Picture, seconds
 from ..scene.geometry import flat_outline
-from ..scene.items import CloseUp, Scene, alone
+from ..scene.items import CloseUp, alone
 from ..scene.palette import BLACK, DULL_RED, LOOKS, RED, tint
 from ..scene.space import Space, moves
 from .cuts import mark_cuts
-from .labels import name
 from .style import DASHES, draw_safe_path, shortened, text_width
-
-WIDTH = 2.8  # of the axes [in]
-
-
-class View:
-    """The rectangle that a scene in two axes shows; a mute one has no names."""
-
-    def __init__(self, scene: Scene, mute: bool = False) -> None:
-        self.low, self.high, self.mute = scene.low, scene.high, mute
-        self.span = np.stack([self.low, self.high], axis=1).tolist()
-
-    @property
-    def aspect(self) -> float:
-        """Height over width."""
-        x, y = self.high - self.low
-        return float(y / x)
-
-    def contains(self, points: Array) -> Any:
-        """Return True for each point that lies in the view."""
-        return np.all((points > self.low) & (points < self.high), axis=-1)
-
-    def seen(self, outline: Array) -> Array:
-        """Points along a closed outline that are in the view, shape (N, 2)."""
-        s = np.linspace(0, 1, 200)[:, None, None]
-        edge = ((1 - s) * outline + s * np.roll(outline, -1, axis=0)).reshape(-1, 2)
-        return np.asarray(edge[self.contains(edge)])
-
-    def within(self, outline: Array) -> bool:
-        """Return True if an outline goes round all of the view."""
-        return bool(np.all((outline.min(axis=0) < self.low) & (outline.max(axis=0) > self.high)))
-
-    def inch(self, ax: Any) -> Array:
-        """Return the length of one inch of these axes along x and y, in their units."""
-        # On paper, one scale serves both axes or they have a shape of their own.
-        shape = self.aspect if ax.get_aspect() == 1.0 else 0.6
-        return np.asarray((self.high - self.low) / (1, shape) / WIDTH)
-
-    def label(self, ax: Any, text: str, points: Array, colour: str) -> None:
-        """Write a name at the part of an outline (or a point) that is in the view."""
-        if not self.mute:
-            name(ax, text, np.clip(points, self.low, self.high), colour)
-
 
 LETTERS = "abcdef"
 HERE = "\N{WHITE CIRCLE}"  # where the chaser is at the time in the title of a close-up

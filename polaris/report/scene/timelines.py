@@ -1,0 +1,206 @@
+"""Flights over time as plain data, which the printed figures and the page draw alike."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reach.numerics.linear import growth
+
+from ...model.scene.distances import UNKNOWN, signed_distances
+from ...model.scene.obstacles import perceive
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from ...runs.picture import Picture
+from ...simulation.baselines import Flights
+from ...synthesis.safety.recoverable import directed
+from .items import Pilot
+from .palette import GREEN, input_labels, mode_colour
+
+WHO = "Who flies"
+ROUND_OFF = 1e-9  # inputs below this share of the limit are 0 but for rounding
+
+
+class Limit(NamedTuple):
+    """A limit of a diagram; `unsafe` is the side of it that is shaded: ``above``, ``below`` or none."""
+
+    y: float
+    text: str = ""
+    unsafe: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A line over times (N,) [s]: values (N,), or (r, N) of the runs of a pilot, by its key.
+
+    A `step` is held until the next sample; a `band` (2, N) has the least and the largest over all runs.
+    """
+
+    times: Array
+    values: Array
+    pilot: str | None = None
+    name: str = ""
+    meaning: str = ""
+    colour: str = ""
+    dash: str = "solid"
+    step: bool = False
+    fill: bool = False
+    band: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One diagram; `label` is its title on the axis of a printed figure, where it is `log`arithmic or not."""
+
+    key: str
+    title: str
+    label: str
+    unit: str
+    limits: Sequence[Limit]
+    series: Sequence[Series]
+    log: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Pilots and diagrams with one time axis; the page opens at `opened` [s].
+
+    `modes` are those that occur, with their names and colours. A page colours its scene `by` ``mode`` or by
+    ``pilot``. `marks` are instants [s] with a text.
+    """
+
+    pilots: Sequence[Pilot]
+    panels: Sequence[Panel]
+    modes: Sequence[tuple[int, str, str]]
+    opened: float
+    modes_title: str = WHO
+    by: str = "pilot"
+    marks: Sequence[tuple[float, str]] = ()
+
+
+def modes_present(present: ArrayLike, named: Callable[[int], tuple[str, str]]) -> list[tuple[int, str, str]]:
+    """Return number, name and colour of every mode that occurs."""
+    return [(mode, *named(mode)) for mode in np.unique(present).tolist()]
+
+
+def schedule_timeline(
+    picture: Picture, pilots: Sequence[Pilot], proved: bool, by: str = "mode", opened: float | None = None
+) -> Timeline:
+    """Describe the flights of a schedule and its pilots over time.
+
+    The distance that is proven is shown if there is a proof. The page opens at `opened` [s], by default the
+    closest approach.
+    """
+
+    def named(mode: int) -> tuple[str, str]:
+        if mode == UNKNOWN:
+            return "filtered input, or not known", "#9A9A9A"
+        known = 0 <= mode < len(picture.controllers)
+        return picture.mode_name(mode) if known else f"controller {mode}", mode_colour(mode)
+
+    runs = {one.key: one.flights for one in pilots}
+    spent = [Series(each.times, picture.velocity_change(each), key) for key, each in runs.items()]
+    bound = picture.delta_v_max if proved else None
+    told = f"proven until the goal: at most {directed(bound, '.4g', up=True)}" if bound else ""
+    label, names = input_labels(picture.system)
+    what, _, unit = label.rstrip(")").partition(" (")
+    titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
+    inputs = [
+        Series(each.times, step_edges(each.inputs, 1), key, step=True, band=_range(each))
+        for key, each in runs.items()
+    ]
+    panels = [
+        *([_distances(picture, runs, proved)] if picture.obstacles else []),
+        Panel(
+            "spent",
+            "Velocity change so far",
+            "Velocity\nchange",
+            "m/s",
+            [Limit(bound, told)] if bound else [],
+            spent,
+        ),
+        *input_panels(titles, unit, picture.system.u_max, inputs),
+    ]
+    present = np.concatenate([picture.modes, *(np.ravel(each.modes) for each in runs.values())])
+    return Timeline(
+        pilots,
+        panels,
+        modes_present(present, named),
+        picture.closest if opened is None else opened,
+        by=by,
+        marks=[(picture.reached, picture.arrival)] if proved and picture.reached else [],
+    )
+
+
+def _range(runs: Flights) -> Array | None:
+    """Least and largest inputs over all runs, (2, N, m), if they are known."""
+    return None if runs.input_range is None else step_edges(runs.input_range, 1)
+
+
+def step_edges(values: Array, axis: int = 0) -> Array:
+    """Repeat the last value along an axis, so that steps reach the end of the last one."""
+    return np.concatenate([values, np.take(values, [-1], axis)], axis)
+
+
+def input_panels(titles: Sequence[str], unit: str, most: ArrayLike, inputs: Sequence[Series]) -> list[Panel]:
+    """Return one diagram per input, between its limits, of series whose values end in an axis of inputs."""
+    panels = []
+    for axis, (title, end) in enumerate(zip(titles, np.asarray(most).tolist(), strict=True)):
+        limits = [Limit(-end, "", "below"), Limit(end, f"limit {end:.4g}", "above")]
+        label = title.partition(", ")[2].capitalize() or title
+        series = [_of_axis(one, axis, end) for one in inputs]
+        panels.append(Panel(f"input{axis}", title, label, unit, limits, series))
+    return panels
+
+
+def _of_axis(one: Series, axis: int, most: float) -> Series:
+    """Return a series of one input; values that are 0 but for rounding are 0."""
+    values, band = one.values[..., axis], None if one.band is None else one.band[..., axis]
+    values = np.where(np.abs(values) < ROUND_OFF * most, 0.0, values)
+    return Series(one.times, values, one.pilot, dash=one.dash, step=True, band=band)
+
+
+def _distances(picture: Picture, runs: dict[str, Flights], proved: bool) -> Panel:
+    """Describe distances to the nearest unsafe set; other satellites are where they are nominally."""
+    series = []
+    for key, each in runs.items():
+        positions = each.states @ picture.system.position.T
+        found = signed_distances(picture.obstacles, each.times, positions, picture.system).min(axis=0)
+        series.append(Series(each.times, found, key, band=each.nearest[[0, 2]]))
+    bound = proven_distance(picture) if proved else None
+    if bound is not None:
+        (K, q), delta = bound.shape, picture.reference.delta
+        times = np.append((np.arange(K)[:, None] + np.arange(q) / q).ravel(), K) * delta
+        values, name = np.append(bound.ravel(), bound[-1, -1]), "least that is proven"
+        series.append(Series(times, values, name=name, colour=GREEN, step=True, fill=True))
+    title = "Distance to the nearest unsafe set"
+    return Panel("distance", title, "Distance", "m", [Limit(0.0, "unsafe", "below")], series)
+
+
+def proven_distance(picture: Picture) -> Array | None:
+    """Least distance (K, q) [m] from all unsafe sets that a proved schedule promises over every period.
+
+    The tube lies in the hull of its ends, up to its bow and that of the reference; offsets run linearly, so
+    the gap to a facet is least at an end. Negative gaps rest on S taking over: no more than 0 is promised.
+    What the true state is displaced by is in the tube, and in the sets that are perceived: it counts once.
+    """
+    tube, system = picture.tube, picture.system
+    unsafe = perceive(picture.obstacles, system, picture.reference.delta, picture.planned)
+    if tube is None or not unsafe:
+        return None
+    q, K, reference = tube.bow.shape[1], picture.planned, picture.reference
+    rate = reference.fine(q)[:K, :-1] @ system.A.T + (reference.nu[:K] @ system.B.T)[:, None, :]
+    grown = np.abs(rate) @ growth(system.A, reference.delta / q).T
+    bow = tube.bow + (reference.delta / q) ** 2 / 8 * grown @ np.abs(system.position @ system.A).T
+    found, twice = [], np.stack([system.displaced_at_nodes, system.displaced - system.displaced_at_nodes])
+    for timed in unsafe:
+        rows, offsets = timed.normals, timed.fine(q)
+        reach = np.abs(np.einsum("fd,kqdg->kqfg", rows, tube.generators)).sum(axis=-1)
+        size = np.abs(tube.centre).sum(axis=-1, keepdims=True) + np.abs(offsets)
+        gap = tube.centre @ rows.T - reach - offsets - ROUNDING * size
+        apart = np.abs(rows @ system.position) @ twice[0] + np.abs(rows) @ np.abs(system.position) @ twice[1]
+        between = np.minimum(gap[:, :-1], gap[:, 1:]) - bow @ np.abs(rows).T + apart
+        found.append(between.max(axis=-1))
+    return np.asarray(np.maximum(np.min(found, axis=0), 0.0))

@@ -1,0 +1,246 @@
+"""Tables of results as plain data, which the command line and the page show alike."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..model.checks import counted
+from ..runs.files.tables import pilots
+from ..runs.inspections.inspection import MEANING
+from ..simulation.metrics import possible
+from ..synthesis.safety.recoverable import directed
+
+ABSENT = {
+    "min_distance_m": ("none", "there is no unsafe set"),
+    "min_distance_mean_m": ("none", "there is no unsafe set"),
+    "min_ttc_s": ("∞", "no run was ever on a collision course"),
+    "min_ttc_free_drift_s": ("∞", "no run was ever on a collision course with its thrusters off"),
+    "max_thrust_ratio_safety": ("none", "this controller never flew"),
+    "max_thrust_ratio_experimental": ("none", "this controller never flew"),
+    "until_s": ("∞", "for all time"),
+}
+"""Meaning of null by key: see the table in ``docs/guarantees.md``."""
+
+TITLES = {
+    "runs": "simulated runs",
+    "min_distance_m": "least distance to an unsafe set",
+    "violations": "violations",
+    "min_distance_mean_m": "least distance, mean over runs",
+    "mean_distance_m": "distance, mean over time and runs",
+    "min_ttc_s": "least time to collision, straight on",
+    "min_ttc_free_drift_s": "least time to collision, free drift",
+    "drift_horizon_s": "time that free drift is followed for",
+    "experimental_share": "share of experimental control",
+    "switches": "switches",
+    "delta_v_m_s": "velocity change, mean",
+    "delta_v_max_m_s": "velocity change, largest",
+    "collided": "any run enters an unsafe set",
+    "collided_runs": "runs that enter an unsafe set",
+    "deviation": "input other than U's, mean",
+    "max_thrust_ratio": "largest demand of thrust",
+    "max_thrust_ratio_safety": "largest demand of thrust by S",
+    "max_thrust_ratio_experimental": "largest demand of thrust by U",
+    "decision_median_us": "time of a decision, median",
+    "decision_p99_us": "time of a decision, 99th percentile",
+    "synthesis_s": "time of synthesis",
+}
+"""Titles of metrics, in the order of tables."""
+
+SUFFIXES = {"_m_s2": "m/s²", "_m_s": "m/s", "_us": "µs", "_ms": "ms", "_s": "s", "_m": "m", "_N": "N"}
+BAD = ("collided", "collided_runs", "violations", "min_distance_m")
+"""Metrics that tell of a collision: any that is true or above 0, and a distance that is negative."""
+
+ROUND_OFF = 1e-12  # values below this are what rounding leaves of a zero, in any unit of a metric
+MOST_WHOLE = 1e7  # numbers below this have no exponent
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell: a text, smaller lines under it, and why it has no number if it has none.
+
+    What it is sorted by (None comes last), whether it tells of what must not happen, and whether it holds
+    words. A `badge` is the kind of a guarantee, of which a page shows a sign.
+    """
+
+    text: str
+    sort: float | str | None = None
+    bad: bool = False
+    words: bool = False
+    why: str = ""
+    lines: tuple[str, ...] = ()
+    badge: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A caption, heads of columns, and rows, named by the first column; heads may `sort` it on a page."""
+
+    caption: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    sort: bool = False
+
+
+def words(text: Any) -> Cell:
+    """Return a cell with a text from a file."""
+    return Cell(str(text), str(text), words=True)
+
+
+def value_cell(value: Any, key: str = "", unit: str = "") -> Cell:
+    """Return a cell with a value of a file, numbers with a unit; `ABSENT` says by key what null means."""
+    after = f" {unit}".replace("^2", "²") if unit else ""
+    if value is None:
+        text, why = ABSENT.get(key, ("none", "no value"))
+        return Cell(text, why=why)
+    if isinstance(value, (list, tuple, Mapping)):
+        named = value.items() if isinstance(value, Mapping) else (("", each) for each in value)
+        parts = [
+            f"{str(name).replace('_', ' ')} {value_cell(each, key).text}".strip() for name, each in named
+        ]
+        return Cell(", ".join(parts) + (after if parts else ""))
+    if isinstance(value, bool):
+        return Cell("yes" if value else "no")
+    if not isinstance(value, (int, float)):
+        return Cell(str(value))
+    if np.isnan(value):
+        return Cell("none", why="no value")
+    if np.isinf(value):
+        return Cell("∞" if value > 0 else "−∞", value, why="infinite" if value > 0 else "minus infinite")
+    return Cell(number(value) + after, value)
+
+
+def number(value: float) -> str:
+    """Return a number with four digits, whole ones with all; what rounding leaves of a zero is 0."""
+    if isinstance(value, int):
+        return f"{value:d}"
+    if abs(value) < ROUND_OFF:
+        return "0"
+    return f"{value:.0f}" if 1e4 <= abs(value) < MOST_WHOLE else f"{value:.4g}"
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A metric: its key, title and unit, and whether it is a share, shown in per cent."""
+
+    key: str
+    title: str
+    unit: str
+    percent: bool
+
+    @classmethod
+    def of(cls, key: str) -> "Measure":
+        """From its key, whose end names the unit; metrics nobody has heard of are shown too."""
+        share = key.endswith("_share") or "_ratio" in key
+        suffix = "" if share else next((end for end in SUFFIXES if key.endswith(end)), "")
+        title = TITLES.get(key, key.removesuffix(suffix).replace("_", " "))
+        return cls(key, title, "%" if share else SUFFIXES.get(suffix, ""), share)
+
+    @classmethod
+    def known(cls, *tables: Mapping[str, Any]) -> list["Measure"]:
+        """All that occur in some tables, in the order of `TITLES`; those nobody has heard of last."""
+        keys = {key for table in tables for key in table}
+        return [cls.of(key) for key in (*(key for key in TITLES if key in keys), *sorted(keys - set(TITLES)))]
+
+    @property
+    def head(self) -> str:
+        """Title with the unit."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    def text(self, value: Any, unit: bool = True) -> str:
+        """Return a value in words."""
+        return self._cell(value, unit).text
+
+    def proven(self, value: float | None) -> str:
+        """Return a value that is proven to be left: rounded down."""
+        if value is None or not np.isfinite(value):
+            return self.text(value)
+        return f"{directed(value, '.1%')[:-1] if self.percent else directed(value, '.4g')} {self.unit}"
+
+    def _cell(self, value: Any, unit: bool = True) -> Cell:
+        if self.percent and isinstance(value, (int, float)) and np.isfinite(value):
+            return Cell(f"{100 * value:.1f}" + " %" * unit, value)
+        return value_cell(value, self.key, self.unit if unit else "")
+
+    def cell(self, value: Any, unit: bool = True, difference: bool = False) -> Cell:
+        """Return a value, or a mean with its bounds, as a cell, marked if it tells of a collision."""
+        if not isinstance(value, Mapping):
+            return replace(self._cell(value, unit), bad=not difference and self._bad(value))
+        mean, low, high, worst = (value.get(name) for name in ("mean", "low", "high", "worst"))
+        least, most = possible(self.key, difference)  # folders of older versions know no limits
+        low, high = (None if v is None else min(max(v, least), most) for v in (low, high))
+        lines = []
+        if low is not None or high is not None:
+            lines.append(f"{self.text(low, False)} to {self.text(high, False)}")
+        if worst is not None and self.key != "violations":  # a count over all runs: there is no worst one
+            lines.append(f"worst {self.text(worst, False)}")
+        bad = not difference and self._bad(mean if worst is None else worst)
+        return replace(self._cell(mean, False), bad=bad, lines=tuple(lines))
+
+    def _bad(self, value: Any) -> bool:
+        if self.key not in BAD or value is None:
+            return False
+        return bool(value < 0) if self.key.endswith("_m") else bool(value > 0)
+
+
+BRIEF = (
+    *("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share", "switches", "delta_v_m_s"),
+    *("max_thrust_ratio_safety", "max_thrust_ratio_experimental", "collided_runs"),
+)
+"""Metrics that the command line shows of a run."""
+
+
+def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:
+    """Return the metrics of S alone, U alone and the schedule: those of some keys, or all."""
+    who = pilots(summary)
+    every = Measure.known(*(summary[name] for name in who)) if keys is None else map(Measure.of, keys)
+    rows = [
+        [Cell(one.title), *(one.cell(summary[name].get(one.key)) for name in who)]
+        for one in every
+        if one.key != "controller"
+    ]
+    return Table(caption, ["", *who.values()], rows)
+
+
+def constraints(summary: Mapping[str, Any]) -> Table:
+    """Return the least value of every constraint of an inspection flight."""
+    rows = [
+        [
+            Cell(str(row["constraint"])),
+            words(MEANING.get(row["constraint"], (row["meaning"], ""))[0]),
+            replace(value_cell(row["least"], unit=row["unit"]), bad=(row["least"] or 0) < 0),
+            value_cell(row["time_s"], unit="s"),
+            words(", ".join(map(str, row["deputies"]))),
+            replace(_share(row["violated_share"]), bad=bool(row["violated_share"])),
+        ]
+        for row in summary["constraints"]
+    ]
+    heads = ["constraint", "meaning", "least", "at", "deputies", "share violated"]
+    return Table(
+        "Least value of every constraint over the flight; negative is a violation", heads, rows, True
+    )
+
+
+def studies(summary: Mapping[str, Any]) -> Table:
+    """Return the success of every study of a campaign of inspections, and what its failures were."""
+    kinds = sorted({kind for study in summary["studies"] for kind in study["failures"]})
+    rows = []
+    for study in summary["studies"]:
+        counts = [int(study["failures"].get(kind, 0)) for kind in kinds]
+        shares = (study[key] for key in ("success_share", "success_share_lower_95", "interventions_share"))
+        rows.append(
+            [
+                Cell(str(study["name"])),
+                value_cell(study["successes"]),
+                *map(_share, shares),
+                value_cell(study["delta_v_mean_m_s"], unit="m/s"),
+                *(Cell(str(count), count, bad=count > 0) for count in counts),
+            ]
+        )
+    heads = ["study", "safe runs", "share", "at least, 95 %", "interventions", "velocity change", *kinds]
+    return Table(f"{counted(summary['runs'], 'run')} of {summary['duration_s']:g} s", heads, rows, True)
+
+
+def _share(value: float | None) -> Cell:
+    return value_cell(value) if value is None else Cell(f"{100 * value:.2f} %", value)
