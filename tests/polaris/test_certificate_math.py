@@ -36,7 +36,14 @@ from polaris.certificate.kernel.balls import (
 )
 from polaris.certificate.kernel.motion import Along, Plant, Push
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
-from polaris.certificate.kernel.zonotopes import Merging, Rows, Zonotope, ball_cover, inner_radius, widest
+from polaris.certificate.kernel.zonotopes import (
+    Directions,
+    Merging,
+    Zonotope,
+    ball_cover,
+    inner_radius,
+    widest,
+)
 from polaris.certificate.model.craft.memory import Memory
 from polaris.certificate.model.craft.needs import Bows, Needs
 from polaris.certificate.model.limits import Limits, Target
@@ -328,7 +335,7 @@ def test_a_set_that_grew_reaches_as_far_as_one_that_is_made_whole():
     rng = np.random.default_rng(4)
     G, more, M = (matrix(rng.normal(size=size).tolist()) for size in ((3, 8), (3, 5), (3, 3)))
     start = Zonotope(column([1.0, 2.0, 3.0]), G)
-    rows = Rows(M)
+    rows = Directions(M)
     start.through(rows)  # what is known of the part serves the whole
     grown, whole = start.grown(more), Zonotope(start.c, beside(G, more))
     for z, other in (

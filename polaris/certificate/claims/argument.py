@@ -8,8 +8,8 @@ from ..files.artefacts import Stated
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import largest, magnitude, matrix, plain, require
-from ..kernel.verdict import Record, Rejected
-from ..kernel.zonotopes import Merging, Rows, Zonotope
+from ..kernel.verdict import Record, Rejected, Undecided
+from ..kernel.zonotopes import Directions, Merging, Zonotope
 from ..model.bodies import Whereabouts
 from ..model.craft.states import craft_of
 from ..model.limits import Barrier
@@ -59,15 +59,19 @@ class Argument:
         path = self.reference()
         self.record.holds("end", check_end(self.document, path))
         confirmed = len(self.record.checked)
-        for order in ORDERS[bool(self.document.profile) :]:  # errors that grow leave less to spare
+        # Where errors grow with commands less is left to spare.
+        orders = ORDERS[-2:] if self.document.profile else ORDERS
+        for order in orders:
             merging = Merging(order)
             try:
                 self.flights(path, merging)
                 break
             except Rejected as error:
-                if order == ORDERS[-1] or not merging.lossy or error.claim not in NARROWER:
+                if order == orders[-1] or not merging.lossy or error.claim not in NARROWER:
                     raise
                 del self.record.checked[confirmed:]
+        else:
+            raise Undecided("separation", "no number of generators is given")
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
         if self.document.statement:
@@ -115,6 +119,7 @@ class Argument:
             most = JUMP_SLACK * max(1.0, *size)
             require("reference", most - off, f"the tail starts {float(off):.6g} off state {i} reached at T")
         within_limits(doc, doc.inputs, "thrust", "the reference")
+        self.record.holds("thrust", "the reference's; S's commands are among the limits that are recoverable")
         self.record.holds("reference", f"{doc.cells} steps, jump at T at most {float(largest(jump)):.3g}")
         return path
 
@@ -122,7 +127,7 @@ class Argument:
         """Reachable sets of the schedule; every step of an experimental controller is separate."""
         doc = self.document
         start = Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose())
-        sets, flown, known = [start], [], dict[Any, Rows]()
+        sets, flown, known = [start], [], dict[Any, Directions]()
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k], known) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None

@@ -12,7 +12,7 @@ from ..kernel.balls import column, diagonal, largest, magnitude, matrix, plain, 
 from ..kernel.motion import Motion, Plant, Push
 from ..kernel.periods import Period, Spell, around, clip, command_ranges, secant
 from ..kernel.verdict import Rejected
-from ..kernel.zonotopes import Merging, Rows, Zonotope
+from ..kernel.zonotopes import Directions, Merging, Zonotope
 from ..model.bodies import Whereabouts
 from ..model.limits import Barrier
 from ..model.networks import Policy
@@ -84,9 +84,9 @@ class Pilot:
         return replace(self, before=[largest(each) for each in zip(*told[-hidden:], strict=True)])
 
     @cached_property
-    def fed(self) -> Rows:
+    def fed(self) -> Directions:
         """Rows of what it feeds back."""
-        return Rows(self.gain)
+        return Directions(self.gain)
 
     def base(self, k: int, path: Path) -> Arc:
         """The arc of a step about which its motion is described."""
@@ -133,7 +133,7 @@ class Pilot:
             n, rows = d.c.nrows(), fit[i]
             K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
             bands = [arb(row[n + 1]) for row in rows]
-            ranges = zip(plant.u_max, command_ranges(c, Rows(-K), d), bands, strict=True)
+            ranges = zip(plant.u_max, command_ranges(c, Directions(-K), d), bands, strict=True)
             most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
             error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
             return Period(plant.loop(-K), plant.B * (c - u), push, error, most)

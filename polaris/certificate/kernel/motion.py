@@ -29,7 +29,7 @@ from .balls import (
     sums,
     widths,
 )
-from .zonotopes import Rows, Zonotope, ball_cover
+from .zonotopes import Directions, Zonotope, ball_cover
 
 PARTS = 32
 """Parts of a prediction over each of which integrals are bounded by the trapezoid rule."""
@@ -87,14 +87,14 @@ class Plant:
         return replace(self, h=self.unmeasured / PARTS).open.unit_gains(identity(self.B.nrows()), PARTS)
 
     @cached_property
-    def turning(self) -> Rows:
+    def turning(self) -> Directions:
         """A, as rows of a rate."""
-        return Rows(self.A)
+        return Directions(self.A)
 
     @cached_property
-    def unit(self) -> Rows:
+    def unit(self) -> Directions:
         """Rows of the state itself."""
-        return Rows(identity(self.A.nrows()))
+        return Directions(identity(self.A.nrows()))
 
     @cached_property
     def carry(self) -> list[Push]:
@@ -165,7 +165,7 @@ class Motion:
     closed: arb_mat  # A_c
     held: arb_mat | None = None  # the gain of the input that is held, if there is one
     error: list[arb] = field(default_factory=list)  # bounds on the error of every input, if there is any
-    _along: dict[Rows, Along] = field(default_factory=dict, repr=False)
+    _along: dict[Directions, Along] = field(default_factory=dict, repr=False)
 
     @property
     def A(self) -> arb_mat:
@@ -200,16 +200,16 @@ class Motion:
         """
         return magnitude(rows * self.A * self.over * (self.plant.h**2 / 8))
 
-    def along(self, rows: Rows) -> Along:
+    def along(self, rows: Directions) -> Along:
         """What is booked along rows, made once."""
         if rows not in self._along:
             self._along[rows] = Along(self, rows.M)
         return self._along[rows]
 
     @cached_property
-    def rates(self) -> Rows:
+    def rates(self) -> Directions:
         """``A_c``: rows of the rate at the start of a period."""
-        return Rows(self.closed)
+        return Directions(self.closed)
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 

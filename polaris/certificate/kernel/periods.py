@@ -6,7 +6,7 @@ from flint import arb, arb_mat
 
 from .balls import largest, sums
 from .motion import Motion, Push
-from .zonotopes import Rows, Zonotope
+from .zonotopes import Directions, Zonotope
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Period:
             pushed.append(self.motion.pushed(self.error))
         return end.grown(*pushed, self.motion.disturbance_set)
 
-    def extra(self, rows: Rows, d: Zonotope) -> tuple[list[arb], list[arb]]:
+    def extra(self, rows: Directions, d: Zonotope) -> tuple[list[arb], list[arb]]:
         """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.
 
         They belong to the start and the end of the period; in between, their chord is a bound: what v and
@@ -60,7 +60,7 @@ class Spell:
     """Bounds on those of estimates and of thrusters, as inputs; none where the law is not linear, or late."""
 
 
-def command_ranges(u: arb_mat, gain: Rows, d: Zonotope) -> list[tuple[arb, arb]]:
+def command_ranges(u: arb_mat, gain: Directions, d: Zonotope) -> list[tuple[arb, arb]]:
     """Ranges of ``u - K x`` over a set, as exact numbers."""
     fed = d.through(gain)
     middles = (u - fed.c).entries()

@@ -27,8 +27,8 @@ from .balls import (
 NOTHING = 1e-8  # share of a set's extent that generators may come to which are merged whatever their number
 
 
-class Rows:
-    """Rows that many sets and motions are asked along: what they make of them is kept under this object."""
+class Directions:
+    """Rows along which many sets and motions are bounded; what they find is kept under this object."""
 
     def __init__(self, M: arb_mat) -> None:
         self.M = M
@@ -39,7 +39,7 @@ class Generators:
 
     def __init__(self, *parts: arb_mat | Generators) -> None:
         self._parts = parts
-        self._images: dict[Rows, Generators] = {}
+        self._images: dict[Directions, Generators] = {}
 
     @cached_property
     def G(self) -> arb_mat:
@@ -52,7 +52,7 @@ class Generators:
         """How far every coordinate may be from the centre's."""
         return sums(*(part.widths if isinstance(part, Generators) else widths(part) for part in self._parts))
 
-    def image(self, rows: Rows) -> Generators:
+    def image(self, rows: Directions) -> Generators:
         """Of the set mapped by rows."""
         if rows not in self._images:
             parts = (
@@ -78,7 +78,7 @@ class Zonotope:
         """The set mapped by a matrix."""
         return Zonotope(M * self.c, M * self.G)
 
-    def through(self, rows: Rows) -> Zonotope:
+    def through(self, rows: Directions) -> Zonotope:
         """The same by rows that are asked for again, of this set or of it moved or grown."""
         return Zonotope(rows.M * self.c, self._made.image(rows))
 

@@ -11,7 +11,7 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import TINY, above, magnitude, matrix, sums
-from ..kernel.zonotopes import Rows
+from ..kernel.zonotopes import Directions
 from .craft.craft import Craft
 from .craft.needs import Needs
 from .craft.scheduled import Along
@@ -44,12 +44,12 @@ class Barrier:
     """The separating facets of one cell."""
 
     names: list[str]  # of the unsafe sets
-    rows: Rows  # -n C: an error e, about a path, is separate if row e is less than the path's room
+    rows: Directions  # -n C: an error e, about a path, is separate if row e is less than the path's room
     offsets: list[tuple[arb, arb]]  # of the facets, at the start and the end of the cell
 
     @classmethod
     def of(
-        cls, document: Document, position: arb_mat, cell: int, chosen: list[int], known: dict[Any, Rows]
+        cls, document: Document, position: arb_mat, cell: int, chosen: list[int], known: dict[Any, Directions]
     ) -> Barrier:
         """Some facets, one of every unsafe set, in a cell; beyond the last one sets are as at its end.
 
@@ -57,7 +57,7 @@ class Barrier:
         """
         facets = list(zip(document.unsafe, chosen, strict=True))
         if (key := tuple(chosen)) not in known:
-            known[key] = Rows(_against([item.normals[f] for item, f in facets], position))
+            known[key] = Directions(_against([item.normals[f] for item, f in facets], position))
         ends = [
             (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
             for item, f in facets
@@ -84,7 +84,7 @@ class Limits:
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
         facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
-        targets, known = [], dict[Any, Rows]()
+        targets, known = [], dict[Any, Directions]()
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell], known)
             error = craft.noise_in(document, cell) * 2
