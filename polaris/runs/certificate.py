@@ -20,7 +20,7 @@ from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..simulation.metrics import finite
 from ..synthesis.controllers.controllers import TubeSegment
-from ..synthesis.safety.clearance import error_tube
+from ..synthesis.safety.carried_rows import error_tube
 from ..synthesis.safety.demand import command_noise
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.safety.passive import Drift, clear

@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array, LinearSystem
-from ...synthesis.safety.clearance import error_tube, facet_room
+from ...synthesis.safety.carried_rows import error_tube
+from ...synthesis.safety.clearance import facet_room
 from ...synthesis.safety.demand import command_errors
 from ...synthesis.schedule.schedule import Schedule
 from ..failing import Failing

@@ -15,55 +15,8 @@ from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.intersample import at_nodes
 from ..tracker.tracking import Tracking
+from .carried_rows import error_tube
 from .demand import Scheduled, command_noise
-
-
-@dataclass(frozen=True, eq=False)
-class Tube:
-    """What S's error from one set needs along fixed rows, period by period (theory item 3).
-
-    Attributes
-    ----------
-    rows : ndarray, shape (r, n) or (r, N)
-    need : ndarray, shape (memory + 3, r)
-        Entry l belongs to node l after the start. Over the period between two nodes ``row e(t)`` is
-        at most the chord of their entries; the last entry holds for every later time.
-    """
-
-    rows: Array
-    need: Array
-
-    def over_cells(self, cells: int, q: int) -> Array:
-        """Largest need within every planning cell, shape (cells, r)."""
-        last = len(self.need) - 1
-        lags = np.minimum(np.arange(cells * q + 1), last)
-        per_node = self.need[lags]
-        inside = per_node[:-1].reshape(cells, q, -1).max(axis=1)
-        return np.asarray(np.maximum(inside, per_node[q::q]))
-
-    def left_over(self, tracking: Tracking, radius: float) -> Array:
-        """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        plant = self.rows[:, : tracking.system.n]
-        return np.asarray(tracking.forgotten(plant, radius) + tracking.disturbance(self.rows)[-1])
-
-
-def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
-    """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
-
-    `start` holds the errors ``x - xi`` at time 0, `rows` directions of the error, (r, n), or of the loop
-    state (`Tracking.disturbance`). With `failing` a fault that is isolated late may occur, where any is
-    declared.
-    """
-    radius = float(start.norm_bound(tracking.W))
-    whole, disturbance, rows = rows, tracking.disturbance(rows, failing), rows[:, : tracking.system.n]
-    curvature = tracking.curvature(rows)
-    centre = rows @ tracking.transitions @ start.c
-    spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
-    support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-    booked = curvature * tracking.decay_before[:, None] * radius
-    within = support + booked + disturbance[: len(support)]
-    need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])
-    return Tube(whole, need + ROUNDING * np.abs(need))
 
 
 @brief
@@ -139,7 +92,9 @@ class Clearance:
             np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0]
             for o, part in enumerate(parts)
         ]
-        return np.asarray(np.stack(chosen, axis=-1) - self.jumps[0][:, None, :])
+        rows, index = self.obstacle_rows
+        jump = np.take_along_axis(self.jumped(rows), index, axis=1)
+        return np.asarray(np.stack(chosen, axis=-1) - jump[:, None, :])
 
     @cached_property
     def _scheduled(self) -> Scheduled | None:
@@ -158,20 +113,12 @@ class Clearance:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         noise = command_noise(self.tracking, self.cells, self.planned)
         limit = self.tracking.system.u_max * (1 - ROUNDING) - noise
-        cost = self.jumps[1]
+        cost = self.jumped(self.tracking.gain)
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 
-    @cached_property
-    def jumps(self) -> tuple[Array, Array]:
-        """What the jump into the tail takes of `room` [m] and `thrust` [N], shapes (cells, o), (cells, m).
-
-        A share of the room counts it as a need: of a smaller room, the same need would seem to leave more.
-        """
-        rows, index = self.obstacle_rows
-        facets, inputs = np.zeros(index.shape), np.zeros((self.cells, self.tracking.system.m))
-        facets[self.planned :] = self.jump_need(rows)[index[self.planned :]]
-        inputs[self.planned :] = self.jump_need(self.tracking.gain)
-        return facets, inputs
+    def jumped(self, rows: Array) -> Array:
+        """Return what the jump into the tail needs along rows (r, n) in every cell, shape (cells, r)."""
+        return np.where(np.arange(self.cells)[:, None] >= self.planned, self.jump_need(rows), 0.0)
 
     def jump_need(self, rows: Array) -> Array:
         """What the jump into the tail needs along rows (r, n) at any time after it, shape (r,)."""

@@ -8,7 +8,7 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
-from ..safety.clearance import error_tube
+from ..safety.carried_rows import error_tube
 from ..safety.demand import command_noise
 from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety

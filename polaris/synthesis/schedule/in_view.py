@@ -27,7 +27,7 @@ from ...planning.search import Candidate, Seen
 from ..controllers.controllers import AffineController
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
-from ..safety.clearance import error_tube
+from ..safety.carried_rows import error_tube
 from ..safety.demand import Scheduled
 from ..tracker.tracking import Tracking
 from .schedule import Schedule

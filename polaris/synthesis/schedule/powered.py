@@ -22,7 +22,8 @@ from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..controllers.controllers import TubeSegment
 from ..safety.attempts import perceive_unsafe, plan_problem
-from ..safety.clearance import Clearance, error_tube
+from ..safety.carried_rows import error_tube
+from ..safety.clearance import Clearance
 from ..safety.end_condition import coast, judge_end, tail_length
 from ..safety.get_safety import Safety, get_recover
 from ..safety.problem import PoweredAbort, Problem

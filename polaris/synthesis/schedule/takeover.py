@@ -11,7 +11,7 @@ from reach.sets.zonotope import Zonotope
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import TubeSegment
-from ..safety.clearance import error_tube
+from ..safety.carried_rows import error_tube
 from ..safety.demand import command_noise
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows
