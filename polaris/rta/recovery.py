@@ -23,7 +23,6 @@ from ..model.system import Array
 from ..model.tolerances import ROUNDING
 from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.demand import taken_over
-from ..synthesis.safety.limits import later
 from .decision_grid import DecisionGrid
 
 NEVER = 1e200  # reciprocal of a limit that leaves no room; times any error it is still a number
@@ -146,14 +145,13 @@ class Recovery:
         return np.asarray(flow.h**2 / 8 * np.abs(rows @ flow.A_x @ flow.A_x) @ flow.growth @ size)
 
     @cached_property
-    def ends(self) -> Array:
-        """Room of every row at both ends of every period, shape (2, nodes + L + 1, r) (see `Limits`)."""
-        return np.pad(self.sets.limits.room, ((0, 0), (0, self.lags), (0, 0)), constant_values=np.inf)
-
-    @cached_property
     def limits(self) -> Array:
         """Least room of every row at every node (at a border, of both cells), (nodes + L + 1, r)."""
-        return np.asarray(self.ends.min(axis=0))
+        begin, end = self.sets.limits.room
+        out = np.full((len(begin) + 1 + self.lags, len(self.rows)), np.inf)
+        out[: len(begin)] = begin
+        out[1 : len(end) + 1] = np.minimum(out[1 : len(end) + 1], end)
+        return out
 
     @cached_property
     def _jump(self) -> Array:
@@ -230,21 +228,26 @@ class Recovery:
         """
         tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
-        ends = self.ends
+        ends = self.sets.limits.room
         need = np.zeros_like(ends) + self.sets.disturbance[-1] * (1 + ROUNDING)
         path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
-        need[:, : self.grid.last + 1, :o] += path  # after T nobody but S flies
+        need[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
+        need[1, : self.grid.last, :o] += path
         weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
         weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
         allowed = np.min((ends - need) / np.maximum(weight, 1e-300), axis=2)
-        possible, whole = allowed > 0, np.maximum(ends + self._jump, 1 / NEVER)
-        base = np.where(possible, np.max((need + self._jump) / whole, axis=2), NEVER)
+        jump = np.stack([self._jump[: ends.shape[1]], self._jump[1 : ends.shape[1] + 1]])
+        possible, whole = allowed > 0, np.maximum(ends + jump, 1 / NEVER)
+        base = np.where(possible, np.max((need + jump) / whole, axis=2), NEVER)
         steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
-        last = self.grid.last if tail else len(self.limits) - 1
+        last = self.grid.last if tail else ends.shape[1]
         at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
-        return later(allowed)[at], later(base, np.maximum)[at], later(steep, np.maximum)[at]
+        worst = np.stack([-allowed, base, steep]).max(axis=1)  # of both ends
+        worst = np.hstack([worst, [[-np.inf], [0.0], [0.0]]])  # nothing limits beyond the last period
+        later = np.maximum.accumulate(worst[:, ::-1], axis=1)[:, ::-1][:, at]
+        return -later[0], later[1], later[2]
 
     @cached_property
     def far_shares(self) -> Array:

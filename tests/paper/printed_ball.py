@@ -13,7 +13,7 @@ class PrintedBall(BallSets):
 
     @property
     def _room(self):
-        room = super()._room.copy()
+        room = self.limits.room.min(axis=0)
         room[:, self.limits.facets :] = np.inf
         return room
 

@@ -213,10 +213,10 @@ def test_no_limit_is_left_out_however_late(first, period):
     assert begin + memory + 6 < end
     late = range(begin + memory - 3, begin + memory + 7)
     for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
-        for end in (0, 1) if node > begin else (0,):
+        for end in (0, 1) if node > begin else (0,):  # of the periods that begin and that end there
             blocked, limits = replace(sets), replace(sets.limits)
             room = sets.limits.room.copy()
-            room[end, node, 0] = -1.0
+            room[end, node - end, 0] = -1.0
             vars(limits)["room"], vars(blocked)["limits"] = room, limits
             assert not blocked.margin_at(first, safety.start).inside, (node, end)
 

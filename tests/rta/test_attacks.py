@@ -177,7 +177,7 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
     tight = Recovery(scene)
     tight.sets.limits.room[0, node, :o] = need * 0.999
     assert recovery.far(0) > 0
-    assert tight.far(0) < 0 < tight.sets.far[0]  # S alone would get by, not U there
+    assert tight.far(0) < 0 < tight.sets.radius(0)  # S alone would get by, not U there
 
 
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])

@@ -36,10 +36,10 @@ class BallSets(RecoverableSet):
         more = self.clearance.round_off(rows) + tracking.upset(rows)[-1]
         return gamma, gain * tracking.system.w_max + more
 
-    @property
+    @cached_property
     def _room(self) -> Array:
         """Room of every row in every period, shape (nodes, r)."""
-        return self.limits.periods
+        return np.asarray(self.limits.room.min(axis=0))
 
     @cached_property
     def allowed(self) -> Array:
@@ -76,14 +76,14 @@ class BallSets(RecoverableSet):
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
         gamma, more = self._needs
-        taken = self.limits.taken[0, period:-1]
+        taken = self.limits.taken[0, period:]
         room = self._room[period:] + taken
         size = norm / self._decayed(len(room))
         need = (gamma * size[:, None] + more) * (1 + 2 * ROUNDING) + taken
         share = np.where(np.isinf(room), np.inf, left(need, room))
         j, row = (int(x) for x in np.unravel_index(int(np.argmin(share)), share.shape))
         time = float((period + j) * self.clearance.tracking.flow.h)
-        name = self.limits.name(period + j, row)
+        name = self.limits.name((period + j) // self.clearance.q, row)
         return Margin(float(share[j, row]), name, time, float(need[j, row]), float(room[j, row]))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:

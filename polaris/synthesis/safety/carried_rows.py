@@ -75,13 +75,7 @@ class CarriedRows:
     def supports(self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, bow: Array) -> Array:
         """Return the support of a stack of sets along some entries of the table, shape (sets, entries).
 
-        Parameters
-        ----------
-        lag, row : ndarray of int, shape (entries,)
-        sets : Zonotope
-            Errors at nodes that follow one another.
-        bow : ndarray, shape (sets, n)
-            Elementwise bound on what lies between the nodes.
+        Elementwise, (sets, n), the bow bounds what lies between each node and its neighbours.
         """
         exact = self.carried[lag, row]
         centre = sets.c @ exact.T
@@ -101,25 +95,24 @@ def _rounded(centre: Array, spread: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """What S's error from one set needs along the rows of a table, for all time.
-
-    Attributes
-    ----------
-    table : CarriedRows
-    need : ndarray, shape (memory + 3, r)
-        By age; the last entry holds for every later time.
-    """
+    """What S's error from one set needs along the rows of a table, for all time."""
 
     table: CarriedRows
-    need: Array
+    need: Array  # by age, (memory + 3, r); the last entry holds for every later time
 
     def at(self, ages: NDArray[np.int_]) -> Array:
         """Return the need at ages [periods] of any shape, shape (..., r)."""
         return np.asarray(self.need[np.clip(ages, 0, len(self.need) - 1)])
 
-    def over_cells(self, cells: int, q: int) -> Array:
-        """Return the largest need within every planning cell of q periods, shape (cells, r)."""
-        return np.asarray(self.at(np.arange(cells)[:, None] * q + np.arange(q + 1)).max(axis=1))
+    def over_cells(
+        self, cells: int, q: int, first: int = 0, last: int = 0, periods: int | None = None
+    ) -> Array:
+        """Return the largest need within every planning cell, or its first `periods`, shape (cells, r).
+
+        The set may have been handed over at any node from `first` to `last`.
+        """
+        ages = np.arange(last - first + (q if periods is None else periods) + 1) - last
+        return np.asarray(self.at(np.arange(cells)[:, None] * q + ages).max(axis=1))
 
     def left_over(self, tracking: Tracking, radius: float) -> Array:
         """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""

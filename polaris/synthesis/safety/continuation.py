@@ -18,6 +18,9 @@ from .recoverable import Margin, RecoverableSet, left
 COARSE = (0.5, 0.05, float(np.finfo(float).tiny))
 """Shares of the room, tried in this order: entries that a bound by the norm shows to need no more wait."""
 
+Where = tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]
+"""Indices into `Limits.room`: end of the period (entries,), period (sets, entries) and row (entries,)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Continuation(RecoverableSet):
@@ -51,136 +54,89 @@ class Continuation(RecoverableSet):
         sizes = self.table.sizes * (1 + ROUNDING)
         return np.asarray(np.maximum(sizes, np.concatenate([sizes[:1], sizes[:-1]])) + self.table.bend)
 
-    # -- limits beyond the memory of the loop -----------------------------------------------------------
-
-    @cached_property
-    def _beyond(self) -> NDArray[np.int_]:
-        """Node from which on limits lie beyond the memory, seen from every node, shape (nodes + 1,)."""
+    def _later(self, node: int) -> int:
+        """Node from which on limits lie beyond the memory of the loop, seen from a node."""
         # After the tail the reference repeats it: whatever the node, the whole tail lies ahead again.
-        tail = self.clearance.planned * self.clearance.q
-        return np.minimum(np.arange(len(self.limits.ahead)) + self.clearance.tracking.memory, tail)
+        clearance = self.clearance
+        return min(node + clearance.tracking.memory, clearance.planned * clearance.q)
 
-    @cached_property
-    def far(self) -> Array:
-        """Largest ``norm(W e)`` at every node that all limits beyond the memory allow, shape (nodes + 1,)."""
-        spare = self.limits.ahead[self._beyond] - self.disturbance[-1]
-        allowed = np.where(np.isposinf(spare), np.inf, spare / self.table.beyond).min(axis=1, initial=np.inf)
-        return np.asarray(np.where(np.isnan(allowed), -np.inf, allowed))
-
-    def _far_margin(self, node: int, radius: float) -> Margin:
-        """Tightest limit beyond the memory for errors up to a norm at a node."""
-        limits, start = self.limits, int(self._beyond[min(node, len(self._beyond) - 1)])
-        room = limits.ahead[start] + limits.most_taken
-        need = (self.disturbance[-1] + self.table.beyond * radius) * (1 + ROUNDING) + limits.most_taken
-        share = self._counted(left(need, room), room, np.arange(len(room)))
-        row = int(np.argmin(share))
-        if not np.isfinite(room[row]):
-            return NOTHING
-        period = start + int(np.argmin(limits.periods[start:, row]))
-        time = period // self.clearance.q * self.clearance.tracking.delta
-        return Margin(float(share[row]), limits.name(period, row), time, float(need[row]), float(room[row]))
-
-    def _counted(self, share: Array, room: Array, row: NDArray[np.int_]) -> Array:
-        """Shares of room left, infinite where nothing is limited, and where errors are booked for enough."""
-        share[np.isinf(room) | ((row >= self.limits.booked) & (share >= 0))] = np.inf
-        return share
-
-    # -- limits within the memory -----------------------------------------------------------------------
+    def _allowed(self, node: int) -> float:
+        """Largest ``norm(W e)`` at a node that all limits beyond the memory allow."""
+        spare = self.limits.ahead[self._later(node)] - self.disturbance[-1]
+        return float(np.min(spare / self.table.beyond, initial=np.inf))
 
     def _shares(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array, spare: float
-    ) -> tuple[Array, Array, Array, NDArray[np.int_], NDArray[np.int_]]:
-        """Shares of the room left of all limits within the memory that may need more than a share of it.
+    ) -> tuple[Array, Array, Array, Where]:
+        """Share of the room left, need and room of all limits that may need more than a share `spare`.
 
-        Parameters
-        ----------
-        at : ndarray of int, shape (sets,)
-            Node of each set, the first one least.
-        sets : Zonotope
-            Stack of sets of errors.
-        bow : ndarray, shape (sets, n)
-        radius : ndarray, shape (sets,)
-            Bound on ``norm(W e)``.
-        spare : float
-            Limits that surely need no more than this share of their room are left out.
-
-        Returns
-        -------
-        share, need, room : ndarray, shape (2, sets, entries)
-            At both ends of periods.
-        period : ndarray of int, shape (2, sets, entries)
-        row : ndarray of int, shape (entries,)
+        Of a stack of sets at the nodes `at`, the first one least, with a bound on ``norm(W e)`` of each. The
+        entries are those of the table, where a period begins and where one ends, and one per row for all
+        times beyond the memory.
         """
-        limits, table, last = self.limits, self.table, len(self.limits.ahead) - 1
+        limits, table, r, last = self.limits, self.table, len(self.limits.rows), self.limits.room.shape[1] - 1
         least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
-        lag, row = np.nonzero(self._per_size * radius.max(initial=0.0) + self.disturbance[:-1] > least)
+        lag, row = np.nonzero(self._per_size * radius.max() + self.disturbance[:-1] > least)
         size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
         exact = table.supports(lag, row, sets, bow) + np.multiply.outer(radius, bend)
-        need = np.minimum(exact, np.multiply.outer(radius, size)) + pushed
-        need = need * (1 + ROUNDING * np.sign(need))
-        node, end = at[:, None] + lag, np.arange(2)[:, None, None]
-        behind = (node > last) | ((end == 1) & (node == at[0]))
-        where = end, np.minimum(node, last), row
-        need, room = need + limits.taken[where], limits.room[where] + limits.taken[where]
-        room[behind] = np.inf
-        return self._counted(left(need, room), room, row), need, room, node - end, row
+        near = np.minimum(exact, np.multiply.outer(radius, size)) + pushed
+        node, start = at[:, None] + lag, self._later(int(at[0]))
+        end, row = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
+        period = np.hstack([node, node - 1, np.full((len(at), r), start)])
+        where = end, np.clip(period, 0, last), row
+        room, taken = limits.room[where], limits.taken[where]
+        room[(period < at[0]) | (period > last)] = np.inf
+        room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
+        need = np.hstack([near, near, np.multiply.outer(radius, table.beyond) + self.disturbance[-1]])
+        need, room = need * (1 + ROUNDING * np.sign(need)) + taken, room + taken
+        share = left(need, room)
+        share[np.isinf(room) | ((row >= limits.booked) & (share >= 0))] = np.inf
+        return share, need, room, (end, period, row)
 
-    def _near_margin(self, first: int, sets: Zonotope, bow: Array, radius: float, spare: float) -> Margin:
-        """Tightest limit within the memory over a stack of nodes that starts at one of the grid."""
-        at = first + np.arange(len(sets))
-        share, need, room, period, row = self._shares(at, sets, bow, np.full(len(at), radius), spare)
-        if not np.isfinite(share).any():
-            return NOTHING
-        tightest = end, _, entry = np.unravel_index(int(np.argmin(share)), share.shape)
-        name, time = self.limits.name(int(period[tightest]), int(row[entry])), float(period[tightest] + end)
-        found = (float(part[tightest]) for part in (share, need, room))
-        return Margin(next(found), name, time * self.clearance.tracking.flow.h, *found)
-
-    # -- recoverable sets -------------------------------------------------------------------------------
-
-    def _radius(self, sets: Zonotope, bow: Array) -> float:
+    def _radius(self, sets: Zonotope, bow: Array) -> Array:
         """Bound on ``norm(W e)`` over a tube: states between two nodes are as large as the larger node's."""
         W = self.clearance.tracking.W
-        return float(np.max(sets.norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)))
+        return np.full(len(bow), np.max(sets.norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)))
 
     def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
         """Margin of errors at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
-        radius = self._radius(sets, bow)
-        far = self._far_margin(first, radius)
+        at, radius = first + np.arange(len(bow)), self._radius(sets, bow)
         for spare in COARSE:
-            near = self._near_margin(first, sets, bow, radius, spare)
-            found = min(near, far, key=lambda margin: margin.value)
-            if found.value < 1 - spare:
+            share, need, room, (end, period, row) = self._shares(at, sets, bow, radius, spare)
+            if share.min() < 1 - spare:
                 break  # nothing that was left out can be tighter
-        return found
+        tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
+        when, limit, q = int(period[tight]), int(row[entry]), self.clearance.q
+        node = when + int(end[entry])
+        if entry >= len(row) - len(self.limits.rows):  # beyond the memory: the start of the tightest step
+            when = node = (when + int(self.limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
+        found = (float(part[tight]) for part in (share, need, room))
+        name, time = self.limits.name(when // q, limit), node * self.clearance.tracking.flow.h
+        return Margin(next(found), name, time, *found)
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
         first, bow = k * self.clearance.q, at_nodes(bow)
-        radius = self._radius(nodes, bow)
-        inside = self._far_margin(first, radius).inside
-        return inside and self._near_margin(first, nodes, bow, radius, 1.0).inside
+        share = self._shares(first + np.arange(len(bow)), nodes, bow, self._radius(nodes, bow), 1.0)[0]
+        return bool(np.all(share >= 0))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Return True for each error (runs, n) at a node that is recoverable."""
         errors = np.atleast_2d(errors)
         radius = np.linalg.norm(errors @ self.clearance.tracking.W.T, axis=-1)
-        found = np.asarray(radius <= self.far[min(node, len(self.far) - 1)])
-        points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
-        at = np.full(len(points.c), node)
-        if len(at):
+        found = np.asarray(radius <= self._allowed(node))
+        if found.any():
+            points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
+            at = np.full(len(points.c), node)
             share = self._shares(at, points, 0 * points.c, radius[found], 1.0)[0]
-            found[found] = np.all(share >= 0, axis=(0, 2))
+            found[found] = np.all(share >= 0, axis=1)
         return found
 
     def radius(self, node: int) -> float:
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
-        table = self.table
-        window = self.limits.window(node, len(table.carried))
-        spare = window - self.disturbance[: len(window)]
-        near = np.min(spare / (table.sizes + table.bend)[: len(window)], initial=np.inf)
-        return float(max(min(near, self.far[min(node, len(self.far) - 1)]), 0.0))
-
-
-NOTHING = Margin(np.inf, "", np.inf, 0.0, np.inf)
-"""Margin where there is no limit."""
+        allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
+        for end in (0, 1):  # of the periods that begin and that end at a node
+            room = self.limits.room[end, node : node + len(per_size) - end]
+            lags = slice(end, end + len(room))
+            allowed = float(np.min((room - self.disturbance[lags]) / per_size[lags], initial=allowed))
+        return max(allowed, 0.0)
