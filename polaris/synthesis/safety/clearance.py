@@ -97,15 +97,11 @@ class Clearance:
         return np.asarray(np.stack(chosen, axis=-1) - jump[:, None, :])
 
     @cached_property
-    def _scheduled(self) -> Scheduled | None:
-        if not self.tracking.varies:
-            return None
+    def _scheduled(self) -> Scheduled:
         return Scheduled(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array) -> Array:
         """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Scheduled`)."""
-        if self._scheduled is None:
-            return np.zeros((self.cells, self.q + 1, len(rows)))
         return self._scheduled.along(rows)
 
     @cached_property
@@ -128,12 +124,12 @@ class Clearance:
         """What the round-off of the reference's states, new at every step, needs along rows, shape (r,)."""
         return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
 
-    def tail_need(self, rows: Array) -> Array:
-        """What S needs along rows (r, n) from a node of the tail on, errors at T apart, shape (nodes, r)."""
+    def tail_need(self, rows: Array, nodes: int) -> Array:
+        """What S needs along rows, errors at T apart, from each of so many nodes after T on, (nodes, r)."""
         found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
-        nodes = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
-        nodes[self.q :: self.q] = np.maximum(nodes[self.q :: self.q], found[:, -1])
-        later = np.maximum.accumulate(nodes[::-1])[::-1]
+        at = np.concatenate([found[:, :-1].reshape(-1, len(rows)), found[-1, -1:]])
+        at[self.q :: self.q] = np.maximum(at[self.q :: self.q], found[:, -1])
+        later = np.maximum.accumulate(at[::-1])[::-1][np.minimum(np.arange(nodes), len(at) - 1)]
         plant = rows[:, : self.tracking.system.n]
         return np.asarray(later + self.jump_need(plant) + self.round_off(plant))
 

@@ -166,7 +166,7 @@ def _needs(
         forgotten = np.where(far, long_after(tracking, rows, z), once)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     away = np.abs(rows) @ tracking.system.displaced_at_nodes
-    need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
+    need = np.min(found, axis=0) + safety.clearance.tail_need(rows, nodes) + away
     need = need + spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
         flown = after.along(rows, nodes)
@@ -190,18 +190,12 @@ def spare(tracking: Tracking, share: float = SPARE) -> float:
     return ROUNDING if tracking.profile is None else share
 
 
-def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
-    """What S needs besides, from each of so many nodes after T on, shape (nodes, r)."""
-    need = safety.clearance.tail_need(rows)
-    return need[np.minimum(np.arange(nodes), len(need) - 1)]
-
-
 def _commanded(safety: Safety, held: Held, nodes: int) -> Array:
     """Bound on S's feedback at so many nodes after T, faults apart, shape (nodes + 1, m)."""
     tracking, K = safety.tracking, safety.problem.K
     table, ages = CarriedRows(tracking, tracking.commands, failing=False), np.arange(nodes + 1)
     need = np.min([table.tube(z).at(since + ages) for z, since in held], axis=0)
-    need = need + _ahead(safety, table.rows, nodes + 1)
+    need = need + safety.clearance.tail_need(table.rows, nodes + 1)
     return np.asarray(need.reshape(nodes + 1, 2, -1).max(axis=1) + command_noise(tracking, K + 1, K)[K])
 
 

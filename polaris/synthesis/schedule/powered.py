@@ -171,10 +171,10 @@ def _branch(safety: Safety, asked: PoweredAbort, b: int, inputs: Array, facets: 
     clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
+    start = recoverable.margin_at(0, safety.start)
+    proven = replace(safety, clearance=clearance, recoverable=recoverable, start_margin=start, end=end)
     found = known_plan(path, problem.K, facets)
-    made = replace(safety, problem=problem, plan=found, reference=reference)
-    made = replace(made, clearance=clearance, recoverable=recoverable, end=end)
-    return Branch(b, replace(made, start_margin=recoverable.margin_at(0, safety.start)))
+    return Branch(b, replace(proven, problem=problem, plan=found, reference=reference))
 
 
 def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:

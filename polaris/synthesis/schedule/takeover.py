@@ -62,10 +62,10 @@ class Takeover:
 
     def margin(self, q: int, sets: RecoverableSet) -> Margin | None:
         """How far they are outside the recoverable sets along some reference; None if they are inside."""
-        if self.tube is not None:
-            holds = sets.holds(self.k, self.tube.nodes, self.tube.bow)
-            return None if holds else sets.margin(self.k, self.tube.nodes, self.tube.bow)
-        margin = sets.margin_at(self.first // q, Zonotope(self.sets.c[0], self.sets.G[0]))
+        if self.tube is None:
+            margin = sets.margin_at(self.first // q, Zonotope(self.sets.c[0], self.sets.G[0]))
+        else:
+            margin = sets.margin(self.k, self.tube.nodes, self.tube.bow)
         return None if margin.inside else margin
 
     def over_cells(self, tracking: Tracking, rows: Array, cells: int, periods: int | None = None) -> Array:
@@ -135,7 +135,7 @@ class Branch:
         far = np.arange(K, last + 1) * q - taken.last > tracking.long
         settled = long_after(tracking, rows, taken.box) * (1 + spare(tracking)) + tracking.upset(rows)[-1]
         need = np.where(far[:, None], np.minimum(need, settled), need)
-        need = need + safety.clearance.tail_need(rows)[::q][: len(need)]
+        need = need + safety.clearance.tail_need(rows, (last - K) * q + 1)[::q]
         need = (need + np.abs(rows) @ tracking.system.displaced_at_nodes) * (1 + SPARE)
         size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
         most = distance(safety.problem.goal.conditions, states @ rows.T - sides + need + size)
