@@ -85,16 +85,12 @@ class Clearance:
         Reduced by the bow of the reference between the nodes, by the jump into the tail, and by
         rounding: a lower bound that holds over the whole of both adjacent parts of the cell.
         """
-        if not self.unsafe:
-            return np.zeros((self.cells, self.q + 1, 0))
-        parts = [facet_room(self.tracking, self.reference, u, self.q, self.nodes) for u in self.unsafe]
-        chosen = [
-            np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0]
-            for o, part in enumerate(parts)
-        ]
-        rows, index = self.obstacle_rows
+        rooms, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
+        for o, unsafe in enumerate(self.unsafe):
+            found = facet_room(self.tracking, self.reference, unsafe, self.q, self.nodes)
+            rooms.append(np.take_along_axis(found, self.facets[:, None, o : o + 1], axis=2))
         jump = np.take_along_axis(self.jumped(rows), index, axis=1)
-        return np.asarray(np.stack(chosen, axis=-1) - jump[:, None, :])
+        return np.asarray(np.concatenate(rooms, axis=2) - jump[:, None, :])
 
     @cached_property
     def _scheduled(self) -> Scheduled:
@@ -127,7 +123,7 @@ class Clearance:
     def tail_need(self, rows: Array, nodes: int) -> Array:
         """What S needs along rows, errors at T apart, from each of so many nodes after T on, (nodes, r)."""
         found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
-        at = np.concatenate([found[:, :-1].reshape(-1, len(rows)), found[-1, -1:]])
+        at = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
         at[self.q :: self.q] = np.maximum(at[self.q :: self.q], found[:, -1])
         later = np.maximum.accumulate(at[::-1])[::-1][np.minimum(np.arange(nodes), len(at) - 1)]
         plant = rows[:, : self.tracking.system.n]

@@ -94,4 +94,5 @@ class Limits:
 
 def _ends(places: Array) -> Array:
     """Values at both ends of every period, (2, periods, r), from those at nodes of cells, (cells, q+1, r)."""
-    return np.stack([part.reshape(-1, places.shape[2]) for part in (places[:, :-1], places[:, 1:])])
+    cells, nodes, r = places.shape
+    return np.stack([part.reshape(cells * (nodes - 1), r) for part in (places[:, :-1], places[:, 1:])])
