@@ -147,7 +147,7 @@ class Recovery:
     @cached_property
     def limits(self) -> Array:
         """Least room of every row at every node (at a border, of both cells), (nodes + L + 1, r)."""
-        begin, end = self.sets.limits.room
+        begin, end = self.grid.clearance.limits.room
         out = np.full((len(begin) + 1 + self.lags, len(self.rows)), np.inf)
         out[: len(begin)] = begin
         out[1 : len(end) + 1] = np.minimum(out[1 : len(end) + 1], end)
@@ -228,7 +228,7 @@ class Recovery:
         """
         tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
-        ends = self.sets.limits.room
+        ends = self.grid.clearance.limits.room
         need = np.zeros_like(ends) + self.sets.disturbance[-1] * (1 + ROUNDING)
         path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
         need[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies

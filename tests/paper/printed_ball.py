@@ -13,8 +13,8 @@ class PrintedBall(BallSets):
 
     @property
     def _room(self):
-        room = self.limits.room.min(axis=0)
-        room[:, self.limits.facets :] = np.inf
+        room = self.clearance.limits.room.min(axis=0)
+        room[:, self.clearance.limits.facets :] = np.inf
         return room
 
     def _decayed(self, count):

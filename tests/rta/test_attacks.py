@@ -174,8 +174,8 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
     assert 0 < beyond < scene.last
     tracking, node = scene.tracking, scene.last - 1
     need = tracking.disturbance(recovery.rows)[-1][:o] + recovery.bow
-    tight = Recovery(scene)
-    tight.sets.limits.room[0, node, :o] = need * 0.999
+    tight = Recovery(replace(scene, clearance=replace(scene.clearance)))
+    tight.grid.clearance.limits.room[0, node, :o] = need * 0.999
     assert recovery.far(0) > 0
     assert tight.far(0) < 0 < tight.sets.radius(0)  # S alone would get by, not U there
 

@@ -29,8 +29,8 @@ class BallSets(RecoverableSet):
     @cached_property
     def _needs(self) -> tuple[Array, Array]:
         """Need of every row per unit of the norm, and besides: disturbance, faults, round-off; (r,) each."""
-        bounds, tracking, o = self.bounds, self.clearance.tracking, self.limits.facets
-        rows = self.limits.rows[:, : tracking.system.n]
+        bounds, tracking, limits = self.bounds, self.clearance.tracking, self.clearance.limits
+        rows, o = limits.rows[:, : tracking.system.n], limits.facets
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)
         gamma[o:], gain[o:] = np.tile(bounds.gamma_input, 2), np.tile(bounds.gain_input, 2)
         more = self.clearance.round_off(rows) + tracking.upset(rows)[-1]
@@ -39,7 +39,7 @@ class BallSets(RecoverableSet):
     @cached_property
     def _room(self) -> Array:
         """Room of every row in every period, shape (nodes, r)."""
-        return np.asarray(self.limits.room.min(axis=0))
+        return np.asarray(self.clearance.limits.room.min(axis=0))
 
     @cached_property
     def allowed(self) -> Array:
@@ -76,14 +76,14 @@ class BallSets(RecoverableSet):
     def _tightest(self, period: int, norm: float) -> Margin:
         """Tightest limit for errors up to a norm within a period."""
         gamma, more = self._needs
-        taken = self.limits.taken[0, period:]
+        taken = self.clearance.limits.taken[0, period:]
         room = self._room[period:] + taken
         size = norm / self._decayed(len(room))
         need = (gamma * size[:, None] + more) * (1 + 2 * ROUNDING) + taken
         share = np.where(np.isinf(room), np.inf, left(need, room))
         j, row = (int(x) for x in np.unravel_index(int(np.argmin(share)), share.shape))
         time = float((period + j) * self.clearance.tracking.flow.h)
-        name = self.limits.name((period + j) // self.clearance.q, row)
+        name = self.clearance.limits.name((period + j) // self.clearance.q, row)
         return Margin(float(share[j, row]), name, time, float(need[j, row]), float(room[j, row]))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:

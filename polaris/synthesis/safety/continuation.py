@@ -36,7 +36,7 @@ class Continuation(RecoverableSet):
     @cached_property
     def table(self) -> CarriedRows:
         """Rows of the limits, carried back."""
-        return CarriedRows(self.clearance.tracking, self.limits.rows)
+        return CarriedRows(self.clearance.tracking, self.clearance.limits.rows)
 
     @cached_property
     def disturbance(self) -> Array:
@@ -45,7 +45,7 @@ class Continuation(RecoverableSet):
         need = table.disturbance + self.clearance.round_off(table.plant)
         if tracking.profile is not None:  # a bound that falls is the first one, of which more is taken
             falls = tracking.profile[0] - np.vstack([tracking.profile, tracking.profile[-1:]])
-            need[:, self.limits.booked :] += np.hstack([falls, falls])
+            need[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
         return need
 
     @cached_property
@@ -62,7 +62,7 @@ class Continuation(RecoverableSet):
 
     def _allowed(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node that all limits beyond the memory allow."""
-        spare = self.limits.ahead[self._later(node)] - self.disturbance[-1]
+        spare = self.clearance.limits.ahead[self._later(node)] - self.disturbance[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
     def _shares(
@@ -74,9 +74,11 @@ class Continuation(RecoverableSet):
         entries are those of the table, where a period begins and where one ends, and one per row for all
         times beyond the memory.
         """
-        limits, table, r, last = self.limits, self.table, len(self.limits.rows), self.limits.room.shape[1] - 1
+        limits, table = self.clearance.limits, self.table
+        r, last = len(limits.rows), limits.room.shape[1] - 1
         least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
-        lag, row = np.nonzero(self._per_size * radius.max() + self.disturbance[:-1] > least)
+        most = (self._per_size * radius.max() + self.disturbance[:-1]) * (1 + ROUNDING)
+        lag, row = np.nonzero(most > least)
         size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
         exact = table.supports(lag, row, sets, bow) + np.multiply.outer(radius, bend)
         near = np.minimum(exact, np.multiply.outer(radius, size)) + pushed
@@ -106,13 +108,14 @@ class Continuation(RecoverableSet):
             if share.min() < 1 - spare:
                 break  # nothing that was left out can be tighter
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
-        when, limit, q = int(period[tight]), int(row[entry]), self.clearance.q
-        node = when + int(end[entry])
-        if entry >= len(row) - len(self.limits.rows):  # beyond the memory: the start of the tightest step
-            when = node = (when + int(self.limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
+        when, limit = int(period[tight]), int(row[entry])
+        node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
+        if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
+            when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
         found = (float(part[tight]) for part in (share, need, room))
-        name, time = self.limits.name(when // q, limit), node * self.clearance.tracking.flow.h
-        return Margin(next(found), name, time, *found)
+        return Margin(
+            next(found), limits.name(when // q, limit), node * self.clearance.tracking.flow.h, *found
+        )
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
@@ -136,7 +139,7 @@ class Continuation(RecoverableSet):
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
         for end in (0, 1):  # of the periods that begin and that end at a node
-            room = self.limits.room[end, node : node + len(per_size) - end]
+            room = self.clearance.limits.room[end, node : node + len(per_size) - end]
             lags = slice(end, end + len(room))
             allowed = float(np.min((room - self.disturbance[lags]) / per_size[lags], initial=allowed))
-        return max(allowed, 0.0)
+        return max(0.0, allowed)  # also where it is no number

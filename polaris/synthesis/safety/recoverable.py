@@ -7,7 +7,6 @@ include "S does not saturate from here to the end" (theory item 7) and hold for 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +17,6 @@ from reach.sets.zonotope import Zonotope
 from ...model.system import Array
 from ..tracker.intersample import at_nodes
 from .clearance import Clearance
-from .limits import Limits
 
 
 @dataclass(frozen=True)
@@ -69,11 +67,6 @@ class RecoverableSet(ABC):
 
     kind: ClassVar[str]
     clearance: Clearance
-
-    @cached_property
-    def limits(self) -> Limits:
-        """What S must keep to, at every node."""
-        return Limits(self.clearance)
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Line 13 of Algorithm 2: whether the reach set over ``[t1, t2]`` is inside, pointwise in time.
