@@ -233,7 +233,7 @@ class Recovery:
         path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
         need[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         need[1, : self.grid.last, :o] += path
-        weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
+        weight = tracking.per_size(self.rows)
         weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]

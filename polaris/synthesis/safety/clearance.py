@@ -119,11 +119,14 @@ class Clearance:
 
     def jump_need(self, rows: Array) -> Array:
         """What the jump into the tail needs along rows (r, n) at any time after it, shape (r,)."""
-        return self._need_of(rows, self.jump)
+        tracking = self.tracking
+        return np.asarray(tracking.per_size(rows) * np.linalg.norm(np.abs(tracking.W) @ self.jump))
 
     def round_off(self, rows: Array) -> Array:
         """What the round-off of the reference's states, new at every step, needs along rows, shape (r,)."""
-        return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
+        tracking, step = self.tracking, self.reference.rounding.max(axis=0)
+        size = np.linalg.norm(np.abs(tracking.W) @ (tracking.accumulated * step))
+        return np.asarray(tracking.per_size(rows) * size)
 
     def tail_need(self, rows: Array, nodes: int) -> Array:
         """What S needs along rows, errors at T apart, from each of so many nodes after T on, (nodes, r)."""
@@ -133,10 +136,6 @@ class Clearance:
         later = np.maximum.accumulate(at[::-1])[::-1][np.minimum(np.arange(nodes), len(at) - 1)]
         plant = rows[:, : self.tracking.system.n]
         return np.asarray(later + self.jump_need(plant) + self.round_off(plant))
-
-    def _need_of(self, rows: Array, step: Array) -> Array:
-        weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)
-        return np.asarray(weight * np.linalg.norm(np.abs(self.tracking.W) @ step))
 
 
 @dataclass(frozen=True, eq=False)

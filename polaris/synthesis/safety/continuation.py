@@ -15,8 +15,7 @@ from ..tracker.intersample import at_nodes
 from .carried_rows import CarriedRows
 from .recoverable import Margin, RecoverableSet, left
 
-COARSE = (0.5, 0.05, float(np.finfo(float).tiny))
-"""Shares of the room, tried in this order: entries that a bound by the norm shows to need no more wait."""
+COARSE = 0.5  # limits that a bound by the norm shows to need no more of the room are looked at only if needed
 
 Where = tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]
 """Indices into `Limits.room`: end of the period (entries,), period (sets, entries) and row (entries,)."""
@@ -103,19 +102,19 @@ class Continuation(RecoverableSet):
     def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
         """Margin of errors at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
         at, radius = first + np.arange(len(bow)), self._radius(sets, bow)
-        for spare in COARSE:
-            share, need, room, (end, period, row) = self._shares(at, sets, bow, radius, spare)
-            if share.min() < 1 - spare:
-                break  # nothing that was left out can be tighter
+        found = self._shares(at, sets, bow, radius, COARSE)
+        if not found[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
+            spare = max((1 - float(found[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
+            found = self._shares(at, sets, bow, radius, spare)
+        share, need, room, (end, period, row) = found
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
         when, limit = int(period[tight]), int(row[entry])
         node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
         if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
             when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
-        found = (float(part[tight]) for part in (share, need, room))
-        return Margin(
-            next(found), limits.name(when // q, limit), node * self.clearance.tracking.flow.h, *found
-        )
+        value, *sizes = (float(part[tight]) for part in (share, need, room))
+        time = node * self.clearance.tracking.flow.h
+        return Margin(value, limits.name(when // q, limit), time, *sizes)
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
