@@ -18,7 +18,7 @@ from ..synthesis.controllers.black_box import BlackBox
 from ..synthesis.controllers.controllers import Controller
 from ..synthesis.controllers.neural import NeuralController
 from ..synthesis.safety.clearance import Clearance
-from ..synthesis.safety.polytope_sets import PolytopeSets
+from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.problem import Problem
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.tracker.tracking import Tracking
@@ -155,7 +155,7 @@ class DecisionGrid:
             self.schedule.safety,
             tracking=self.tracking,
             clearance=self.clearance,
-            recoverable=PolytopeSets(self.clearance),
+            recoverable=Continuation(self.clearance),
         )
         return replace(self.schedule, safety=safety)
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
@@ -22,8 +21,8 @@ from reach.tubes.flow import LinearFlow
 from ..model.errors import NotCertified
 from ..model.system import Array
 from ..model.tolerances import ROUNDING
+from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.demand import taken_over
-from ..synthesis.safety.polytope_sets import PolytopeSets
 from .decision_grid import DecisionGrid
 
 NEVER = 1e200  # reciprocal of a limit that leaves no room; times any error it is still a number
@@ -69,14 +68,14 @@ class Recovery:
         return found if decided is None or decided is grid else cls(decided)
 
     @cached_property
-    def sets(self) -> PolytopeSets:
-        """The recoverable sets of `polaris.synthesis.safety.polytope_sets`, on the fine grid."""
-        return PolytopeSets(self.grid.clearance)
+    def sets(self) -> Continuation:
+        """S from any node of the grid on."""
+        return Continuation(self.grid.clearance)
 
     @cached_property
     def rows(self) -> Array:
-        """Facets, then ``+Lambda`` and ``-Lambda``, once or twice (see `PolytopeSets`), shape (r, n)."""
-        return np.asarray(self.sets.carried[0][0])
+        """Facets, then ``+Lambda`` and ``-Lambda``, once or twice (see `Limits`), shape (r, n)."""
+        return self.sets.table.plant
 
     @property
     def lags(self) -> int:
@@ -87,8 +86,7 @@ class Recovery:
     def matrix(self) -> Array:
         """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
-        carried = self.rows @ tracking.transitions
-        booked = tracking.curvature(self.rows) * tracking.decay_before[:, None]
+        carried, booked = self.sets.table.carried, self.sets.table.bend.copy()
         booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
         booked += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
         out = np.concatenate([carried, booked[..., None]], axis=-1)
@@ -97,7 +95,7 @@ class Recovery:
     @cached_property
     def booked(self) -> Array:
         """What S's disturbance, round-off and the path between nodes need of every row, shape (L r,)."""
-        out = self.sets.carried[1][: self.lags].copy()
+        out = self.sets.disturbance[: self.lags].copy()
         out[:, : len(self.bow)] += self.bow + self._bent * self._radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
 
@@ -149,15 +147,10 @@ class Recovery:
     @cached_property
     def limits(self) -> Array:
         """Least room of every row at every node (at a border, of both cells), (nodes + L + 1, r)."""
-        q = self.grid.clearance.q
-        return np.minimum(self._limits(np.arange(q)), self._limits(np.array([q])))
-
-    def _limits(self, places: NDArray[np.int_]) -> Array:
-        """The same at some of every cell's nodes, infinite elsewhere."""
-        cells, q, room = self.grid.clearance.cells, self.grid.clearance.q, self.sets.room
-        out = np.full((cells * q + 1 + self.lags, len(self.rows)), np.inf)
-        at = np.arange(cells)[:, None] * q + places
-        np.minimum.at(out, (at[:, :, None], self.sets.index[:, None, :]), room[:, places])
+        begin, end = self.grid.clearance.limits.room
+        out = np.full((len(begin) + 1 + self.lags, len(self.rows)), np.inf)
+        out[: len(begin)] = begin
+        out[1 : len(end) + 1] = np.minimum(out[1 : len(end) + 1], end)
         return out
 
     @cached_property
@@ -235,30 +228,26 @@ class Recovery:
         """
         tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
-        # Of every period: what its cell allows where it begins, and where it ends.
-        ends = np.stack([self._limits(np.arange(clearance.q) + end) for end in (0, 1)])
-        disturbance = self.sets.carried[1][-1]
-        need = np.zeros_like(ends) + disturbance * (1 + ROUNDING)
+        ends = self.grid.clearance.limits.room
+        need = np.zeros_like(ends) + self.sets.disturbance[-1] * (1 + ROUNDING)
         path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
-        need[:, : self.grid.last + 1, :o] += path  # after T nobody but S flies
-        weight = np.linalg.norm(self.rows @ tracking.W_inverse, axis=1) + tracking.curvature(self.rows)
+        need[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
+        need[1, : self.grid.last, :o] += path
+        weight = tracking.per_size(self.rows)
         weight[:o] += self._bent
         # The tail repeats itself for ever: an error is at least as old as one tail when that begins.
         weight *= tracking.decay[min(tail, len(tracking.decay) - 1) if tail else -1]
         allowed = np.min((ends - need) / np.maximum(weight, 1e-300), axis=2)
-        possible, whole = allowed > 0, np.maximum(ends + self._jump, 1 / NEVER)
-        base = np.where(possible, np.max((need + self._jump) / whole, axis=2), NEVER)
+        jump = np.stack([self._jump[: ends.shape[1]], self._jump[1 : ends.shape[1] + 1]])
+        possible, whole = allowed > 0, np.maximum(ends + jump, 1 / NEVER)
+        base = np.where(possible, np.max((need + jump) / whole, axis=2), NEVER)
         steep = np.where(possible, np.max(weight / whole, axis=2), NEVER)
-        last = self.grid.last if tail else len(self.limits) - 1
+        last = self.grid.last if tail else ends.shape[1]
         at = np.minimum(np.arange(len(self.limits)) + tracking.memory, last)
-        least, most = (np.inf, np.minimum), (0.0, np.maximum)
-        return (self._later(allowed, *least)[at], self._later(base, *most)[at], self._later(steep, *most)[at])
-
-    @staticmethod
-    def _later(ends: Array, none: float, pick: np.ufunc) -> Array:
-        """Least or largest from a node on, of what holds where its period begins and where it ends."""
-        both = pick(ends[0], np.append(ends[1][1:], none))
-        return np.asarray(pick.accumulate(both[::-1])[::-1])
+        worst = np.stack([-allowed, base, steep]).max(axis=1)  # of both ends
+        worst = np.hstack([worst, [[-np.inf], [0.0], [0.0]]])  # nothing limits beyond the last period
+        later = np.maximum.accumulate(worst[:, ::-1], axis=1)[:, ::-1][:, at]
+        return -later[0], later[1], later[2]
 
     @cached_property
     def far_shares(self) -> Array:
@@ -275,12 +264,13 @@ class Recovery:
     @cached_property
     def names(self) -> list[str]:
         """What every row limits, in words."""
-        names = [""] * len(self.rows)
-        for cell in self.sets.index:
-            for limit, row in enumerate(cell):
-                if self.sets.names[limit] not in names[row].split(" or "):
-                    names[row] = " or ".join(filter(None, (names[row], self.sets.names[limit])))
-        return names
+        clearance, axes = self.grid.clearance, self.grid.system.input_names
+        index = clearance.obstacle_rows[1]
+        names = [
+            " or ".join(dict.fromkeys(u.name for o, u in enumerate(clearance.unsafe) if row in index[:, o]))
+            for row in range(len(self.bow))
+        ]
+        return [*names, *axes * ((len(self.rows) - len(names)) // len(axes))]
 
 
 def extended(e: Array, size: Array) -> Array:

@@ -12,17 +12,17 @@ class PrintedBall(BallSets):
     """One ball for all time, from the smallest room of the unsafe sets alone."""
 
     @property
-    def _rooms(self):
-        room, *rest = super()._rooms
-        room[:, len(self.clearance.unsafe) :] = np.inf
-        return room, *rest
+    def _room(self):
+        room = self.clearance.limits.room.min(axis=0)
+        room[:, self.clearance.limits.facets :] = np.inf
+        return room
 
     def _decayed(self, count):
         return np.ones(count)  # max exp(-beta (tau - t)) over tau >= t, by which eq. 12 divides
 
     @property
     def _radii(self):
-        return np.full(len(self.limits), self.limits.min())
+        return np.full(len(self.allowed), self.allowed.min())
 
 
 def take_printed_balls(monkeypatch):

@@ -110,8 +110,8 @@ def test_item_5_printed_ball_is_constant_and_ours_is_no_smaller():
     assert np.max(np.exp(-beta * (tau - t))) == 1.0, "the maximum in eq. 12 is always 1"
     safety = small_safety()
     sets = get_recover("ball", safety.clearance, safety.bounds)
-    constant = sets.limits.min()  # what eq. 12 makes of the same rooms
-    varying = np.array([sets.radius(node) for node in range(len(sets.limits))])
+    constant = sets.allowed.min()  # what eq. 12 makes of the same rooms
+    varying = np.array([sets.radius(node) for node in range(len(sets.allowed))])
     assert varying.min() == pytest.approx(constant, rel=1e-12), "its least value is the constant radius"
     assert np.all(varying >= constant * (1 - 1e-12))
     assert varying.max() > 1.05 * constant
@@ -124,7 +124,7 @@ def test_item_5_whatever_the_constant_ball_shows_recoverable_ours_does():
     q, inverse = safety.clearance.q, np.linalg.inv(sets.bounds.W)
     for k in range(safety.clearance.cells):
         some = Zonotope(inverse @ rng.normal(size=6), inverse @ rng.normal(size=(6, 9)))
-        fitting = some * (0.999999 * sets.limits.min() / some.norm_bound(sets.bounds.W))
+        fitting = some * (0.999999 * sets.allowed.min() / some.norm_bound(sets.bounds.W))
         assert sets.margin_at(k, fitting).inside
         nodes = Zonotope(np.tile(fitting.c, (q + 1, 1)), np.tile(fitting.G, (q + 1, 1, 1)))
         assert sets.holds(k, nodes, np.zeros((q, 6)))
@@ -150,7 +150,7 @@ def test_item_6_a_distance_in_the_state_norm_depends_on_the_units():
         mass=10.0,
     )
     plain, other = tracking(), Tracking(scaled, GAIN @ inverse, tracking().feedback, 50.0)
-    from polaris.synthesis.safety.clearance import error_tube
+    from polaris.synthesis.safety.carried_rows import error_tube
 
     theta = Zonotope.box(np.zeros(6), [3, 3, 3, 0.01, 0.01, 0.01])
     need = error_tube(plain, theta, SYSTEM.position).need

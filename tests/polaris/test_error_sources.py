@@ -33,7 +33,7 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.scenario.tables.schedule import ScenarioModel
 from polaris.simulation.falsification.search import falsify
-from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.carried_rows import error_tube
 from polaris.synthesis.safety.demand import Scheduled
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize

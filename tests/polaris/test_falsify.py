@@ -21,7 +21,7 @@ from polaris.simulation.integration import Integrator, columns
 from polaris.synthesis.controllers.controllers import AnyThrust
 from polaris.synthesis.controllers.neural import NeuralController
 from polaris.synthesis.controllers.policy import Policy
-from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.carried_rows import error_tube
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.networks.layers import Activation, Affine

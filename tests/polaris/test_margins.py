@@ -10,6 +10,7 @@ from polaris.model.errors import PolarisError
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.safety.continuation import Continuation
 from polaris.synthesis.safety.get_safety import get_recover
 from polaris.synthesis.safety.recoverable import directed, left
 
@@ -207,17 +208,17 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
 def test_no_limit_is_left_out_however_late(first, period):
     """One that nothing meets, put at a node: within the memory of the loop, where it ends, and beyond."""
     safety = small_safety(period)
-    sets, clearance, memory = safety.recoverable, safety.clearance, safety.tracking.memory
-    assert sets.margin_at(first, safety.start).inside
+    clearance, memory = safety.clearance, safety.tracking.memory
+    assert safety.recoverable.margin_at(first, safety.start).inside
     begin, end = first * clearance.q, clearance.cells * clearance.q
     assert begin + memory + 6 < end
     late = range(begin + memory - 3, begin + memory + 7)
     for node in {*range(begin, begin + clearance.q + 1), *late, *range(begin, end, 61), end - 1}:
-        cell, place = divmod(node, clearance.q)
-        blocked, room = replace(sets), sets.room.copy()
-        room[cell, place, 0] = -1.0
-        vars(blocked)["room"] = room
-        assert not blocked.margin_at(first, safety.start).inside, node
+        for end in (0, 1) if node > begin else (0,):  # of the periods that begin and that end there
+            blocked, room = replace(clearance), clearance.limits.room.copy()
+            room[end, node - end, 0] = -1.0
+            vars(blocked.limits)["room"] = room
+            assert not Continuation(blocked).margin_at(first, safety.start).inside, (node, end)
 
 
 @pytest.mark.parametrize("kind", ["polytope", "ball"])

@@ -16,7 +16,7 @@ from polaris.model.system import LinearSystem
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import Scenario
 from polaris.simulation.baselines import compare
-from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.carried_rows import error_tube
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
 

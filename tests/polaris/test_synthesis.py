@@ -268,7 +268,7 @@ def test_malformed_rules(options, field):
 
 def test_simulation_disturbs_on_the_bound_and_its_worst_case_nearly_reaches_the_tube():
     """Were the disturbance or the corners left out, every attack above would pass for nothing."""
-    from polaris.synthesis.safety.clearance import error_tube
+    from polaris.synthesis.safety.carried_rows import error_tube
 
     safety = small_safety(None, 1e-3)
     schedule = synthesize(None, safety, [], SwitchingRules())

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from polaris.model.system import LinearSystem
 from polaris.planning.reference import Reference
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
-from polaris.synthesis.safety.clearance import error_tube
+from polaris.synthesis.safety.carried_rows import error_tube
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import discretize

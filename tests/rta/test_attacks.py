@@ -25,8 +25,8 @@ from polaris.rta.methods.monitor import Monitor
 from polaris.rta.prospect import Leg
 from polaris.rta.recovery import Recovery
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
+from polaris.synthesis.safety.continuation import Continuation
 from polaris.synthesis.safety.get_safety import get_safety
-from polaris.synthesis.safety.polytope_sets import PolytopeSets
 from polaris.synthesis.safety.problem import Problem
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.tracker.lqr import lqr_gain
@@ -174,10 +174,10 @@ def test_what_lies_beyond_the_memory_leaves_room_for_the_path_of_u():
     assert 0 < beyond < scene.last
     tracking, node = scene.tracking, scene.last - 1
     need = tracking.disturbance(recovery.rows)[-1][:o] + recovery.bow
-    tight = Recovery(scene)
-    tight.sets.room[node // scene.clearance.q, node % scene.clearance.q, :o] = need * 0.999
+    tight = Recovery(replace(scene, clearance=replace(scene.clearance)))
+    tight.grid.clearance.limits.room[0, node, :o] = need * 0.999
     assert recovery.far(0) > 0
-    assert tight.far(0) < 0 < tight.sets._far[0]  # S alone would get by, not U there
+    assert tight.far(0) < 0 < tight.sets.radius(0)  # S alone would get by, not U there
 
 
 @pytest.mark.parametrize("key", ["monitor", "simplex_explicit", "asif_implicit"])
@@ -216,7 +216,7 @@ def test_no_margin_of_the_monitor_exceeds_the_share_of_the_whole_room_that_is_le
     """A jump of the reference counts as a need of the whole room, and so does what lies beyond the memory."""
     scene = DecisionGrid.of(line(**made), 0.25)
     clearance, n = replace(scene.clearance, jump=np.array(jump)), len(jump)
-    recovery, sets = Recovery(replace(scene, clearance=clearance)), PolytopeSets(clearance)
+    recovery, sets = Recovery(replace(scene, clearance=clearance)), Continuation(clearance)
     rng, tightest, behind = np.random.default_rng(0), np.inf, 0
     for cell in range(clearance.planned):
         node = cell * clearance.q

@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array, LinearSystem
-from ...synthesis.safety.clearance import error_tube, facet_room
+from ...synthesis.safety.carried_rows import error_tube
+from ...synthesis.safety.clearance import facet_room
 from ...synthesis.safety.demand import command_errors
 from ...synthesis.schedule.schedule import Schedule
 from ..failing import Failing
@@ -136,10 +137,9 @@ class Claims:
             bow[k] = step.tube.bow @ np.abs(rows).T
         K = len(self.schedule.steps)
         if self.cells > K:
-            at_end = self.schedule.final.inflate(safety.clearance.jump)
-            tube = error_tube(safety.tracking, at_end, rows).need
-            lag = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
-            need[K:] = tube[np.minimum(lag, len(tube) - 1)] + safety.clearance.scheduled(rows)[K : self.cells]
+            tube = error_tube(safety.tracking, self.schedule.final.inflate(safety.clearance.jump), rows)
+            ages = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
+            need[K:] = tube.at(ages) + safety.clearance.scheduled(rows)[K : self.cells]
         return need, bow
 
     def period_at(self, time: float) -> int:

@@ -11,7 +11,7 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.scene.satellite import SatelliteObstacle
 from ...model.system import Array, LinearSystem
-from ...synthesis.safety.clearance import error_tube
+from ...synthesis.safety.carried_rows import error_tube
 from ...synthesis.safety.get_safety import Safety
 from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.tracker.intersample import at_nodes
@@ -82,7 +82,7 @@ def _under_s(safety: Safety, start: Zonotope, first: int, curve: Array) -> Regio
     eye = np.eye(tracking.system.n)
     tube = error_tube(tracking, start, np.vstack([eye, -eye]))
     need = np.maximum(tube.over_cells(cells, q), tube.need[-1])
-    need = need + safety.clearance.scheduled(tube.rows)[first:].max(axis=1)
+    need = need + safety.clearance.scheduled(tube.table.rows)[first:].max(axis=1)
     nodes, bow = safety.clearance.nodes[first:], curve[first:].max(axis=1)
     n, need = tracking.system.n, need + np.tile(tracking.system.displaced, 2)
     return Region(

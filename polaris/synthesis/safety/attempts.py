@@ -17,7 +17,8 @@ from ...planning.recheck import path_bounds
 from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..tracker.tracking import Tracking
-from .clearance import error_tube, facet_room
+from .carried_rows import error_tube
+from .clearance import facet_room
 from .demand import Scheduled
 from .end_condition import EndCondition, coast, judge_end, tail_length
 from .problem import Problem

@@ -15,55 +15,8 @@ from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.intersample import at_nodes
 from ..tracker.tracking import Tracking
+from .carried_rows import error_tube
 from .demand import Scheduled, command_noise
-
-
-@dataclass(frozen=True, eq=False)
-class Tube:
-    """What S's error from one set needs along fixed rows, by period (docs/theory.md, Proposition 11 (a)).
-
-    Attributes
-    ----------
-    rows : ndarray, shape (r, n) or (r, N)
-    need : ndarray, shape (memory + 3, r)
-        Entry l belongs to node l after the start. Over the period between two nodes ``row e(t)`` is
-        at most the chord of their entries; the last entry holds for every later time.
-    """
-
-    rows: Array
-    need: Array
-
-    def over_cells(self, cells: int, q: int) -> Array:
-        """Largest need within every planning cell, shape (cells, r)."""
-        last = len(self.need) - 1
-        lags = np.minimum(np.arange(cells * q + 1), last)
-        per_node = self.need[lags]
-        inside = per_node[:-1].reshape(cells, q, -1).max(axis=1)
-        return np.asarray(np.maximum(inside, per_node[q::q]))
-
-    def left_over(self, tracking: Tracking, radius: float) -> Array:
-        """What an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        plant = self.rows[:, : tracking.system.n]
-        return np.asarray(tracking.forgotten(plant, radius) + tracking.disturbance(self.rows)[-1])
-
-
-def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
-    """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
-
-    `start` holds the errors ``x - xi`` at time 0, `rows` directions of the error, (r, n), or of the loop
-    state (`Tracking.disturbance`). With `failing` a fault that is isolated late may occur, where any is
-    declared.
-    """
-    radius = float(start.norm_bound(tracking.W))
-    whole, disturbance, rows = rows, tracking.disturbance(rows, failing), rows[:, : tracking.system.n]
-    curvature = tracking.curvature(rows)
-    centre = rows @ tracking.transitions @ start.c
-    spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
-    support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-    booked = curvature * tracking.decay_before[:, None] * radius
-    within = support + booked + disturbance[: len(support)]
-    need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])
-    return Tube(whole, need + ROUNDING * np.abs(need))
 
 
 @brief
@@ -132,67 +85,145 @@ class Clearance:
         Reduced by the bow of the reference between the nodes, by the jump into the tail, and by
         rounding: a lower bound that holds over the whole of both adjacent parts of the cell.
         """
-        if not self.unsafe:
-            return np.zeros((self.cells, self.q + 1, 0))
-        parts = [facet_room(self.tracking, self.reference, u, self.q, self.nodes) for u in self.unsafe]
-        chosen = [
-            np.take_along_axis(part, self.facets[:, None, o : o + 1], axis=2)[..., 0]
-            for o, part in enumerate(parts)
-        ]
-        return np.asarray(np.stack(chosen, axis=-1) - self.jumps[0][:, None, :])
+        rooms, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
+        for o, unsafe in enumerate(self.unsafe):
+            found = facet_room(self.tracking, self.reference, unsafe, self.q, self.nodes)
+            rooms.append(np.take_along_axis(found, self.facets[:, None, o : o + 1], axis=2))
+        jump = np.take_along_axis(self.jumped(rows), index, axis=1)
+        return np.asarray(np.concatenate(rooms, axis=2) - jump[:, None, :])
 
     @cached_property
-    def _scheduled(self) -> Scheduled | None:
-        if not self.tracking.varies:
-            return None
+    def _scheduled(self) -> Scheduled:
         return Scheduled(self.tracking, self.reference, self.planned)
 
     def scheduled(self, rows: Array) -> Array:
         """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Scheduled`)."""
-        if self._scheduled is None:
-            return np.zeros((self.cells, self.q + 1, len(rows)))
         return self._scheduled.along(rows)
+
+    @cached_property
+    def limits(self) -> "Limits":
+        """Facets and thrust, period by period."""
+        return Limits(self)
 
     @cached_property
     def thrust(self) -> tuple[Array, Array]:
         """Input left above and below the reference input per cell [N], each of shape (cells, m)."""
         noise = command_noise(self.tracking, self.cells, self.planned)
         limit = self.tracking.system.u_max * (1 - ROUNDING) - noise
-        cost = self.jumps[1]
+        cost = self.jumped(self.tracking.gain)
         return limit - self.reference.nu - cost, limit + self.reference.nu - cost
 
-    @cached_property
-    def jumps(self) -> tuple[Array, Array]:
-        """What the jump into the tail takes of `room` [m] and `thrust` [N], shapes (cells, o), (cells, m).
-
-        A share of the room counts it as a need: of a smaller room, the same need would seem to leave more.
-        """
-        rows, index = self.obstacle_rows
-        facets, inputs = np.zeros(index.shape), np.zeros((self.cells, self.tracking.system.m))
-        facets[self.planned :] = self.jump_need(rows)[index[self.planned :]]
-        inputs[self.planned :] = self.jump_need(self.tracking.gain)
-        return facets, inputs
+    def jumped(self, rows: Array) -> Array:
+        """Return what the jump into the tail needs along rows (r, n) in every cell, shape (cells, r)."""
+        return np.where(np.arange(self.cells)[:, None] >= self.planned, self.jump_need(rows), 0.0)
 
     def jump_need(self, rows: Array) -> Array:
         """What the jump into the tail needs along rows (r, n) at any time after it, shape (r,)."""
-        return self._need_of(rows, self.jump)
+        tracking = self.tracking
+        return np.asarray(tracking.per_size(rows) * np.linalg.norm(np.abs(tracking.W) @ self.jump))
 
     def round_off(self, rows: Array) -> Array:
         """What the round-off of the reference's states, new at every step, needs along rows, shape (r,)."""
-        return self._need_of(rows, self.tracking.accumulated * self.reference.rounding.max(axis=0))
+        tracking, step = self.tracking, self.reference.rounding.max(axis=0)
+        size = np.linalg.norm(np.abs(tracking.W) @ (tracking.accumulated * step))
+        return np.asarray(tracking.per_size(rows) * size)
 
-    def tail_need(self, rows: Array) -> Array:
-        """What S needs along rows (r, n) from a node of the tail on, errors at T apart, shape (nodes, r)."""
+    def tail_need(self, rows: Array, nodes: int) -> Array:
+        """What S needs along rows, errors at T apart, from each of so many nodes after T on, (nodes, r)."""
         found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
-        nodes = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
-        nodes[self.q :: self.q] = np.maximum(nodes[self.q :: self.q], found[:, -1])
-        later = np.maximum.accumulate(nodes[::-1])[::-1]
+        at = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
+        at[self.q :: self.q] = np.maximum(at[self.q :: self.q], found[:, -1])
+        later = np.maximum.accumulate(at[::-1])[::-1][np.minimum(np.arange(nodes), len(at) - 1)]
         plant = rows[:, : self.tracking.system.n]
         return np.asarray(later + self.jump_need(plant) + self.round_off(plant))
 
-    def _need_of(self, rows: Array, step: Array) -> Array:
-        weight = np.linalg.norm(rows @ self.tracking.W_inverse, axis=-1) + self.tracking.curvature(rows)
-        return np.asarray(weight * np.linalg.norm(np.abs(self.tracking.W) @ step))
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Rows r of the loop state z with ``r z <= room``: facets, then commands of either sign.
+
+    Commands are limited by the thrusters, and once more by what errors of thrusters are booked for, if that
+    is less. Arrays of shape (2, periods, r) hold where every period begins, and where it ends.
+    """
+
+    clearance: Clearance
+
+    @cached_property
+    def rows(self) -> Array:
+        """All rows, shape (r, N)."""
+        tracking = self.clearance.tracking
+        often = 1 if tracking.profile is None else 2
+        return np.vstack([tracking.whole(self.clearance.obstacle_rows[0]), *[tracking.commands] * often])
+
+    @property
+    def facets(self) -> int:
+        """Number of rows that are facets."""
+        return len(self.clearance.obstacle_rows[0])
+
+    @property
+    def booked(self) -> int:
+        """First of the rows that limit commands to what errors are booked for, which count if exceeded."""
+        return self.facets + 2 * self.clearance.tracking.system.m
+
+    @cached_property
+    def room(self) -> Array:
+        """Room of every row, infinite where it limits nothing, shape (2, periods, r).
+
+        ``u = mu - Lambda e``: the row ``+Lambda_i`` is limited by the room below, ``-Lambda_i`` above.
+        """
+        clearance, tracking, q = self.clearance, self.clearance.tracking, self.clearance.q
+        above, below = clearance.thrust
+        thrust = [below, above]
+        if tracking.profile is not None:
+            level = tracking.profile[0] * (1 - ROUNDING) - tracking.noise
+            thrust += [level - clearance.jumped(tracking.gain)] * 2
+        facets, index = _ends(clearance.room), np.repeat(clearance.obstacle_rows[1], q, axis=0)
+        room = np.full((2, len(index), len(self.rows)), np.inf)
+        np.minimum.at(room, (np.arange(2)[:, None, None], np.arange(len(index))[:, None], index), facets)
+        room[..., self.facets :] = np.repeat(np.hstack(thrust), q, axis=0)
+        room[1, q - 1 :: q, self.facets :] = np.inf  # the input renewed there belongs to the next cell
+        return np.asarray(room - self._scheduled)
+
+    @cached_property
+    def _scheduled(self) -> Array:
+        """Part of the room taken by errors that depend on the time of the flight."""
+        found = _ends(self.clearance.scheduled(self.rows))
+        found[..., self.booked :] = 0.0  # they are booked apart
+        return found
+
+    @cached_property
+    def taken(self) -> Array:
+        """Part of the room already taken by these errors and the jump into the tail, shape (2, periods, r).
+
+        A share of the room counts it as a need: of a smaller room, the same need would seem to leave more.
+        """
+        jump = self.clearance.jumped(self.rows[:, : self.clearance.tracking.system.n])
+        return np.asarray(self._scheduled + np.repeat(jump, self.clearance.q, axis=0))
+
+    @cached_property
+    def most_taken(self) -> Array:
+        """Largest part of the room of each row that is `taken`, shape (r,)."""
+        return np.asarray(self.taken.max(axis=(0, 1)))
+
+    @cached_property
+    def ahead(self) -> Array:
+        """Least room of every row from a node on, shape (periods + 1, r)."""
+        least = np.vstack([self.room.min(axis=0), np.full(len(self.rows), np.inf)])
+        return np.asarray(np.minimum.accumulate(least[::-1])[::-1])
+
+    def name(self, cell: int, row: int) -> str:
+        """Return the name of the unsafe set or of the input that a row limits in a cell."""
+        clearance, system = self.clearance, self.clearance.tracking.system
+        if row >= self.facets:
+            return system.input_names[(row - self.facets) % system.m]
+        mine = clearance.obstacle_rows[1][cell] == row
+        return clearance.unsafe[int(np.where(mine, clearance.room[cell].min(axis=0), np.inf).argmin())].name
+
+
+def _ends(places: Array) -> Array:
+    """Values at both ends of every period, (2, periods, r), from those at nodes of cells, (cells, q+1, r)."""
+    cells, nodes, r = places.shape
+    return np.stack([part.reshape(cells * (nodes - 1), r) for part in (places[:, :-1], places[:, 1:])])
 
 
 def facet_room(

@@ -21,9 +21,9 @@ from ..tracker.tracking import Tracking
 from .attempts import Attempts, Clock
 from .ball_sets import BallSets
 from .clearance import Clearance, best_facets
+from .continuation import Continuation
 from .end_condition import EndCondition
 from .passive import FreeFlight
-from .polytope_sets import PolytopeSets
 from .problem import Problem, as_problem
 from .recoverable import Margin, RecoverableSet, directed
 
@@ -213,7 +213,7 @@ def _proven(problem: Problem, tracking: Tracking, bounds: ErrorBounds, attempts:
 def get_recover(kind: str, clearance: Clearance, bounds: ErrorBounds) -> RecoverableSet:
     """Build the recoverable sets of one kind (the paper's GetRecover, line 9)."""
     if kind == "polytope":
-        return PolytopeSets(clearance)
+        return Continuation(clearance)
     if kind == "ball":
         return BallSets(clearance, bounds)
     raise ValueError(f"unknown kind of recoverable set: {kind}")

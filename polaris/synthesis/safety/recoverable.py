@@ -4,9 +4,10 @@ Two kinds behind one interface: the paper's balls, corrected, and the less conse
 include "S does not saturate from here to the end" (Proposition 11) and hold for the whole of every period.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from reach.sets.zonotope import Zonotope
 
 from ...model.system import Array
+from ..tracker.intersample import at_nodes
+from .clearance import Clearance
 
 
 @dataclass(frozen=True)
@@ -50,36 +53,51 @@ class Margin:
         return f"{self.limit} at t = {self.time:.6g} s: needs {need} of {room}"
 
 
-class RecoverableSet(Protocol):
-    """One recoverable set per node, in error coordinates ``e = x - xi(t)``."""
+@dataclass(frozen=True, eq=False)
+class RecoverableSet(ABC):
+    """One recoverable set per node, in error coordinates ``e = x - xi(t)``.
 
-    @property
-    def kind(self) -> str:
-        """``polytope`` or ``ball``."""
-        ...
+    Attributes
+    ----------
+    kind : str
+        ``polytope`` or ``ball``.
+    clearance : Clearance
+        Where the reference is, and how much room it has.
+    """
+
+    kind: ClassVar[str]
+    clearance: Clearance
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Line 13 of Algorithm 2: whether the reach set over ``[t1, t2]`` is inside, pointwise in time.
 
         The tube over cell k is given by the sets at its q+1 nodes, and the bow over the q parts between them.
         """
-        ...
+        return self.margin(k, nodes, bow).inside
 
     def margin(self, k: int, nodes: Zonotope, bow: Array) -> Margin:
         """How far a tube over cell k is inside: at least 0 where `holds`."""
-        ...
+        return self.tightest(k * self.clearance.q, nodes, at_nodes(bow))
 
     def margin_at(self, k: int, start: Zonotope) -> Margin:
         """Margin of one set at the start of cell k."""
-        ...
+        one = Zonotope(start.c[None], start.G[None])
+        return self.tightest(k * self.clearance.q, one, np.zeros((1, start.dim)))
 
+    @abstractmethod
+    def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
+        """Margin of a stack of sets at nodes that follow one another from `first` on.
+
+        Elementwise, (sets, n), the bow bounds what lies between each node and its neighbours.
+        """
+
+    @abstractmethod
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Whether each error (runs, n) at a node is recoverable."""
-        ...
 
+    @abstractmethod
     def radius(self, node: int) -> float:
         """Radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
-        ...
 
 
 def directed(value: float, form: str, up: bool = False) -> str:

@@ -8,7 +8,7 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
-from ..safety.clearance import error_tube
+from ..safety.carried_rows import CarriedRows
 from ..safety.demand import command_noise
 from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
@@ -166,7 +166,7 @@ def _needs(
         forgotten = np.where(far, long_after(tracking, rows, z), once)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     away = np.abs(rows) @ tracking.system.displaced_at_nodes
-    need = np.min(found, axis=0) + _ahead(safety, rows, nodes) + away
+    need = np.min(found, axis=0) + safety.clearance.tail_need(rows, nodes) + away
     need = need + spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
         flown = after.along(rows, nodes)
@@ -190,22 +190,19 @@ def spare(tracking: Tracking, share: float = SPARE) -> float:
     return ROUNDING if tracking.profile is None else share
 
 
-def _ahead(safety: Safety, rows: Array, nodes: int) -> Array:
-    """What S needs besides, from each of so many nodes after T on, shape (nodes, r)."""
-    need = safety.clearance.tail_need(rows)
-    return need[np.minimum(np.arange(nodes), len(need) - 1)]
+def _commanded(safety: Safety, held: Held, nodes: int) -> Array:
+    """Bound on S's feedback at so many nodes after T, faults apart, shape (nodes + 1, m)."""
+    tracking, K = safety.tracking, safety.problem.K
+    table, ages = CarriedRows(tracking, tracking.commands, failing=False), np.arange(nodes + 1)
+    need = np.min([table.tube(z).at(since + ages) for z, since in held], axis=0)
+    need = need + safety.clearance.tail_need(table.rows, nodes + 1)
+    return np.asarray(need.reshape(nodes + 1, 2, -1).max(axis=1) + command_noise(tracking, K + 1, K)[K])
 
 
 def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     """Bound on S's velocity change over so many periods after T [m/s]; the reference coasts."""
-    tracking, system, K = safety.tracking, safety.problem.system, safety.problem.K
-    both = tracking.commands
-    tubes = ((error_tube(tracking, z, both, False).need, since + np.arange(nodes + 1)) for z, since in held)
-    need = np.min([each[np.minimum(lag, len(each) - 1)] for each, lag in tubes], axis=0)
-    need = need + _ahead(safety, both, nodes + 1)
-    most = need.reshape(nodes + 1, 2, -1).max(axis=1) + command_noise(tracking, K + 1, K)[K]
-    most = np.minimum(most, system.u_max)
-    at = system.spent(most).sum(axis=1)
+    tracking, system = safety.tracking, safety.problem.system
+    at = system.spent(np.minimum(_commanded(safety, held, nodes), system.u_max)).sum(axis=1)
     apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + spare(tracking))
     flown = spent(after.until(nodes), nodes) * (1 + spare(tracking, FLOWN))
     return min(apart, flown) * tracking.flow.h / system.mass
@@ -220,10 +217,7 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     nodes = tracking.memory + 2
     if safety.reference.cells * safety.clearance.q < problem.K * safety.clearance.q + nodes:
         return None
-    both = tracking.commands
-    need = np.min([error_tube(tracking, z, both, False).need[-1] for z, _ in held], axis=0)
-    need = need + _ahead(safety, both, nodes + 1)[-1]
-    most = need.reshape(2, -1).max(axis=0) + command_noise(tracking, problem.K + 1, problem.K)[-1]
+    most = _commanded(safety, held, nodes)[-1]
     if not np.all(most <= system.u_max):
         return None
     T = problem.K * problem.delta

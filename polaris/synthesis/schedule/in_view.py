@@ -27,7 +27,7 @@ from ...planning.search import Candidate, Seen
 from ..controllers.controllers import AffineController
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
-from ..safety.clearance import error_tube
+from ..safety.carried_rows import error_tube
 from ..safety.demand import Scheduled
 from ..tracker.tracking import Tracking
 from .schedule import Schedule
@@ -95,7 +95,7 @@ class Windows:
         asked = plan_problem(problem, tracking, sets)
         demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
         u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
-        own = Scheduled(u, law.own, law.own.cells) if u.varies else None
+        own = Scheduled(u, law.own, law.own.cells)
         q, handed = tracking.feedback.nodes_per_cell, safety.start
         for k in range(min(SETTLED, problem.K) if renewed else 0):
             handed = safety.controller.fly(handed, k).end
@@ -104,7 +104,7 @@ class Windows:
         for unsafe, margin in zip(sets, asked.margins, strict=True):
             rows = -unsafe.normals @ system.position
             tube, again = (error_tube(u, z, rows).over_cells(problem.K, q) for z in (safety.start, handed))
-            caused = np.zeros_like(tube) if own is None else own.along(rows).max(axis=1)[: problem.K]
+            caused = own.along(rows).max(axis=1)[: problem.K]
             margins.append(margin if renewed else margin + (tube + caused))
             self.tubes.append((tube + caused, again, caused))
         # Coasting after T that is proven safe along the printed reference shall stay so.

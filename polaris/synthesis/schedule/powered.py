@@ -22,7 +22,8 @@ from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..controllers.controllers import TubeSegment
 from ..safety.attempts import perceive_unsafe, plan_problem
-from ..safety.clearance import Clearance, error_tube
+from ..safety.carried_rows import CarriedRows
+from ..safety.clearance import Clearance
 from ..safety.end_condition import coast, judge_end, tail_length
 from ..safety.get_safety import Safety, get_recover
 from ..safety.problem import PoweredAbort, Problem
@@ -170,10 +171,10 @@ def _branch(safety: Safety, asked: PoweredAbort, b: int, inputs: Array, facets: 
     clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
     recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
     end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
+    start = recoverable.margin_at(0, safety.start)
+    proven = replace(safety, clearance=clearance, recoverable=recoverable, start_margin=start, end=end)
     found = known_plan(path, problem.K, facets)
-    made = replace(safety, problem=problem, plan=found, reference=reference)
-    made = replace(made, clearance=clearance, recoverable=recoverable, end=end)
-    return Branch(b, replace(made, start_margin=recoverable.margin_at(0, safety.start)))
+    return Branch(b, replace(proven, problem=problem, plan=found, reference=reference))
 
 
 def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:
@@ -182,16 +183,13 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
     chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]
 
     def needed(rows: Array) -> Array:
-        parts = []
+        table, parts = CarriedRows(tracking, rows), []
         for each in taken:
             bow = np.zeros((1, system.n)) if each.tube is None else at_nodes(each.tube.bow)
             for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
                 one = Zonotope(each.sets.c[i], each.sets.G[i]).inflate(bow[i])
-                tube = error_tube(tracking, one, rows)
-                q, last = tracking.feedback.nodes_per_cell, len(tube.need) - 1
-                lags = np.arange(b * q, asked.K * q + 1) - each.first - i
-                at = tube.need[np.minimum(lags, last)]
-                parts.append(np.maximum(at[:-1].reshape(asked.K - b, q, -1).max(axis=1), at[q::q]))
+                q, node = tracking.feedback.nodes_per_cell, each.first + i
+                parts.append(table.tube(one).over_cells(asked.K, q, node, node)[b:])
         most: Array = np.max(parts, axis=0) * (1 + SPARE)
         return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 

@@ -11,7 +11,7 @@ from reach.sets.zonotope import Zonotope
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import TubeSegment
-from ..safety.clearance import error_tube
+from ..safety.carried_rows import error_tube
 from ..safety.demand import command_noise
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows
@@ -62,25 +62,16 @@ class Takeover:
 
     def margin(self, q: int, sets: RecoverableSet) -> Margin | None:
         """How far they are outside the recoverable sets along some reference; None if they are inside."""
-        if self.tube is not None:
-            holds = sets.holds(self.k, self.tube.nodes, self.tube.bow)
-            return None if holds else sets.margin(self.k, self.tube.nodes, self.tube.bow)
-        margin = sets.margin_at(self.first // q, Zonotope(self.sets.c[0], self.sets.G[0]))
+        if self.tube is None:
+            margin = sets.margin_at(self.first // q, Zonotope(self.sets.c[0], self.sets.G[0]))
+        else:
+            margin = sets.margin(self.k, self.tube.nodes, self.tube.bow)
         return None if margin.inside else margin
 
-    def over(self, tracking: Tracking, rows: Array, cells: int) -> tuple[Array, Array]:
-        """What they need along rows within every cell, and at its start, for all instants of the abort.
-
-        Each of shape (cells, r), zero in the cells before step k, where nothing is aborted.
-        """
-        need = error_tube(tracking, self.box, rows).need
-        q, end = tracking.feedback.nodes_per_cell, len(need) - 1
-        within, at = np.zeros((2, cells, len(rows)))
-        for c in range(self.k, cells):
-            low, node = max(c * q - self.last, 0), max(c * q - self.first, 0)
-            at[c] = need[min(low, end) : min(node, end) + 1].max(axis=0)
-            within[c] = need[min(low, end) : min(node + q, end) + 1].max(axis=0)
-        return within, at
+    def over_cells(self, tracking: Tracking, rows: Array, cells: int, periods: int | None = None) -> Array:
+        """What they need along rows within every cell, or its first periods, shape (cells, r)."""
+        tube, q = error_tube(tracking, self.box, rows), tracking.feedback.nodes_per_cell
+        return tube.over_cells(cells, q, self.first, self.last, periods)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +131,11 @@ class Branch:
         if last < K:
             return None, np.inf
         states = reference.chi[K : last + 1]
-        need, q = taken.over(tracking, rows, last + 1)[1][K:], safety.clearance.q
+        need, q = taken.over_cells(tracking, rows, last + 1, 0)[K:], safety.clearance.q
         far = np.arange(K, last + 1) * q - taken.last > tracking.long
         settled = long_after(tracking, rows, taken.box) * (1 + spare(tracking)) + tracking.upset(rows)[-1]
         need = np.where(far[:, None], np.minimum(need, settled), need)
-        need = need + safety.clearance.tail_need(rows)[::q][: len(need)]
+        need = need + safety.clearance.tail_need(rows, (last - K) * q + 1)[::q]
         need = (need + np.abs(rows) @ tracking.system.displaced_at_nodes) * (1 + SPARE)
         size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
         most = distance(safety.problem.goal.conditions, states @ rows.T - sides + need + size)
@@ -155,7 +146,7 @@ class Branch:
         """Bound on S's velocity change from an abort in a step until the start of a cell [m/s]."""
         safety, tracking, system = self.safety, self.safety.tracking, self.safety.problem.system
         both = tracking.commands
-        need = taken.over(tracking, both, end)[0] + safety.clearance.round_off(both[:, : system.n])
+        need = taken.over_cells(tracking, both, end) + safety.clearance.round_off(both[:, : system.n])
         need = need + safety.clearance.scheduled(both)[:end].max(axis=1)
         need[(K := safety.problem.K) :] += safety.clearance.jump_need(both[:, : system.n])
         most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])

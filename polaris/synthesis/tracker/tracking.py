@@ -247,10 +247,13 @@ class Tracking:
         bend = np.abs(rows @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ self.W_inverse)
         return np.asarray(flow.h**2 / 8 * np.linalg.norm(bend, axis=-1))
 
+    def per_size(self, rows: Array) -> Array:
+        """Return what errors need along rows over the next period, per unit of ``norm(W e)``, shape (r,)."""
+        return np.asarray(np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows))
+
     def forgotten(self, rows: Array, radius: float) -> Array:
         """What errors up to ``norm(W e) = radius`` still need along rows beyond the memory, shape (r,)."""
-        weight = np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows)
-        return np.asarray(weight * self.decay[-1] * radius)
+        return np.asarray(self.per_size(rows) * self.decay[-1] * radius)
 
     def whole(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""

@@ -1,0 +1,124 @@
+"""Rows of S's error carried back through its loop, and what a set of errors needs along them by age."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from ..tracker.tracking import Tracking
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedRows:
+    """Table ``row phi^l`` of every row and age, with what is added to it (theory item 3).
+
+    Entry l of a table belongs to node l after errors were handed over to S. Over the period between two
+    nodes a row needs at most the chord of their entries.
+
+    Parameters
+    ----------
+    tracking : Tracking
+        S's loop.
+    rows : ndarray, shape (r, n) or (r, N)
+        Directions of the error, or of the loop state (`Tracking.disturbance`).
+    failing : bool
+        True if a fault that is isolated late may occur, where any is declared.
+    """
+
+    tracking: Tracking
+    rows: Array
+    failing: bool = True
+
+    @property
+    def plant(self) -> Array:
+        """Part of the rows along the tracking error, shape (r, n)."""
+        return self.rows[:, : self.tracking.system.n]
+
+    @cached_property
+    def carried(self) -> Array:
+        """``row phi^l``, shape (memory + 2, r, n)."""
+        return np.asarray(self.plant @ self.tracking.transitions)
+
+    @cached_property
+    def disturbance(self) -> Array:
+        """Need of everything but the errors handed over, by age and ever after, shape (memory + 3, r)."""
+        return self.tracking.disturbance(self.rows, self.failing)
+
+    @cached_property
+    def bend(self) -> Array:
+        """Need between nodes per unit of ``norm(W e)``, shape (memory + 2, r)."""
+        return self.tracking.curvature(self.plant) * self.tracking.decay_before[:, None]
+
+    @cached_property
+    def sizes(self) -> Array:
+        """``norm(row phi^l W^-1)``: need at nodes per unit of ``norm(W e)``, shape (memory + 2, r)."""
+        return np.asarray(np.linalg.norm(self.carried @ self.tracking.W_inverse, axis=-1))
+
+    @cached_property
+    def beyond(self) -> Array:
+        """Need beyond the memory per unit of ``norm(W e)``, shape (r,)."""
+        return self.tracking.forgotten(self.plant, 1.0)
+
+    def tube(self, start: Zonotope) -> "Tube":
+        """Return the needs from a set of errors ``x - xi``."""
+        radius = float(start.norm_bound(self.tracking.W))
+        support = _rounded(self.carried @ start.c, np.abs(self.carried @ start.G).sum(axis=-1))
+        within = support + self.bend * radius + self.disturbance[:-1]
+        need = np.vstack([within, self.beyond * radius + self.disturbance[-1]])
+        return Tube(self, need + ROUNDING * np.abs(need))
+
+    def supports(self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, bow: Array) -> Array:
+        """Return the support of a stack of sets along some entries of the table, shape (sets, entries).
+
+        Elementwise, (sets, n), the bow bounds what lies between each node and its neighbours.
+        """
+        exact = self.carried[lag, row]
+        centre = sets.c @ exact.T
+        spread = [np.abs(exact @ G).sum(axis=-1) for G in sets.G] if sets.G.size else 0 * centre
+        support = _rounded(centre, np.asarray(spread))
+        if np.any(bow > 0):
+            # More than is needed: only U's own claim between two nodes is left, at lag 0 (Proposition 11).
+            before = self.carried[np.maximum(lag - 1, 0), row]
+            support += np.maximum(bow @ np.abs(exact).T, bow @ np.abs(before).T)
+        return support
+
+
+def _rounded(centre: Array, spread: Array) -> Array:
+    """Sum of both, rounded up by the size of its terms, which may cancel."""
+    return np.asarray(centre + spread + ROUNDING * (np.abs(centre) + spread))
+
+
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """What S's error from one set needs along the rows of a table, for all time."""
+
+    table: CarriedRows
+    need: Array  # by age, (memory + 3, r); the last entry holds for every later time
+
+    def at(self, ages: NDArray[np.int_]) -> Array:
+        """Return the need at ages [periods] of any shape, shape (..., r)."""
+        return np.asarray(self.need[np.clip(ages, 0, len(self.need) - 1)])
+
+    def over_cells(
+        self, cells: int, q: int, first: int = 0, last: int = 0, periods: int | None = None
+    ) -> Array:
+        """Return the largest need within every planning cell, or its first `periods`, shape (cells, r).
+
+        The set may have been handed over at any node from `first` to `last`.
+        """
+        ages = np.arange(last - first + (q if periods is None else periods) + 1) - last
+        return np.asarray(self.at(np.arange(cells)[:, None] * q + ages).max(axis=1))
+
+    def left_over(self, tracking: Tracking, radius: float) -> Array:
+        """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
+        return np.asarray(tracking.forgotten(self.table.plant, radius) + self.table.disturbance[-1])
+
+
+def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
+    """Return a tight bound on ``row e(t)`` under S from a set of errors at time 0 (see `CarriedRows`)."""
+    return CarriedRows(tracking, rows, failing).tube(start)

@@ -1,0 +1,144 @@
+"""Continuation of a flight by S: from which errors it keeps every limit to the end, and by which margin."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.system import Array
+from ...model.tolerances import ROUNDING
+from ..tracker.intersample import at_nodes
+from .carried_rows import CarriedRows
+from .recoverable import Margin, RecoverableSet, left
+
+COARSE = 0.5  # limits that a bound by the norm shows to need no more of the room are looked at only if needed
+
+Where = tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]
+"""Indices into `Limits.room`: end of the period (entries,), period (sets, entries) and row (entries,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Continuation(RecoverableSet):
+    """All facets and thrust limits, carried back exactly through the closed loop (the default).
+
+    ``C^t = {e : row_j Phi(t_j - t) e + disturbance <= room_j for every later t_j}``: exact for the
+    chosen facets up to what is booked between nodes. Limits further away than the memory of the
+    loop are collected in one ball, which they can hardly touch (docs/theory.md, Proposition 11).
+    """
+
+    kind: ClassVar[str] = "polytope"
+
+    @cached_property
+    def table(self) -> CarriedRows:
+        """Rows of the limits, carried back."""
+        return CarriedRows(self.clearance.tracking, self.clearance.limits.rows)
+
+    @cached_property
+    def disturbance(self) -> Array:
+        """Need besides the error, round-off of the reference included, by age, shape (memory + 3, r)."""
+        tracking, table = self.clearance.tracking, self.table
+        need = table.disturbance + self.clearance.round_off(table.plant)
+        if tracking.profile is not None:  # a bound that falls is the first one, of which more is taken
+            falls = tracking.profile[0] - np.vstack([tracking.profile, tracking.profile[-1:]])
+            need[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
+        return need
+
+    @cached_property
+    def _per_size(self) -> Array:
+        """Bound on the need per unit of ``norm(W e)``, by lag, shape (memory + 2, r)."""
+        sizes = self.table.sizes * (1 + ROUNDING)
+        return np.asarray(np.maximum(sizes, np.concatenate([sizes[:1], sizes[:-1]])) + self.table.bend)
+
+    def _later(self, node: int) -> int:
+        """Node from which on limits lie beyond the memory of the loop, seen from a node."""
+        # After the tail the reference repeats it: whatever the node, the whole tail lies ahead again.
+        clearance = self.clearance
+        return min(node + clearance.tracking.memory, clearance.planned * clearance.q)
+
+    def _allowed(self, node: int) -> float:
+        """Largest ``norm(W e)`` at a node that all limits beyond the memory allow."""
+        spare = self.clearance.limits.ahead[self._later(node)] - self.disturbance[-1]
+        return float(np.min(spare / self.table.beyond, initial=np.inf))
+
+    def _shares(
+        self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array, spare: float
+    ) -> tuple[Array, Array, Array, Where]:
+        """Share of the room left, need and room of all limits that may need more than a share `spare`.
+
+        Of a stack of sets at the nodes `at`, the first one least, with a bound on ``norm(W e)`` of each. The
+        entries are those of the table, where a period begins and where one ends, and one per row for all
+        times beyond the memory.
+        """
+        limits, table = self.clearance.limits, self.table
+        r, last = len(limits.rows), limits.room.shape[1] - 1
+        least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
+        most = (self._per_size * radius.max() + self.disturbance[:-1]) * (1 + ROUNDING)
+        lag, row = np.nonzero(most > least)
+        size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
+        exact = table.supports(lag, row, sets, bow) + np.multiply.outer(radius, bend)
+        near = np.minimum(exact, np.multiply.outer(radius, size)) + pushed
+        node, start = at[:, None] + lag, self._later(int(at[0]))
+        end, row = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
+        period = np.hstack([node, node - 1, np.full((len(at), r), start)])
+        where = end, np.clip(period, 0, last), row
+        room, taken = limits.room[where], limits.taken[where]
+        room[(period < at[0]) | (period > last)] = np.inf
+        room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
+        need = np.hstack([near, near, np.multiply.outer(radius, table.beyond) + self.disturbance[-1]])
+        need, room = need * (1 + ROUNDING * np.sign(need)) + taken, room + taken
+        share = left(need, room)
+        share[np.isinf(room) | ((row >= limits.booked) & (share >= 0))] = np.inf
+        return share, need, room, (end, period, row)
+
+    def _radius(self, sets: Zonotope, bow: Array) -> Array:
+        """Bound on ``norm(W e)`` over a tube: states between two nodes are as large as the larger node's."""
+        W = self.clearance.tracking.W
+        return np.full(len(bow), np.max(sets.norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)))
+
+    def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
+        """Margin of errors at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
+        at, radius = first + np.arange(len(bow)), self._radius(sets, bow)
+        found = self._shares(at, sets, bow, radius, COARSE)
+        if not found[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
+            spare = max((1 - float(found[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
+            found = self._shares(at, sets, bow, radius, spare)
+        share, need, room, (end, period, row) = found
+        tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
+        when, limit = int(period[tight]), int(row[entry])
+        node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
+        if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
+            when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
+        value, *sizes = (float(part[tight]) for part in (share, need, room))
+        time = node * self.clearance.tracking.flow.h
+        return Margin(value, limits.name(when // q, limit), time, *sizes)
+
+    def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
+        """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
+        first, bow = k * self.clearance.q, at_nodes(bow)
+        share = self._shares(first + np.arange(len(bow)), nodes, bow, self._radius(nodes, bow), 1.0)[0]
+        return bool(np.all(share >= 0))
+
+    def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
+        """Return True for each error (runs, n) at a node that is recoverable."""
+        errors = np.atleast_2d(errors)
+        radius = np.linalg.norm(errors @ self.clearance.tracking.W.T, axis=-1)
+        found = np.asarray(radius <= self._allowed(node))
+        if found.any():
+            points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
+            at = np.full(len(points.c), node)
+            share = self._shares(at, points, 0 * points.c, radius[found], 1.0)[0]
+            found[found] = np.all(share >= 0, axis=1)
+        return found
+
+    def radius(self, node: int) -> float:
+        """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
+        allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
+        for end in (0, 1):  # of the periods that begin and that end at a node
+            room = self.clearance.limits.room[end, node : node + len(per_size) - end]
+            lags = slice(end, end + len(room))
+            allowed = float(np.min((room - self.disturbance[lags]) / per_size[lags], initial=allowed))
+        return max(0.0, allowed)  # also where it is no number
