@@ -20,6 +20,7 @@ from ..tracker.tracking import Tracking
 from .clearance import error_tube, facet_room
 from .demand import Scheduled
 from .end_condition import EndCondition, coast, judge_end, tail_length
+from .goal_rows import inset
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 
@@ -208,7 +209,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         sets,
         tuple(margins),
         limit,
-        problem.goal,
+        inset(problem, problem.goal, problem.goal_inset) if problem.goal_inset else problem.goal,
         problem.objective,
         problem.extra_margin,
     )

@@ -47,23 +47,59 @@ class Tube:
         return np.asarray(tracking.forgotten(plant, radius) + tracking.disturbance(self.rows)[-1])
 
 
+@dataclass(frozen=True, eq=False)
+class TubeRows:
+    """Fixed rows of S's error, for tubes from any set of errors.
+
+    Parameters
+    ----------
+    tracking : Tracking
+    whole : ndarray, shape (r, n) or (r, N)
+        Rows of the error, or of the loop state (`Tracking.disturbance`).
+    failing : bool
+        Whether a fault that is isolated late may occur, where any is declared.
+    """
+
+    tracking: Tracking
+    whole: Array
+    failing: bool = True
+
+    @cached_property
+    def _disturbance(self) -> Array:
+        return self.tracking.disturbance(self.whole, self.failing)
+
+    @cached_property
+    def _carried(self) -> Array:
+        return np.asarray(self._rows @ self.tracking.transitions)
+
+    @property
+    def _rows(self) -> Array:
+        return self.whole[:, : self.tracking.system.n]
+
+    @cached_property
+    def _curvature(self) -> Array:
+        return self.tracking.curvature(self._rows)
+
+    def tube(self, start: Zonotope) -> Tube:
+        """Return the tight bound on ``row e(t)`` under S from a set of errors ``x - xi`` at time 0."""
+        tracking, disturbance = self.tracking, self._disturbance
+        radius = float(start.norm_bound(tracking.W))
+        centre = self._carried @ start.c
+        flat = self._carried.reshape(-1, start.dim) @ start.G
+        spread = np.abs(flat).sum(axis=-1).reshape(centre.shape)
+        support = centre + spread + ROUNDING * (np.abs(centre) + spread)
+        booked = self._curvature * tracking.decay_before[:, None] * radius
+        within = support + booked + disturbance[: len(support)]
+        need = np.vstack([within, tracking.forgotten(self._rows, radius) + disturbance[-1]])
+        return Tube(self.whole, need + ROUNDING * np.abs(need))
+
+
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
     """Tight bound on ``row e(t)`` under S from a set of errors, for all time, between nodes too.
 
-    `start` holds the errors ``x - xi`` at time 0, `rows` directions of the error, (r, n), or of the loop
-    state (`Tracking.disturbance`). With `failing` a fault that is isolated late may occur, where any is
-    declared.
+    See `TubeRows` for the rows, (r, n) or (r, N), and for `failing`.
     """
-    radius = float(start.norm_bound(tracking.W))
-    whole, disturbance, rows = rows, tracking.disturbance(rows, failing), rows[:, : tracking.system.n]
-    curvature = tracking.curvature(rows)
-    centre = rows @ tracking.transitions @ start.c
-    spread = np.abs(rows @ tracking.transitions @ start.G).sum(axis=-1)
-    support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-    booked = curvature * tracking.decay_before[:, None] * radius
-    within = support + booked + disturbance[: len(support)]
-    need = np.vstack([within, tracking.forgotten(rows, radius) + disturbance[-1]])
-    return Tube(whole, need + ROUNDING * np.abs(need))
+    return TubeRows(tracking, rows, failing).tube(start)
 
 
 @brief
