@@ -80,17 +80,20 @@ class TubeRows:
     def _curvature(self) -> Array:
         return self.tracking.curvature(self._rows)
 
+    def at(self, start: Zonotope, lags: NDArray[np.int_] | slice) -> Array:
+        """Return what rows need of errors at some nodes after the start, within the memory, (lags, r)."""
+        tracking, carried = self.tracking, self._carried[lags]
+        centre = carried @ start.c
+        spread = np.abs(carried.reshape(-1, start.dim) @ start.G).sum(axis=-1).reshape(centre.shape)
+        support = centre + spread + ROUNDING * (np.abs(centre) + spread)
+        booked = self._curvature * tracking.decay_before[lags, None] * float(start.norm_bound(tracking.W))
+        return np.asarray(support + booked + self._disturbance[: len(self._carried)][lags])
+
     def tube(self, start: Zonotope) -> Tube:
         """Return the tight bound on ``row e(t)`` under S from a set of errors ``x - xi`` at time 0."""
-        tracking, disturbance = self.tracking, self._disturbance
-        radius = float(start.norm_bound(tracking.W))
-        centre = self._carried @ start.c
-        flat = self._carried.reshape(-1, start.dim) @ start.G
-        spread = np.abs(flat).sum(axis=-1).reshape(centre.shape)
-        support = centre + spread + ROUNDING * (np.abs(centre) + spread)
-        booked = self._curvature * tracking.decay_before[:, None] * radius
-        within = support + booked + disturbance[: len(support)]
-        need = np.vstack([within, tracking.forgotten(self._rows, radius) + disturbance[-1]])
+        radius = float(start.norm_bound(self.tracking.W))
+        beyond = self.tracking.forgotten(self._rows, radius) + self._disturbance[-1]
+        need = np.vstack([self.at(start, slice(None)), beyond])
         return Tube(self.whole, need + ROUNDING * np.abs(need))
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
@@ -38,14 +39,26 @@ class HandOvers:
     K: int
 
     @cached_property
-    def _rows(self) -> list[TubeRows]:
-        position = self.tracking.system.position
-        return [TubeRows(self.tracking, -body.normals @ position) for body in self.unsafe]
+    def _rows(self) -> TubeRows:
+        normals = [-body.normals @ self.tracking.system.position for body in self.unsafe]
+        return TubeRows(self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))]))
+
+    def _by_set(self, found: Array) -> list[Array]:
+        ends = np.cumsum([len(body.normals) for body in self.unsafe])
+        return np.split(found, ends[:-1], axis=-1) if self.unsafe else []
+
+    @cached_property
+    def _lags(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Nodes at both ends and in the middle of each cell, and which of them each cell has, (K, 3)."""
+        q, last = self.tracking.feedback.nodes_per_cell, self.tracking.memory + 1
+        every = np.arange(self.K)[:, None] * q + np.array([0, q // 2, q])
+        nodes, index = np.unique(np.minimum(every, last), return_inverse=True)
+        return nodes, np.asarray(index).reshape(self.K, 3)
 
     def since(self, handed: Zonotope) -> list[Array]:
         """Return what S needs in each cell after it took over a set of errors, one (K, F) per unsafe set."""
-        q = self.tracking.feedback.nodes_per_cell
-        return [rows.tube(handed).over_cells(self.K, q) for rows in self._rows]
+        nodes, index = self._lags
+        return self._by_set(self._rows.at(handed, nodes)[index].max(axis=1))
 
     def tables(self, handed: Sequence[Zonotope]) -> list[Array]:
         """Stack `since` of several sets, one (sets, K, F) per unsafe set."""
@@ -54,9 +67,9 @@ class HandOvers:
     def caused(self, reference: Reference) -> list[Array]:
         """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
         if not self.tracking.varies:
-            return [np.zeros((self.K, len(body.normals))) for body in self.unsafe]
-        found = Scheduled(self.tracking, reference, reference.cells)
-        return [found.along(rows.whole).max(axis=1)[: self.K] for rows in self._rows]
+            return self._by_set(np.zeros((self.K, len(self._rows.whole))))
+        found = Scheduled(self.tracking, reference, reference.cells).along(self._rows.whole)
+        return self._by_set(found.max(axis=1)[: self.K])
 
     def along(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
         """Return what S needs along a reference, and how much the best facet of each cell lacks of it.

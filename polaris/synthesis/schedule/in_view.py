@@ -25,7 +25,7 @@ from ...planning.recheck import certified
 from ...planning.reference import Reference
 from ...planning.rows import Key, Rows
 from ...planning.search import Candidate, Seen
-from ..controllers.controllers import AffineController, construct_s
+from ..controllers.controllers import AffineController, Controller, construct_s
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
 from ..safety.goal_rows import inset
@@ -224,13 +224,17 @@ class Windows:
         if schedule is not None and tuple(schedule.modes.tolist()) == intended:
             return short
         tracking, safety = self.hand_overs.tracking, self.safety
+        laws: tuple[Controller, ...]
         if schedule is None:
             start, problem = safety.problem.initial_set.c, safety.problem
             reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
-            laws = {0: construct_s(tracking, reference), self.mode: self.law.along(reference, tracking)}
+            laws = construct_s(tracking, reference), self.law.along(reference, tracking)
         else:
-            reference, laws = schedule.safety.reference, dict(enumerate(schedule.controllers))
-        sets = flown([laws[mode] for mode in intended], safety.start)
+            reference, laws = (
+                schedule.safety.reference,
+                (schedule.controllers[0], schedule.controllers[self.mode]),
+            )
+        sets = flown([laws[mode > 0] for mode in intended], safety.start)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
         for i, (need, lack) in enumerate(parts):
@@ -239,7 +243,7 @@ class Windows:
         return short or any(np.any(lack > 0) for _, lack in parts)
 
     def _inset(self, schedule: Schedule) -> bool:
-        """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too little."""
+        """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
         arrival, goal = schedule.arrival, self.asked.goal
         few = schedule.share() < self.worth.share
         if few or arrival.reached is True or not goal.conditions.inequalities:
