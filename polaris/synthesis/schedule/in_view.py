@@ -125,7 +125,7 @@ class Windows:
 
     def _book(self, mask: Mask) -> None:
         """Book what S needs, beyond its own tube, after hand-overs in all steps outside the windows."""
-        row = np.arange(self.K)
+        row, cells = np.arange(self.K), np.minimum(np.arange(self.asked.cells), self.K - 1)
         for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
             row[end:] = self.K + 1 + np.arange(self.K - end)
         for i, (table, caused) in enumerate(zip(self.tables, self.caused, strict=True)):
@@ -133,12 +133,8 @@ class Windows:
             for k in np.flatnonzero(~mask):
                 for at in (k, k + 1):  # S may take over at either end of the step
                     need[at:] = np.maximum(need[at:], table[row[k] + at - k, : self.K - at])
-            self._keep(i, np.maximum(need + caused, self.lacking[i]))
-
-    def _keep(self, i: int, clearance: Array) -> None:
-        """Keep at least so much clearance from the facets of an unsafe set, (K, F), as S's own tube needs."""
-        cells = np.minimum(np.arange(self.asked.cells), self.K - 1)
-        self.rows.booking[i][:] = np.maximum(clearance - self.asked.margins[i], 0.0)[cells]
+            beyond = np.maximum(need + caused, self.lacking[i]) - self.asked.margins[i]
+            self.rows.booking[i][:] = np.maximum(beyond, 0.0)[cells]
 
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
@@ -245,8 +241,7 @@ class Windows:
     def _inset(self, schedule: Schedule) -> bool:
         """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
         arrival, goal = schedule.arrival, self.asked.goal
-        few = schedule.share() < self.worth.share
-        if few or arrival.reached is True or not goal.conditions.inequalities:
+        if schedule.share() < self.worth.share or arrival.reached is True or not goal.conditions.inequalities:
             return False
         guide, lacking = self.search.guide, self.lacking
         self._ask(replace(self.asked, goal=inset(self.safety.problem, goal, arrival.distance)))
