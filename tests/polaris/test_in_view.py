@@ -17,7 +17,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.safety.clearance import error_tube, facet_room
 from polaris.synthesis.safety.goal_rows import _weights, distance, goal_rows, inset
-from polaris.synthesis.schedule.hand_over import HandOvers, flown
+from polaris.synthesis.schedule.hand_over import HandOvers, reached_sets
 from polaris.synthesis.schedule.in_view import Windows, followable, in_windows, neighbours
 from polaris.synthesis.schedule.search import Search, SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -135,7 +135,7 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
     tracking, K, q = safety.tracking, safety.problem.K, safety.tracking.feedback.nodes_per_cell
     unsafe = safety.clearance.unsafe
     hand_overs = HandOvers(tracking, unsafe, K)
-    sets = flown([schedule.controllers[1]] * K, safety.start)
+    sets = reached_sets([schedule.controllers[1]] * K, safety.start)
     for handed in (sets[0], sets[K // 2]):
         for body, found in zip(unsafe, hand_overs.since(handed), strict=True):
             rows = -body.normals @ safety.problem.system.position

@@ -96,7 +96,7 @@ class HandOvers:
         return found
 
 
-def flown(laws: Sequence[Controller], start: Zonotope) -> list[Zonotope]:
+def reached_sets(laws: Sequence[Controller], start: Zonotope) -> list[Zonotope]:
     """Return the sets of errors at the start of every step and after the last one, one law flying each."""
     found = [start]
     for k, law in enumerate(laws):

@@ -29,7 +29,7 @@ from ..controllers.controllers import AffineController, Controller, construct_s
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
 from ..safety.goal_rows import inset
-from .hand_over import HandOvers, flown
+from .hand_over import HandOvers, reached_sets
 from .schedule import Schedule
 from .worth import Mask, Worth
 
@@ -94,10 +94,10 @@ class Windows:
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         self.renewed = not system.ideal and any(body.keep_in for body in sets)
         self.hand_overs = HandOvers(tracking, sets, problem.K)
-        handed = flown([law.along(law.own, tracking)] * problem.K, safety.start)
+        handed = reached_sets([law.along(law.own, tracking)] * problem.K, safety.start)
         if self.renewed:
-            settled = flown([safety.controller] * min(SETTLED, problem.K), safety.start)[-1]
-            handed += flown([law.along(law.own, tracking)] * problem.K, settled)
+            settled = reached_sets([safety.controller] * min(SETTLED, problem.K), safety.start)[-1]
+            handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled)
         self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.caused(law.own)
         # Coasting after T that is proven safe along the printed reference shall stay so.
         asked = plan_problem(problem, tracking, sets)
@@ -230,7 +230,7 @@ class Windows:
                 schedule.safety.reference,
                 (schedule.controllers[0], schedule.controllers[self.mode]),
             )
-        sets = flown([laws[mode > 0] for mode in intended], safety.start)
+        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
         for i, (need, lack) in enumerate(parts):
