@@ -103,16 +103,16 @@ class Windows:
         asked = plan_problem(problem, tracking, sets)
         self.followed = Followed.of(system, law.powers[-1], law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
-        self._ask(replace(asked, objective="fuel", tail_cells=tail))
+        self._ask(replace(asked, objective="fuel", tail_cells=tail), problem.planner.deadline)
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
         z = (safety.plan.nu / system.u_max).ravel()
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
 
-    def _ask(self, asked: PlanProblem) -> None:
-        """Search paths of a planning problem from now on."""
+    def _ask(self, asked: PlanProblem, deadline: float) -> None:
+        """Search paths of a planning problem from now on, until a deadline."""
         self.asked, self.rows = asked, Rows(asked)
         self.lacking = [np.zeros((self.K, len(body.normals))) for body in asked.unsafe]
-        self.search = FollowingSearch(self.rows, self.safety.problem.planner.deadline, self.followed)
+        self.search = FollowingSearch(self.rows, deadline, self.followed)
         self.unit = float(self.rows.price.max())
         self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
         self.known: dict[bytes, tuple[float, Candidate | None]] = {}
@@ -193,7 +193,7 @@ class Windows:
         """
         tried, first = set(), self.asked
         for mask, guide in self.starts():
-            self._ask(first)
+            self._ask(first, self.search.deadline)
             self.search.guide = guide
             mask = self._descend(mask)
             if mask.tobytes() in tried:
@@ -226,10 +226,8 @@ class Windows:
             reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
             laws = construct_s(tracking, reference), self.law.along(reference, tracking)
         else:
-            reference, laws = (
-                schedule.safety.reference,
-                (schedule.controllers[0], schedule.controllers[self.mode]),
-            )
+            reference = schedule.safety.reference
+            laws = schedule.controllers[0], schedule.controllers[self.mode]
         sets = reached_sets([laws[mode > 0] for mode in intended], safety.start)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
@@ -244,7 +242,8 @@ class Windows:
         if schedule.share() < self.worth.share or arrival.reached is True or not goal.conditions.inequalities:
             return False
         guide, lacking = self.search.guide, self.lacking
-        self._ask(replace(self.asked, goal=inset(self.safety.problem, goal, arrival.distance)))
+        deeper = inset(self.safety.problem, goal, arrival.distance)
+        self._ask(replace(self.asked, goal=deeper), self.search.deadline)
         self.search.guide, self.lacking = guide, lacking
         return True
 
