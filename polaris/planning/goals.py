@@ -30,6 +30,11 @@ class GoalConditions:
     one_of: tuple[tuple[Array, Array], ...] = ()  # groups (J, n), (J,): one row of each has ``N x >= c``
     scale: float = 1.0  # length [m] to which residuals are compared
 
+    @property
+    def inequalities(self) -> bool:
+        """Whether there are any conditions that may be met with room to spare."""
+        return len(self.g) > 0 or len(self.one_of) > 0
+
     def residual(self, x: Array) -> float:
         """Largest violation at x [m]; 0 if all conditions hold."""
         worst = [
@@ -70,6 +75,32 @@ class Goal(ABC):
         worst, name = self.residual(np.asarray(x, dtype=float))
         relative = worst / self.conditions.scale
         return (0.0, "") if relative <= GOAL else (relative, name)
+
+
+@dataclass(frozen=True, eq=False)
+class Inset(Goal):
+    """A goal whose inequalities a plan must meet with room to spare; equalities stay as they are."""
+
+    goal: Goal
+    room: tuple[Array, ...]  # [m], of the rows of G, then of those of each group
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.goal.n
+
+    @cached_property
+    def conditions(self) -> GoalConditions:
+        """The conditions of the goal, inequalities tightened."""
+        known = self.goal.conditions
+        groups = zip(known.one_of, self.room[1:], strict=True)
+        return replace(
+            known, g=known.g - self.room[0], one_of=tuple((N, c + more) for (N, c), more in groups)
+        )
+
+    def describe(self) -> str:
+        """One line for messages."""
+        return self.goal.describe()
 
 
 class _StateGoal(Goal):

@@ -15,12 +15,15 @@ from polaris.planning.following import Followed, FollowingSearch
 from polaris.planning.rows import Rows
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.safety.goal_rows import _weights, distance
+from polaris.synthesis.safety.clearance import error_tube, facet_room
+from polaris.synthesis.safety.goal_rows import _weights, distance, goal_rows, inset
+from polaris.synthesis.schedule.hand_over import HandOvers, reached_sets
 from polaris.synthesis.schedule.in_view import Windows, followable, in_windows, neighbours
 from polaris.synthesis.schedule.search import Search, SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.schedule.worth import Worth
 
+from ..golden.scenes import scenes
 from ..sizes import fewer
 from .random_scenarios import synthesised as random_schedule
 from .tiny import TINY, synthesised
@@ -124,6 +127,66 @@ def test_what_is_in_the_way_after_the_end_alone_is_passed_with_u_in_view_too():
     assert schedule.safety.plan.status == "in_view" and schedule.safety.plan.tail_facets.shape[1] > 0
     assert schedule.safety.end.until == np.inf and schedule.arrival.reached is True
     assert schedule.share() > 0.85 and schedule.switches == 2
+
+
+def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
+    _, schedule = printed()
+    safety = schedule.safety
+    tracking, K, q = safety.tracking, safety.problem.K, safety.tracking.feedback.nodes_per_cell
+    unsafe = safety.clearance.unsafe
+    hand_overs = HandOvers(tracking, unsafe, K)
+    sets = reached_sets([schedule.controllers[1]] * K, safety.start)
+    for handed in (sets[0], sets[K // 2]):
+        for body, found in zip(unsafe, hand_overs.since(handed), strict=True):
+            rows = -body.normals @ safety.problem.system.position
+            exact = error_tube(tracking, handed, rows).over_cells(K, q)
+            assert np.all(found <= exact + 1e-6) and np.all(found >= exact - 0.2 * np.abs(exact).max())
+    along = hand_overs.along(safety.reference, {k: sets[k] for k in range(K)})
+    for i, (body, (need, lack)) in enumerate(zip(unsafe, along, strict=True)):
+        tables = (hand_overs.since(sets[k])[i][: K - k] for k in range(K))
+        later = [np.vstack([np.full((k, len(body.normals)), -np.inf), each]) for k, each in enumerate(tables)]
+        at = np.maximum(np.max(later, axis=0), 0.0)
+        assert np.allclose(need, at) and lack.shape == (K, 1) and np.all(lack >= 0)
+        room = facet_room(tracking, safety.reference, body, q).min(axis=1)[:K]
+        assert np.array_equal(lack[:, 0] > 0, np.all(need > room, axis=1))
+
+
+def test_a_goal_that_is_not_reached_is_planned_again_further_inside(tmp_path):
+    scenario = scenes()["random-2+errors"].load(tmp_path)
+    before = synthesize(scenario.with_assignments(["recoverable.recourse=none"]))
+    schedule = synthesize(scenario)
+    assert before.arrival.reached == "not_proven" and schedule.arrival.reached is True
+    assert (
+        schedule.share() >= before.share() and schedule.arrival.tolerance <= before.arrival.tolerance * 1.01
+    )
+    problem, length = schedule.safety.problem, schedule.safety.problem.goal_inset
+    rows, sides = goal_rows(problem)
+    end = schedule.safety.reference.chi[problem.K]
+    fixed = 2 * len(problem.goal.conditions.E)
+    assert length > 0 and np.all(rows[fixed:] @ end <= sides[fixed:] - length * (1 - 1e-6))
+
+
+def test_an_inset_goal_keeps_its_equalities():
+    scenario, _ = printed()
+    problem = scenario.problem()
+    goal = problem.goal
+    tightened = inset(problem, goal, 0.25)
+    assert tightened.n == goal.n and tightened.describe() == goal.describe()
+    assert np.array_equal(tightened.conditions.E, goal.conditions.E)
+    assert np.all(tightened.conditions.g <= goal.conditions.g)
+    for (N, c), (same, more) in zip(goal.conditions.one_of, tightened.conditions.one_of, strict=True):
+        assert np.array_equal(N, same) and np.all(more >= c)
+
+
+def test_velocity_change_counts_at_its_price():
+    """However much the printed schedule spends; less of U than there counts eleven times."""
+    _, schedule = printed()
+    rules = SwitchingRules(delta_v_price=0.1, switch_price=0.0)
+    worth = Worth.beside(schedule, rules, schedule.safety)
+    share, spent, unit = schedule.share(), schedule.delta_v_middle, worth.scale
+    same = worth.of({1: share}, spent, 0)
+    assert worth.of({1: share}, spent + unit, 0) == pytest.approx(same - 0.1)
+    assert worth.of({1: share - 0.01}, spent, 0) == pytest.approx(same - 0.11)
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from .carried_rows import error_tube
 from .clearance import facet_room
 from .demand import Scheduled
 from .end_condition import EndCondition, coast, judge_end, tail_length
+from .goal_rows import inset
 from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 
@@ -209,7 +210,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         sets,
         tuple(margins),
         limit,
-        problem.goal,
+        inset(problem, problem.goal, problem.goal_inset) if problem.goal_inset else problem.goal,
         problem.objective,
         problem.extra_margin,
     )

@@ -15,7 +15,7 @@ from ..tracker.tracking import Tracking
 
 @dataclass(frozen=True, eq=False)
 class CarriedRows:
-    """Table ``row phi^l`` of every row and age, with what is added to it (theory item 3).
+    """Table ``row phi^l`` of every row and age, with what is added to it (docs/theory.md, Theorem 3).
 
     Entry l of a table belongs to node l after errors were handed over to S. Over the period between two
     nodes a row needs at most the chord of their entries.
@@ -64,12 +64,17 @@ class CarriedRows:
         """Need beyond the memory per unit of ``norm(W e)``, shape (r,)."""
         return self.tracking.forgotten(self.plant, 1.0)
 
+    def at(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
+        """Return the needs from a set of errors ``x - xi`` at some ages within the memory, shape (ages, r)."""
+        carried, radius = self.carried[ages], float(start.norm_bound(self.tracking.W))
+        spread = np.abs(carried.reshape(-1, start.dim) @ start.G).sum(axis=-1).reshape(carried.shape[:-1])
+        support = _rounded(carried @ start.c, spread)
+        return np.asarray(support + self.bend[ages] * radius + self.disturbance[:-1][ages])
+
     def tube(self, start: Zonotope) -> "Tube":
-        """Return the needs from a set of errors ``x - xi``."""
-        radius = float(start.norm_bound(self.tracking.W))
-        support = _rounded(self.carried @ start.c, np.abs(self.carried @ start.G).sum(axis=-1))
-        within = support + self.bend * radius + self.disturbance[:-1]
-        need = np.vstack([within, self.beyond * radius + self.disturbance[-1]])
+        """Return the needs from a set of errors ``x - xi``, for all time."""
+        beyond = self.beyond * float(start.norm_bound(self.tracking.W)) + self.disturbance[-1]
+        need = np.vstack([self.at(start, slice(None)), beyond])
         return Tube(self, need + ROUNDING * np.abs(need))
 
     def supports(self, lag: NDArray[np.int_], row: NDArray[np.int_], sets: Zonotope, bow: Array) -> Array:

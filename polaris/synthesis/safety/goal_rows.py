@@ -4,7 +4,7 @@ import numpy as np
 
 from ...model.acceleration import speeds
 from ...model.system import Array
-from ...planning.goals import GoalConditions
+from ...planning.goals import Goal, GoalConditions, Inset
 from .problem import Problem
 
 SOON = 0.25  # share of the horizon in which a velocity has become the length that it counts as, at most
@@ -13,10 +13,22 @@ SOON = 0.25  # share of the horizon in which a velocity has become the length th
 def goal_rows(problem: Problem) -> tuple[Array, Array]:
     """Rows of the goal and their sides, those of velocities weighed as the lengths they count for."""
     goal = problem.goal.conditions
-    rows = np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
+    rows = _unweighted(goal)
     sides = np.concatenate([goal.e, -goal.e, goal.g, *(-c for _, c in goal.one_of)])
     weight = _weights(problem, rows)
     return rows * weight[:, None], sides * weight
+
+
+def inset(problem: Problem, goal: Goal, length: float) -> Goal:
+    """Return a goal, rows as the problem's, whose inequalities are met by a length as `goal_rows` has it."""
+    known = goal.conditions
+    room = length / _weights(problem, _unweighted(known))[2 * len(known.E) :]
+    ends = np.cumsum([len(known.G), *(len(N) for N, _ in known.one_of)])
+    return Inset(goal, tuple(np.split(room, ends[:-1])))
+
+
+def _unweighted(goal: GoalConditions) -> Array:
+    return np.vstack([goal.E, -goal.E, goal.G, *(-N for N, _ in goal.one_of)])
 
 
 def velocity_times(problem: Problem, rows: Array) -> Array:

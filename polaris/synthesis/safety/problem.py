@@ -65,6 +65,9 @@ class Problem:
         `polaris.synthesis.schedule.arrival.Arrival` says.
     goal_velocity_tolerance : float or None
         Velocity [m/s] that counts as `goal_tolerance` does, which it needs; None for what `Arrival` says.
+    goal_inset : float
+        Length [m] by which the reference meets the goal's inequalities: room for errors at the end. No claim
+        rests on it.
     recoverable : {"polytope", "ball"}
         Kind of recoverable set, from the widest to the printed one, which proves nothing.
     recourse : {"none", "in_view"}
@@ -111,6 +114,7 @@ class Problem:
     goal: Goal
     goal_tolerance: float | None = None
     goal_velocity_tolerance: float | None = None
+    goal_inset: float = 0.0
     recoverable: str = "polytope"
     recourse: str = "none"
     period: float | None = None
@@ -158,6 +162,7 @@ class Problem:
         if self.powered is not None and self.powered.velocity_tolerance is not None:
             orbit = self.powered.goal or self.goal
             require_velocities(self.system, orbit, "abort.orbit", self.powered.velocity_tolerance)
+        non_negative("goal_inset", self.goal_inset, "m")
         non_negative("extra_margin", self.extra_margin, "m")
         if not 0 <= number("thrust_reserve", self.thrust_reserve) < 1:
             raise ScenarioError("thrust_reserve", self.thrust_reserve, "must be in [0, 1)")

@@ -20,16 +20,16 @@ from ...model.errors import NotCertified, PolarisError, ScenarioError
 from ...model.scene.distances import stretches
 from ...model.system import Array
 from ...planning.following import Followed, FollowingSearch
-from ...planning.problem import IN_VIEW, Plan
+from ...planning.problem import IN_VIEW, Plan, PlanProblem
 from ...planning.recheck import certified
+from ...planning.reference import Reference
 from ...planning.rows import Key, Rows
 from ...planning.search import Candidate, Seen
-from ..controllers.controllers import AffineController
+from ..controllers.controllers import AffineController, Controller, construct_s
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
-from ..safety.carried_rows import error_tube
-from ..safety.demand import Scheduled
-from ..tracker.tracking import Tracking
+from ..safety.goal_rows import inset
+from .hand_over import HandOvers, reached_sets
 from .schedule import Schedule
 from .worth import Mask, Worth
 
@@ -83,61 +83,58 @@ class Windows:
     """Windows for S along the path of one law, and the least velocity change with each.
 
     `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
-    U's tube is booked for a flight; with errors and sets to stay inside it counts since each window.
+    It keeps the clearance that S needs after any hand-over by U, whose tube is that from the start; with
+    errors and sets to stay inside it is renewed by each window.
     """
 
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
-        safety = printed.safety
-        problem, tracking, system = safety.problem, safety.tracking, safety.problem.system
-        self.worth, self.K, self.mode = worth, problem.K, mode
+        self.safety, self.law, self.mode, self.worth = printed.safety, law, mode, worth
+        safety, problem = printed.safety, printed.safety.problem
+        tracking, system, self.K = safety.tracking, problem.system, problem.K
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
-        self.renewed = renewed = not system.ideal and any(body.keep_in for body in sets)
-        asked = plan_problem(problem, tracking, sets)
-        demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
-        u = Tracking(system, law.gain, tracking.feedback, problem.delta, float(demand.max()))
-        own = Scheduled(u, law.own, law.own.cells)
-        q, handed = tracking.feedback.nodes_per_cell, safety.start
-        for k in range(min(SETTLED, problem.K) if renewed else 0):
-            handed = safety.controller.fly(handed, k).end
-        self.left = tracking.decay[np.minimum(np.arange(problem.K) * q, tracking.memory)][:, None]
-        margins, self.tubes = [], []
-        for unsafe, margin in zip(sets, asked.margins, strict=True):
-            rows = -unsafe.normals @ system.position
-            tube, again = (error_tube(u, z, rows).over_cells(problem.K, q) for z in (safety.start, handed))
-            caused = own.along(rows).max(axis=1)[: problem.K]
-            margins.append(margin if renewed else margin + (tube + caused))
-            self.tubes.append((tube + caused, again, caused))
+        self.renewed = not system.ideal and any(body.keep_in for body in sets)
+        self.hand_overs = HandOvers(tracking, sets, problem.K)
+        handed = reached_sets([law.along(law.own, tracking)] * problem.K, safety.start)
+        if self.renewed:
+            settled = reached_sets([safety.controller] * min(SETTLED, problem.K), safety.start)[-1]
+            handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled)
+        self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.caused(law.own)
         # Coasting after T that is proven safe along the printed reference shall stay so.
-        self.asked = replace(asked, objective="fuel", margins=tuple(margins), tail_cells=tail)
-        self.rows = Rows(self.asked)
-        self.lacking = np.zeros((len(sets), self.asked.cells, 1))
-        followed = Followed.of(system, law.powers[-1], law.own)
-        self.search = FollowingSearch(self.rows, problem.planner.deadline, followed)
-        self.unit = float(self.rows.price.max())
-        self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
+        asked = plan_problem(problem, tracking, sets)
+        self.followed = Followed.of(system, law.powers[-1], law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
+        self._ask(replace(asked, objective="fuel", tail_cells=tail), problem.planner.deadline)
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
         z = (safety.plan.nu / system.u_max).ravel()
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
+
+    def _ask(self, asked: PlanProblem, deadline: float) -> None:
+        """Search paths of a planning problem from now on, until a deadline."""
+        self.asked, self.rows = asked, Rows(asked)
+        self.lacking = [np.zeros((self.K, len(body.normals))) for body in asked.unsafe]
+        self.search = FollowingSearch(self.rows, deadline, self.followed)
+        self.unit = float(self.rows.price.max())
+        self.search.set_prices(0.0, 0.0, 0.0, SHORT * self.unit)
         self.known: dict[bytes, tuple[float, Candidate | None]] = {}
 
     def _priced(self, prices: Array, mask: Mask | None = None) -> None:
-        """Price departures from U's path, and book its tube beside S's windows, if there are any."""
-        if self.renewed:
-            self._book(np.zeros(self.K, dtype=bool) if mask is None else mask)
+        """Price departures from U's path, and book what its hand-overs need beside S's windows, if any."""
+        self._book(np.zeros(self.K, dtype=bool) if mask is None else mask)
         limited = np.where(self.limited, np.minimum(prices, SOFT * self.unit), prices)
         self.search.set_prices_of_departure(np.where(self.closing, 0.0, limited))
 
     def _book(self, mask: Mask) -> None:
-        """Book U's own tube since each of S's windows, within which it fades."""
-        edges = [*np.flatnonzero(np.diff(mask)) + 1, self.K]
-        cells = np.minimum(np.arange(self.asked.cells), self.K - 1)
-        for booked, more, tubes in zip(self.rows.booking, self.lacking, self.tubes, strict=True):
-            need, (_, again, caused) = tubes[0].copy(), tubes
-            for a, b in pairwise(edges):
-                flown = again[: b - a] + caused[a:b]
-                need[a:b] = need[a - 1] * self.left[: b - a] if mask[a] else flown
-            booked[:] = need[cells] + more
+        """Book what S needs, beyond its own tube, after hand-overs in all steps outside the windows."""
+        row, cells = np.arange(self.K), np.minimum(np.arange(self.asked.cells), self.K - 1)
+        for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
+            row[end:] = self.K + 1 + np.arange(self.K - end)
+        for i, (table, caused) in enumerate(zip(self.tables, self.caused, strict=True)):
+            need = np.zeros_like(caused)
+            for k in np.flatnonzero(~mask):
+                for at in (k, k + 1):  # S may take over at either end of the step
+                    need[at:] = np.maximum(need[at:], table[row[k] + at - k, : self.K - at])
+            beyond = np.maximum(need + caused, self.lacking[i]) - self.asked.margins[i]
+            self.rows.booking[i][:] = np.maximum(beyond, 0.0)[cells]
 
     def path(self, mask: Mask) -> tuple[float, Candidate | None]:
         """Cost of the cheapest path found that departs from U's in these windows alone, and the path."""
@@ -191,12 +188,13 @@ class Windows:
     def schedules(self, prove: Prove) -> Iterator[Schedule]:
         """What is proven along the best path from every start.
 
-        Where U turns out to need more clearance than the path keeps, it is planned again with that much more;
-        where S had to fly all the same, with those steps free to it.
+        Where the flight turns out to need more, it is planned again with that much more; where S had to fly
+        all the same, with those steps free to it.
         """
-        tried = set()
+        tried, first = set(), self.asked
         for mask, guide in self.starts():
-            self.search.guide, self.known = guide, {}
+            self._ask(first, self.search.deadline)
+            self.search.guide = guide
             mask = self._descend(mask)
             if mask.tobytes() in tried:
                 continue
@@ -205,36 +203,49 @@ class Windows:
                 path = self.search.improved(self.path(mask)[1])
                 intended = tuple(np.where(mask, 0, self.mode).tolist())
                 plan = self._certified(path)
-                schedule = prove(plan, intended) if plan is not None else None
-                if schedule is None:
+                if plan is None:
                     break
-                yield schedule
-                if not self._booked(schedule, intended):
+                schedule = prove(plan, intended)
+                if schedule is not None:
+                    yield schedule
+                if not self._lacks(plan, intended, schedule):
                     break
                 self.known = {}
-                if attempt >= ATTEMPTS // 2:
+                if schedule is not None and attempt >= ATTEMPTS // 2:
                     mask = mask | (schedule.modes == 0)
 
-    def _booked(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
-        """Book the clearance that U lacked where it was meant to fly; whether there was any to book."""
-        safety, reached, some = schedule.safety, schedule.safety.start, False
-        names = [unsafe.name for unsafe in self.asked.unsafe]
-        lacking = np.zeros((len(names), self.asked.cells, 1))
-        for k, step in enumerate(schedule.steps):
-            if step.mode == 0 and intended[k]:
-                tube = schedule.controllers[intended[k]].fly(reached, k)
-                margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
-                if not margin.inside and margin.limit in names:
-                    cell = min(int(margin.time / safety.problem.delta), self.asked.cells - 1)
-                    near = slice(max(cell - 1, 0), cell + 2)
-                    more = lacking[names.index(margin.limit)]
-                    more[near] = np.maximum(more[near], SPARE * (margin.need - margin.room))
-                    some = True
-            reached = step.tube.end
-        self.lacking = self.lacking + lacking
-        for booked, more in zip(self.rows.booking, lacking, strict=True):
-            booked[:] = np.maximum(booked, more)
-        return some
+    def _lacks(self, plan: Plan, intended: tuple[int, ...], schedule: Schedule | None) -> bool:
+        """Ask for what the flight along a plan lacks if flown as intended; whether it lacks anything."""
+        short = schedule is not None and self._inset(schedule)
+        if schedule is not None and tuple(schedule.modes.tolist()) == intended:
+            return short
+        tracking, safety = self.hand_overs.tracking, self.safety
+        laws: tuple[Controller, ...]
+        if schedule is None:
+            start, problem = safety.problem.initial_set.c, safety.problem
+            reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
+            laws = construct_s(tracking, reference), self.law.along(reference, tracking)
+        else:
+            reference = schedule.safety.reference
+            laws = schedule.controllers[0], schedule.controllers[self.mode]
+        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start)
+        ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
+        parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
+        for i, (need, lack) in enumerate(parts):
+            more = np.where(lack > 0, need + (SPARE - 1) * lack, 0.0)
+            self.lacking[i] = np.maximum(self.lacking[i], more)
+        return short or any(np.any(lack > 0) for _, lack in parts)
+
+    def _inset(self, schedule: Schedule) -> bool:
+        """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
+        arrival, goal = schedule.arrival, self.asked.goal
+        if schedule.share() < self.worth.share or arrival.reached is True or not goal.conditions.inequalities:
+            return False
+        guide, lacking = self.search.guide, self.lacking
+        deeper = inset(self.safety.problem, goal, arrival.distance)
+        self._ask(replace(self.asked, goal=deeper), self.search.deadline)
+        self.search.guide, self.lacking = guide, lacking
+        return True
 
     def _descend(self, mask: Mask) -> Mask:
         cost = self.path(mask)[0]

@@ -116,6 +116,7 @@ def most_worthy(search: Search, recourse: bool) -> Schedule:
     search.clock.lap("schedule")
     found = printed
     if recourse:
+        search, printed = arriving(search, printed)
         found = with_recourse(search, printed)
         search.clock.lap("recourse")
     if search.rules.allow(found):
@@ -123,6 +124,24 @@ def most_worthy(search: Search, recourse: bool) -> Schedule:
     found = within_budget(search, [printed, found])
     search.clock.lap("budget")
     return found
+
+
+def arriving(search: Search, first: Schedule) -> tuple[Search, Schedule]:
+    """Return another schedule that is proven to arrive, with no less of U, if the first one is not.
+
+    Its reference ends inside the goal, by all that the first one's flights may be off, or by what they lack.
+    """
+    safety, arrival = first.safety, first.arrival
+    goal, lack = safety.problem.goal.conditions, arrival.distance - arrival.tolerance
+    if arrival.reached is True or not goal.inequalities or not turns(search):
+        return search, first
+    for length in (arrival.distance, lack):
+        with suppress(SynthesisInfeasible, NotCertified):
+            other = along(search, find_safety(replace(safety.problem, goal_inset=length)))
+            again = switching_logic(other)
+            if again.arrival.reached is True and again.share() >= first.share():
+                return other, again
+    return search, first
 
 
 def switching_logic(search: Search) -> Schedule:

@@ -1,0 +1,105 @@
+"""Clearance that S needs wherever an experimental controller may hand over to it, for the planner to keep."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.scene.timed_polytope import TimedPolytope
+from ...model.system import Array
+from ...planning.reference import Reference
+from ..controllers.controllers import Controller
+from ..safety.carried_rows import CarriedRows
+from ..safety.clearance import facet_room
+from ..safety.demand import Scheduled
+from ..tracker.tracking import Tracking
+
+
+@dataclass(frozen=True, eq=False)
+class HandOvers:
+    """What S needs along the facets of all unsafe sets after hand-overs, cell by cell.
+
+    A planner may keep any clearance: what is proven along its path does not rest on it.
+
+    Parameters
+    ----------
+    tracking : Tracking
+        S, and what is known of its error.
+    unsafe : tuple of TimedPolytope
+        Sets to keep clear of, each with F facets.
+    K : int
+        Number of planned cells.
+    """
+
+    tracking: Tracking
+    unsafe: tuple[TimedPolytope, ...]
+    K: int
+
+    @cached_property
+    def _rows(self) -> CarriedRows:
+        normals = [-body.normals @ self.tracking.system.position for body in self.unsafe]
+        return CarriedRows(self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))]))
+
+    def _by_set(self, found: Array) -> list[Array]:
+        ends = np.cumsum([len(body.normals) for body in self.unsafe])
+        return np.split(found, ends[:-1], axis=-1) if self.unsafe else []
+
+    @cached_property
+    def _lags(self) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Nodes at both ends and in the middle of each cell, and which of them each cell has, (K, 3)."""
+        q, last = self.tracking.feedback.nodes_per_cell, self.tracking.memory + 1
+        every = np.arange(self.K)[:, None] * q + np.array([0, q // 2, q])
+        nodes, index = np.unique(np.minimum(every, last), return_inverse=True)
+        return nodes, np.asarray(index).reshape(self.K, 3)
+
+    def since(self, handed: Zonotope) -> list[Array]:
+        """Return what S needs in each cell after it took over a set of errors, one (K, F) per unsafe set."""
+        nodes, index = self._lags
+        return self._by_set(self._rows.at(handed, nodes)[index].max(axis=1))
+
+    def tables(self, handed: Sequence[Zonotope]) -> list[Array]:
+        """Stack `since` of several sets, one (sets, K, F) per unsafe set."""
+        return [np.array(each) for each in zip(*map(self.since, handed), strict=True)]
+
+    def caused(self, reference: Reference) -> list[Array]:
+        """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
+        if not self.tracking.varies:
+            return self._by_set(np.zeros((self.K, len(self._rows.rows))))
+        found = Scheduled(self.tracking, reference, reference.cells).along(self._rows.rows)
+        return self._by_set(found.max(axis=1)[: self.K])
+
+    def along(self, reference: Reference, handed: Mapping[int, Zonotope]) -> list[tuple[Array, Array]]:
+        """Return what S needs along a reference, and how much the best facet of each cell lacks of it.
+
+        Parameters
+        ----------
+        reference : Reference
+        handed : mapping
+            Sets of errors by the cell at whose start S may take over.
+
+        Returns
+        -------
+        list of tuple
+            Per unsafe set the need (K, F) and the lack (K, 1) [m].
+        """
+        found, tables = [], dict(zip(handed, map(self.since, handed.values()), strict=True))
+        for i, (body, need) in enumerate(zip(self.unsafe, self.caused(reference), strict=True)):
+            most = np.zeros_like(need)
+            for k, table in tables.items():
+                most[k:] = np.maximum(most[k:], table[i][: self.K - k])
+            room = facet_room(self.tracking, reference, body, self.tracking.feedback.nodes_per_cell)
+            lack = (most + need - room.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
+            found.append((most + need, np.maximum(lack, 0.0)))
+        return found
+
+
+def reached_sets(laws: Sequence[Controller], start: Zonotope) -> list[Zonotope]:
+    """Return the sets of errors at the start of every step and after the last one, one law flying each."""
+    found = [start]
+    for k, law in enumerate(laws):
+        found.append(law.fly(found[-1], k).end)
+    return found
