@@ -65,7 +65,7 @@ class CarriedRows:
         return self.tracking.forgotten(self.plant, 1.0)
 
     def at(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
-        """Return the needs from a set of errors ``x - xi`` at some ages within the memory, shape (ages, r)."""
+        """Return the needs from a set of errors ``x - xi`` at ages within the memory, shape (ages, r)."""
         carried, radius = self.carried[ages], float(start.norm_bound(self.tracking.W))
         spread = np.abs(carried.reshape(-1, start.dim) @ start.G).sum(axis=-1).reshape(carried.shape[:-1])
         support = _rounded(carried @ start.c, spread)

@@ -19,9 +19,9 @@ from .spending import Spell, spent
 GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached, where no length is given
 
 
-SPARE, FLOWN = 0.1, 0.02
-"""Shares by which claims are loosened where errors of thrusters grow with commands: those that rest on a
-profile, and velocity changes that rest on sets which are flown."""
+SPARE = 0.02
+"""Share by which claims are loosened where errors of thrusters grow with commands: a checker bounds what falls
+with time, and merges sets, in its own way."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,6 @@ class Upkeep:
 
 Held = tuple[tuple[Zonotope, int], ...]
 """Sets that each hold all errors, where S takes over for good and at T, with how many nodes it is until T."""
-CAUSED = 0.045
-"""Most, as a share of the rest, that errors of scheduled commands count in what S needs for ever: they fade,
-and bounds on how fast differ between here and a checker."""
-
 
 class After:
     """S along the tail from the errors at T on, step by step as far as it is asked for."""
@@ -125,7 +121,7 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
         distance=float(most[best]),
         tolerance=tolerance,
         drift=_drift(safety, held, states[best], best, after),
-        delta_v=(taken * (1 + spare(tracking, FLOWN)) + _correcting(safety, held, best, after))
+        delta_v=(taken * (1 + spare(tracking)) + _correcting(safety, held, best, after))
         * (1 + ROUNDING),
         velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
     )
@@ -137,7 +133,7 @@ def tolerated(safety: Safety, rows: Array, failing: bool = False) -> float:
     if problem.goal_tolerance is not None:
         return problem.goal_tolerance
     settled = tracking.settled(rows)
-    need = settled + np.minimum(safety.clearance.scheduled(rows)[-1, -1], CAUSED * settled)
+    need = settled + safety.clearance.scheduled(rows)[-1, -1]
     need = need + np.abs(rows) @ tracking.system.displaced_at_nodes + tracking.upset(rows)[-1] * failing
     hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
     return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
@@ -170,7 +166,7 @@ def _needs(
     need = need + spare(tracking) * np.abs(need)
     if after is not None and tracking.profile is not None:
         flown = after.along(rows, nodes)
-        need = np.minimum(need, flown + spare(tracking, FLOWN) * np.abs(flown) + away)
+        need = np.minimum(need, flown + spare(tracking) * np.abs(flown) + away)
     return need, centre
 
 
@@ -185,9 +181,9 @@ def long_after(tracking: Tracking, rows: Array, taken: Zonotope) -> Array:
     return np.asarray(_left(tracking, rows) * once + tracking.settled(rows))
 
 
-def spare(tracking: Tracking, share: float = SPARE) -> float:
-    """Share by which bounds are larger than found: a checker sums errors that fall with time its own way."""
-    return ROUNDING if tracking.profile is None else share
+def spare(tracking: Tracking) -> float:
+    """Share by which bounds are larger than found."""
+    return ROUNDING if tracking.profile is None else SPARE
 
 
 def _commanded(safety: Safety, held: Held, nodes: int) -> Array:
@@ -204,7 +200,7 @@ def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
     tracking, system = safety.tracking, safety.problem.system
     at = system.spent(np.minimum(_commanded(safety, held, nodes), system.u_max)).sum(axis=1)
     apart = float(np.maximum(at[:-1], at[1:]).sum()) * (1 + spare(tracking))
-    flown = spent(after.until(nodes), nodes) * (1 + spare(tracking, FLOWN))
+    flown = spent(after.until(nodes), nodes) * (1 + spare(tracking))
     return min(apart, flown) * tracking.flow.h / system.mass
 
 
@@ -225,7 +221,7 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
     until = (
-        taken * (1 + spare(tracking, FLOWN)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
+        taken * (1 + spare(tracking)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
     ) * (1 + ROUNDING) + ahead
     before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
