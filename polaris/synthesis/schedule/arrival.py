@@ -20,8 +20,8 @@ GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached,
 
 
 SPARE = 0.02
-"""Share by which claims are loosened where errors of thrusters grow with commands: a checker bounds what falls
-with time, and merges sets, in its own way."""
+"""Share by which claims are loosened where errors of thrusters grow with commands: a checker merges sets, and
+bounds what falls with time, in its own way."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,7 @@ class Upkeep:
 
 Held = tuple[tuple[Zonotope, int], ...]
 """Sets that each hold all errors, where S takes over for good and at T, with how many nodes it is until T."""
+
 
 class After:
     """S along the tail from the errors at T on, step by step as far as it is asked for."""
@@ -121,8 +122,7 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
         distance=float(most[best]),
         tolerance=tolerance,
         drift=_drift(safety, held, states[best], best, after),
-        delta_v=(taken * (1 + spare(tracking)) + _correcting(safety, held, best, after))
-        * (1 + ROUNDING),
+        delta_v=(taken * (1 + spare(tracking)) + _correcting(safety, held, best, after)) * (1 + ROUNDING),
         velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
     )
 
@@ -220,9 +220,9 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     rate = float(system.spent(most).sum()) / system.mass * (1 + spare(tracking))
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
-    until = (
-        taken * (1 + spare(tracking)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
-    ) * (1 + ROUNDING) + ahead
+    until = (taken * (1 + spare(tracking)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))) * (
+        1 + ROUNDING
+    ) + ahead
     before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
     tank, lasts = problem.tank, None

@@ -23,7 +23,7 @@ from ..controllers.neural import NeuralController
 from ..safety.get_safety import Safety
 from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
-from .arrival import FLOWN, Arrival, Held, Upkeep, arrival, spare, upkeep
+from .arrival import Arrival, Held, Upkeep, arrival, spare, upkeep
 from .powered import KnownBranches, PoweredSafety, powered
 from .spending import Prices, Spell, spent
 
@@ -249,7 +249,7 @@ class Schedule:
 
         This is what a budget, `SwitchingRules.delta_v_max`, is held against.
         """
-        until_end = self.delta_v[1] * (1 + spare(self.safety.tracking, FLOWN))
+        until_end = self.delta_v[1] * (1 + spare(self.safety.tracking))
         return self.arrival.delta_v if self.arrival.reached is True else until_end
 
     def share(self, mode: int | None = None) -> float:
