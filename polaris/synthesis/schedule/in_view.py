@@ -28,7 +28,9 @@ from ...planning.search import Candidate, Seen
 from ..controllers.controllers import AffineController, Controller, construct_s
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
+from ..safety.carried_rows import error_tube
 from ..safety.goal_rows import inset
+from ..tracker.tracking import Tracking
 from .hand_over import HandOvers, reached_sets
 from .schedule import Schedule
 from .worth import Mask, Worth
@@ -83,8 +85,9 @@ class Windows:
     """Windows for S along the path of one law, and the least velocity change with each.
 
     `printed` is what the printed algorithms find; the reference follows the law's path outside the windows.
-    It keeps the clearance that S needs after any hand-over by U, whose tube is that from the start; with
-    errors and sets to stay inside it is renewed by each window.
+    It keeps what S needs after any hand-over by U, whose tube is that from the start; with errors and sets to
+    stay inside it is renewed by each window. Without errors it keeps what S needs from the start and, beyond
+    it, U's own tube, which fades.
     """
 
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
@@ -99,6 +102,7 @@ class Windows:
             settled = reached_sets([safety.controller] * min(SETTLED, problem.K), safety.start)[-1]
             handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled)
         self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.caused(law.own)
+        self.fading = self._fading() if system.ideal else []
         # Coasting after T that is proven safe along the printed reference shall stay so.
         asked = plan_problem(problem, tracking, sets)
         self.followed = Followed.of(system, law.powers[-1], law.own)
@@ -107,6 +111,15 @@ class Windows:
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
         z = (safety.plan.nu / system.u_max).ravel()
         self.planned = self.search.look(Candidate(z, 0.0, 0.0, 0.0))
+
+    def _fading(self) -> list[Array]:
+        """U's own tube from the start along the facets of every unsafe set, (K, F) each."""
+        safety, law, system = self.safety, self.law, self.safety.tracking.system
+        demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
+        feedback, delta = safety.tracking.feedback, safety.problem.delta
+        own, q = Tracking(system, law.gain, feedback, delta, float(demand.max())), feedback.nodes_per_cell
+        rows = (-body.normals @ system.position for body in safety.clearance.unsafe)
+        return [error_tube(own, safety.start, each).over_cells(self.K, q) for each in rows]
 
     def _ask(self, asked: PlanProblem, deadline: float) -> None:
         """Search paths of a planning problem from now on, until a deadline."""
@@ -129,8 +142,8 @@ class Windows:
         for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
             row[end:] = self.K + 1 + np.arange(self.K - end)
         for i, (table, caused) in enumerate(zip(self.tables, self.caused, strict=True)):
-            need = np.zeros_like(caused)
-            for k in np.flatnonzero(~mask):
+            need = self.asked.margins[i] + self.fading[i] if self.fading else np.zeros_like(caused)
+            for k in () if self.fading else np.flatnonzero(~mask):
                 for at in (k, k + 1):  # S may take over at either end of the step
                     need[at:] = np.maximum(need[at:], table[row[k] + at - k, : self.K - at])
             beyond = np.maximum(need + caused, self.lacking[i]) - self.asked.margins[i]
@@ -193,8 +206,9 @@ class Windows:
         """
         tried, first = set(), self.asked
         for mask, guide in self.starts():
-            self._ask(first, self.search.deadline)
-            self.search.guide = guide
+            if not self.fading:  # what one start lacked serves the others
+                self._ask(first, self.search.deadline)
+            self.search.guide, self.known = guide, {}
             mask = self._descend(mask)
             if mask.tobytes() in tried:
                 continue
@@ -219,6 +233,8 @@ class Windows:
         short = schedule is not None and self._inset(schedule)
         if schedule is not None and tuple(schedule.modes.tolist()) == intended:
             return short
+        if self.fading:
+            return short or (schedule is not None and self._short(schedule, intended))
         tracking, safety = self.hand_overs.tracking, self.safety
         laws: tuple[Controller, ...]
         if schedule is None:
@@ -235,6 +251,24 @@ class Windows:
             more = np.where(lack > 0, need + (SPARE - 1) * lack, 0.0)
             self.lacking[i] = np.maximum(self.lacking[i], more)
         return short or any(np.any(lack > 0) for _, lack in parts)
+
+    def _short(self, schedule: Schedule, intended: tuple[int, ...]) -> bool:
+        """Ask for what U lacked where it was meant to fly, near the limit; whether it lacked anything."""
+        safety, reached, names = schedule.safety, schedule.safety.start, [u.name for u in self.asked.unsafe]
+        lacking = np.zeros((len(names), self.K, 1))
+        for k, step in enumerate(schedule.steps):
+            if step.mode == 0 and intended[k]:
+                tube = schedule.controllers[intended[k]].fly(reached, k)
+                margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
+                if not margin.inside and margin.limit in names:
+                    cell = min(int(margin.time / safety.problem.delta), self.K - 1)
+                    more = lacking[names.index(margin.limit), max(cell - 1, 0) : cell + 2]
+                    np.maximum(more, SPARE * (margin.need - margin.room), out=more)
+            reached = step.tube.end
+        for i, (most, fading) in enumerate(zip(self.lacking, self.fading, strict=True)):
+            more = np.where(lacking[i] > 0, self.asked.margins[i] + fading + lacking[i], 0.0)
+            self.lacking[i] = np.maximum(most, more)
+        return bool(np.any(lacking > 0))
 
     def _inset(self, schedule: Schedule) -> bool:
         """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
