@@ -374,7 +374,7 @@ def test_errors_that_a_monitor_does_not_know_of_break_it():
     ours = system.estimate_error, system.thrusters
     object.__setattr__(system, "estimate_error", known.navigation)
     object.__setattr__(system, "thrusters", known.thrusters)
-    found, _ = attack_monitor(monitor, 40, 5001)
+    found, _ = attack_monitor(monitor, 80, 5001)
     object.__setattr__(system, "estimate_error", ours[0])
     object.__setattr__(system, "thrusters", ours[1])
     assert found.thrust < -1e-3

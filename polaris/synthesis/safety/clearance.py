@@ -1,4 +1,4 @@
-"""Where the safe reference is, and how much room it has: what every recoverable set is made from."""
+"""Where the safe reference is, how much room it has, and the limits that S must keep along it."""
 
 from dataclasses import dataclass
 from functools import cached_property
