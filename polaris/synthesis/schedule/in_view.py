@@ -102,9 +102,12 @@ class Windows:
             settled = reached_sets([safety.controller] * min(SETTLED, problem.K), safety.start)[-1]
             handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled)
         self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.caused(law.own)
-        self.fading = self._fading() if system.ideal else []
+        self.fades = system.ideal
         # Coasting after T that is proven safe along the printed reference shall stay so.
         asked = plan_problem(problem, tracking, sets)
+        if self.fades:
+            both = zip(asked.margins, self._fading(), strict=True)
+            asked = replace(asked, margins=tuple(margin + tube for margin, tube in both))
         self.followed = Followed.of(system, law.powers[-1], law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
         self._ask(replace(asked, objective="fuel", tail_cells=tail), problem.planner.deadline)
@@ -142,8 +145,8 @@ class Windows:
         for end in np.flatnonzero(mask[:-1] & ~mask[1:]) + 1 if self.renewed else ():
             row[end:] = self.K + 1 + np.arange(self.K - end)
         for i, (table, caused) in enumerate(zip(self.tables, self.caused, strict=True)):
-            need = self.asked.margins[i] + self.fading[i] if self.fading else np.zeros_like(caused)
-            for k in () if self.fading else np.flatnonzero(~mask):
+            need = np.zeros_like(caused)
+            for k in () if self.fades else np.flatnonzero(~mask):
                 for at in (k, k + 1):  # S may take over at either end of the step
                     need[at:] = np.maximum(need[at:], table[row[k] + at - k, : self.K - at])
             beyond = np.maximum(need + caused, self.lacking[i]) - self.asked.margins[i]
@@ -206,7 +209,7 @@ class Windows:
         """
         tried, first = set(), self.asked
         for mask, guide in self.starts():
-            if not self.fading:  # what one start lacked serves the others
+            if not self.fades:  # what one start lacked serves the others
                 self._ask(first, self.search.deadline)
             self.search.guide, self.known = guide, {}
             mask = self._descend(mask)
@@ -233,7 +236,7 @@ class Windows:
         short = schedule is not None and self._inset(schedule)
         if schedule is not None and tuple(schedule.modes.tolist()) == intended:
             return short
-        if self.fading:
+        if self.fades:
             return short or (schedule is not None and self._short(schedule, intended))
         tracking, safety = self.hand_overs.tracking, self.safety
         laws: tuple[Controller, ...]
@@ -265,9 +268,9 @@ class Windows:
                     more = lacking[names.index(margin.limit), max(cell - 1, 0) : cell + 2]
                     np.maximum(more, SPARE * (margin.need - margin.room), out=more)
             reached = step.tube.end
-        for i, (most, fading) in enumerate(zip(self.lacking, self.fading, strict=True)):
-            more = np.where(lacking[i] > 0, self.asked.margins[i] + fading + lacking[i], 0.0)
-            self.lacking[i] = np.maximum(most, more)
+        for i, margins in enumerate(self.asked.margins):
+            more = np.where(lacking[i] > 0, margins + lacking[i], 0.0)
+            self.lacking[i] = np.maximum(self.lacking[i], more)
         return bool(np.any(lacking > 0))
 
     def _inset(self, schedule: Schedule) -> bool:

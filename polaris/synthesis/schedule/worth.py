@@ -12,7 +12,7 @@ from .search import SwitchingRules
 from .spending import Prices
 
 Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
-WORSE = 10.0  # how much more a step counts that U flies less than in the printed schedule
+WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
 
 
 def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
@@ -27,13 +27,14 @@ def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
 class Worth:
     """What a schedule is worth: the time of U, less velocity change and switches, as shares of the horizon.
 
-    Less share than the printed algorithms' schedule is worth `WORSE` times as much less: it is hardly ever
-    preferred. Velocity change counts at its declared price alone.
+    Less share, or without errors more velocity change, than the printed algorithms' schedule is worth `WORSE`
+    times as much less: it is hardly ever preferred. With errors velocity change counts at its price alone.
     """
 
     rules: SwitchingRules  # weights, prices and budget
     scale: float  # velocity change of S alone [m/s], the unit of the price of velocity change
     share: float  # time under U of the printed algorithms' schedule
+    delta_v: float  # its velocity change [m/s]; inf with errors
     until: float  # instant [s] until which it is proven safe
 
     @classmethod
@@ -42,7 +43,8 @@ class Worth:
         problem = alone.problem
         most = problem.K * problem.delta * float(problem.system.u_max.sum()) / problem.system.mass
         scale = max(alone.plan.delta_v, 1e-3 * most)
-        return cls(rules, scale, printed.share(), printed.safety.end.until)
+        usual = printed.delta_v_middle if problem.system.ideal else np.inf
+        return cls(rules, scale, printed.share(), usual, printed.safety.end.until)
 
     @property
     def prices(self) -> Prices:
@@ -52,7 +54,8 @@ class Worth:
     def of(self, shares: Mapping[int, float], delta_v: float, switches: int) -> float:
         """The same, less what is worse than with the printed algorithms' schedule."""
         less = max(self.share - sum(share for mode, share in shares.items() if mode), 0.0)
-        return self.prices(shares, delta_v, switches) - WORSE * less
+        more = max(delta_v - self.delta_v, 0.0) / self.scale
+        return self.prices(shares, delta_v, switches) - WORSE * (less + more)
 
     def __call__(self, schedule: Schedule) -> tuple[bool, bool, bool, float]:
         """Whether the rules allow it, it is as long safe as the printed one, and arrives; its worth."""
