@@ -16,11 +16,12 @@ from polaris.certificate.checker import verify
 from polaris.certificate.claims import arrival as checked
 from polaris.certificate.claims import goal_rows
 from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.continuation import Continuation, Tracker
 from polaris.certificate.claims.spending import spent
 from polaris.certificate.files.document import read
 from polaris.certificate.kernel.balls import matrix
 from polaris.certificate.kernel.verdict import Failed, Record, Rejected
-from polaris.certificate.kernel.zonotopes import Merging, widest
+from polaris.certificate.kernel.zonotopes import Merging
 from polaris.model.errors import PolarisError, ScenarioError
 from polaris.model.hill import cw_matrix
 from polaris.model.system import LinearSystem
@@ -205,12 +206,11 @@ def derived(forger):
     argument = Argument(document, Record())
     path = argument.reference()
     sets, flown = argument.tubes(path, Merging(80))
-    memory = checked.Memory.of(argument.craft, widest(sets), document.q)
+    tracker = Tracker.of(document, argument.craft, [], sets)
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
-    given = document, path, argument.craft, memory, held, taken
-    found = checked.Arrival(*given, pilot=argument.pilots[0])
+    found = checked.Arrival(Continuation(document, path, tracker), held, taken, argument.pilots[0])
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 
@@ -350,7 +350,7 @@ def test_rules_are_the_scenario_s(forgers, key):
 
 def test_a_drift_needs_hill_s_frame(forgers):
     document = SimpleNamespace(system_kind="linear", mean_motion=1e-3)
-    found = checked.Arrival(document, None, None, None, None, arb(0))
+    found = checked.Arrival(Continuation(document, None, None), (), arb(0))
     found._drift(None, 0)
     with pytest.raises(Rejected, match="Hill"):
         found._drift(5.0, 0)
@@ -393,7 +393,7 @@ def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_chang
     final = SimpleNamespace(size=lambda: matrix([[0.0]]), c=matrix([[0.0]]))
     tail = SimpleNamespace(
         held=[(final, 0)],
-        memory=SimpleNamespace(periods=-1),
+        flight=SimpleNamespace(tracker=SimpleNamespace(memory=SimpleNamespace(periods=-1))),
         spent=arb(2),
         correcting=arb,
         _last=2 * checked.MOST,

@@ -495,10 +495,11 @@ def _later_attempt(data):
     data["samples"]["attempts"] = 40
 
 
-def _wider(data):
+def _narrower(data):
+    """A band of a negative width holds no command."""
     for fit in filter(None, data["samples"]["fits"]):
         for row in fit[1]:
-            row[-1] = (1.0).hex()
+            row[-1] = (-1.0).hex()
 
 
 def _another_step(data):
@@ -514,7 +515,7 @@ def _anything(data):
     ]
 
 
-FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _wider, _another_step, _anything)
+FORGERIES = (_proved, _no_samples, _fewer_outside, _later_attempt, _narrower, _another_step, _anything)
 
 
 @pytest.mark.parametrize("change", FORGERIES, ids=lambda change: change.__name__)

@@ -223,8 +223,9 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     told = {}
     arrival = SimpleNamespace(
         document=document,
-        craft=SimpleNamespace(plant=plant),
-        memory=SimpleNamespace(periods=0),
+        flight=SimpleNamespace(
+            tracker=SimpleNamespace(craft=SimpleNamespace(plant=plant), memory=SimpleNamespace(periods=0))
+        ),
         node_at=lambda t: 0,
         tops=lambda node, u: [arb(0.5)],
         spent=arb(3),

@@ -17,9 +17,11 @@ import flint
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.claims.argument import ORDERS, Argument
 from polaris.certificate.claims.coasting import check_end
+from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.kernel.balls import PRECISION
 from polaris.certificate.kernel.verdict import Record, Rejected
+from polaris.certificate.kernel.zonotopes import Merging
 from polaris.model.errors import PolarisError
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
@@ -124,15 +126,6 @@ def test_a_tolerance_that_both_sides_bound_differently_is_no_reason_to_refuse(tm
     assert verdict.outcome == "VERIFIED", verdict.text()
 
 
-def test_a_radius_is_unlimited_only_at_the_end_of_everything_claimed():
-    schedule, data = document(36)
-    assert schedule.safety.end.horizon == "none" and data["recoverable"]["radius"][-1] is None
-    assert verify_document(data).outcome == "VERIFIED"
-    for other, place in ((data, 3), (document(38)[1], -1)):
-        verdict = changed(other, lambda copy, at=place: copy["recoverable"]["radius"].__setitem__(at, None))
-        assert (verdict.outcome, verdict.claim) == ("REJECTED", "format")
-
-
 def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest():
     schedule, data = document(38)
     assert schedule.safety.end.horizon == "infinite"
@@ -175,30 +168,28 @@ def test_a_closed_orbit_is_safe_for_ever_only_after_a_whole_turn():
 def test_nothing_is_safe_for_ever_where_a_set_moves():
     scenario, schedule = tiny()
     told = certificate(schedule, scenario.name)
-    assert told["end"]["horizon"] == "one_period"
+    assert told["horizon"] == "one_period"
     end_of(told)
 
     def change(copy):
-        copy["end"] |= {"horizon": "infinite", "until": None}
+        copy["horizon"] = "infinite"
         restate(copy)
 
     with pytest.raises(Rejected, match="unsafe sets move: trolley"):
         end_of(altered(told, change))
 
 
-def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit(monkeypatch):
-    monkeypatch.setattr(
-        "polaris.certificate.claims.argument.ORDERS", ORDERS[:1]
-    )  # with many it is refused later
+def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     schedule, data = document(10)
     late = [k for k, step in enumerate(schedule.steps) if step.mode and is_late(schedule, k, step.margin)]
     assert late
     k = late[0]
-    claimed = worst_share(schedule, k, 1) + 0.01
-    raise_to = {"margins": [*data["schedule"]["margins"]], "modes": data["schedule"]["modes"]}
-    raise_to["margins"][k] = float(claimed).hex()
-    verdict = changed(data, lambda copy: copy.__setitem__("schedule", raise_to))
-    assert 0 < claimed < 1 and (verdict.outcome, verdict.claim) == ("REJECTED", "margins")
+    claimed, margins = worst_share(schedule, k, 1) + 0.01, [0.0] * len(schedule.steps)
+    margins[k] = float(claimed)
+    argument = Argument(Document(data), Record(), Stated(margins=margins))
+    with pytest.raises(Rejected) as refused:
+        argument.flights(argument.reference(), Merging(ORDERS[0]))
+    assert 0 < claimed < 1 and refused.value.claim == "margins"
 
 
 def is_late(schedule, k, margin):

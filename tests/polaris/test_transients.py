@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from polaris.certificate.claims.argument import Argument
+from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.files.document import Document
 from polaris.certificate.files.repeated import limit_names
 from polaris.certificate.kernel.balls import PRECISION
@@ -68,7 +69,7 @@ def checked(schedule):
     """Whether the checker's argument holds, the fault derived by itself."""
     told, record = Document(json.loads(json.dumps(certificate(schedule, "scene")))), Record()
     with flint.ctx.workprec(2 * PRECISION):
-        Argument(told, record).run()
+        Argument(told, record, Stated(margins=[float(x) for x in schedule.margins])).run()
     return ("guarantee", "proved") in record.checked
 
 
