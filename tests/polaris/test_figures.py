@@ -36,7 +36,7 @@ from polaris.report.scene.palette import (
 )
 from polaris.report.scene.space import Space
 from polaris.runs.picture import Frame, Picture, directions
-from polaris.runs.picturing import picture_of, picture_of_safety, tube_of
+from polaris.runs.picturing import picture_of, picture_of_safety
 from polaris.simulation.baselines import Flights
 from reach.sets.outlines import polygon
 from reach.sets.zonotope import Zonotope
@@ -282,7 +282,7 @@ def random_picture(seed):
     sets = [
         BallObstacle("ball", at[0], 0.05 * size, velocity=rng.normal(size=d) * size / (steps * delta)),
         BoxObstacle(
-            "a box with a very long name that nobody would read", at[1], rng.uniform(0.02, 0.1, d) * size
+            "a-box-with-a-very-long-name-that-nobody-would-read", at[1], rng.uniform(0.02, 0.1, d) * size
         ),
         SatelliteObstacle(
             "visitor",
@@ -534,7 +534,7 @@ def test_polygon_is_circumscribed():
 
 
 def test_tube_outlines_contain_the_tube():
-    tube, rng = tube_of(synthesised()[1]), np.random.default_rng(1)
+    tube, rng = picture_of(synthesised()[1]).tube, np.random.default_rng(1)
     outlines = polygon(tube_support(tube.centre, tube.generators, tube.bow, 3, directions()), directions())
     q = tube.bow.shape[1]
     edges = np.unique(np.linspace(0, q, 4).astype(int))
