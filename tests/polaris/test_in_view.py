@@ -178,14 +178,17 @@ def test_an_inset_goal_keeps_its_equalities():
         assert np.array_equal(N, same) and np.all(more >= c)
 
 
-def test_velocity_change_counts_at_its_price():
-    """However much the printed schedule spends; less of U than there counts eleven times."""
+@pytest.mark.parametrize("ideal", [True, False])
+def test_velocity_change_beyond_the_printed_one_counts_more_without_errors_alone(ideal):
+    """Less of U than in the printed schedule counts eleven times."""
     _, schedule = printed()
     rules = SwitchingRules(delta_v_price=0.1, switch_price=0.0)
     worth = Worth.beside(schedule, rules, schedule.safety)
+    assert schedule.safety.problem.system.ideal
+    worth = worth if ideal else replace(worth, delta_v=np.inf)
     share, spent, unit = schedule.share(), schedule.delta_v_middle, worth.scale
     same = worth.of({1: share}, spent, 0)
-    assert worth.of({1: share}, spent + unit, 0) == pytest.approx(same - 0.1)
+    assert worth.of({1: share}, spent + unit, 0) == pytest.approx(same - (10.1 if ideal else 0.1))
     assert worth.of({1: share - 0.01}, spent, 0) == pytest.approx(same - 0.11)
 
 
