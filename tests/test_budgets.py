@@ -23,10 +23,10 @@ LINES = {
     ("polaris/model", "polaris/simulation"): (6871, 5200),
     ("polaris/rta",): (4873, 4300),
     ("polaris/inspection",): (5414, 4500),
-    ("polaris/scenario", "polaris/runs"): (8950, 7500),
+    ("polaris/scenario", "polaris/runs"): (8960, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (7591, 6400),
-    ("polaris/planning",): (2481, 2200),
-    ("polaris", "reach"): (61007, 48000),
+    ("polaris/planning",): (2483, 2200),
+    ("polaris", "reach"): (61019, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

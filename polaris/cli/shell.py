@@ -123,7 +123,7 @@ class BlackBoxes:
 
 @dataclass
 class Output:
-    """What a verb prints of its result, and whether it draws: a group of options of its own."""
+    """Options of a verb on what it prints of its result and whether it draws figures."""
 
     figures: Figures = True
     as_json: Json = False

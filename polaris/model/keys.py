@@ -55,7 +55,7 @@ def _rectangular(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...]
 
 
 def _by_shape(single: str, vector: str, matrix: str) -> Discriminator:
-    """What a value is read as, by its shape: neither list nor array, a list, or a list of lists."""
+    """Return the rule that reads a value by its shape: no list, a list, or a list of lists."""
 
     def tag(value: Any) -> str:
         value = _plain(value)
@@ -107,7 +107,7 @@ NonNegativePerAxis = Annotated[
     Annotated[NonNegative, Tag("number")] | Annotated[WidthVector, Tag("vector")],
     _by_shape("number", "vector", "vector"),
 ]
-"""The same, zero allowed."""
+"""A number of at least 0."""
 WordOrWeights = Annotated[
     Annotated[Literal["auto", "identity"], Tag("word")] | Annotated[LimitVector, Tag("vector")],
     _by_shape("word", "vector", "vector"),
@@ -119,7 +119,7 @@ _PYTHON_NAMES = {"normals": "H", "offsets": "b", "half_angle": "half_angle_rad"}
 
 
 def python_name(key: str) -> str:
-    """What the Python class that a table describes calls a key: the same without its unit, but for three."""
+    """Return the name of a key in Python: without its unit, but for three."""
     bare = _UNIT.sub("", key)
     return _PYTHON_NAMES.get(bare, bare)
 
@@ -138,7 +138,7 @@ class Key:
 
     @cached_property
     def adapter(self) -> TypeAdapter[Any]:
-        """What checks a value."""
+        """Validator of a value."""
         return TypeAdapter(self.type)
 
 

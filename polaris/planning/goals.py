@@ -1,6 +1,7 @@
 """Goals: where a plan must end. To the planner each is a few linear conditions on the last state."""
 
 from abc import ABC, abstractmethod
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Self
@@ -32,7 +33,7 @@ class GoalConditions:
 
     @property
     def inequalities(self) -> bool:
-        """Whether there are any conditions that may be met with room to spare."""
+        """True if some conditions may be met with room to spare."""
         return len(self.g) > 0 or len(self.one_of) > 0
 
     def residual(self, x: Array) -> float:
@@ -118,7 +119,8 @@ class _StateGoal(Goal):
 
     def of(self, system: LinearSystem) -> Self:
         """Return the same goal, its velocities those of a system."""
-        found: Self = replace(self)  # type: ignore[type-var]
+        found = copy(self)
+        found.__dict__.pop("conditions", None)  # of other velocities
         object.__setattr__(found, "_speeds", speeds(system.A, system.position))
         return found
 

@@ -21,7 +21,7 @@ from .spending import spent
 SHARE, SOON = 0.05, 0.25
 """Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
 HELD = 2
-"""How often what S needs for ever may go into what counts as reached, where the scenario gives no length."""
+"""Largest tolerance, as a multiple of what S needs for ever, where the scenario gives none."""
 SLACK = 1e-6  # by how much a claim may fall short of what is derived, relative to it
 MOST = 300  # nodes at which a distance is looked for that is claimed of none in particular
 

@@ -40,7 +40,7 @@ class Tracker:
         return cls(document, craft, memory, upsets)
 
     def needs(self, of: Any, rows: arb_mat) -> Needs:
-        """What errors need along rows, and a fault that is isolated late; made once for the same `of`."""
+        """Return what errors, and a fault that is isolated late, need along rows; `of` names the rows."""
         if of not in self._known:
             doc, needs = self.document, Needs(self.craft, self.memory, rows)
             if boxes := [*self.upsets, *lost(doc, self.craft, self.memory)]:

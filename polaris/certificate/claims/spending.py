@@ -33,7 +33,7 @@ def spent(flights: Iterable[Flown], periods: int | None = None) -> arb:
 
 
 def together(first: Flown, spells: Sequence[Spell]) -> arb:
-    """The same of periods under one linear law from a set, all at once (Proposition 14 (c))."""
+    """Bound the integral of the thrust under one linear law, all periods at once (Proposition 14 (c))."""
     plant, count = first.pilot.plant, len(spells)
     loop, m = plant.loop(first.pilot.gain), plant.B.ncols()
     rows = list(accumulate(range(count - 1), lambda row, _: row * loop.phi, initial=first.pilot.gain))

@@ -84,7 +84,7 @@ def _check_abort(document: Document, spec: dict[str, Any] | None) -> None:
 
 
 def _check_orbit(document: Document, spec: dict[str, Any]) -> None:
-    """What is claimed of aborts with thrust is what the scenario asks."""
+    """Check that claims of aborts with thrust are those that the scenario asks for."""
     powered = document.powered
     if ("orbit" in spec) != (powered is not None):
         raise Rejected("powered_abort", "certificate and scenario do not both speak of an abort with thrust")

@@ -154,7 +154,7 @@ def _abort(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] 
 
 
 def _powered(document: Document, stored: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What is told of aborts with thrust; why there is none in a step is no claim."""
+    """Return aborts with thrust as the readable files tell them; a reason for having none is no claim."""
     powered = document.powered
     if powered is None or stored is None:
         return None if powered is None else {}

@@ -201,7 +201,7 @@ class Motion:
         return magnitude(rows * self.A * self.over * (self.plant.h**2 / 8))
 
     def along(self, rows: Directions) -> Along:
-        """What is booked along rows, made once."""
+        """Intersample bounds along rows, made once."""
         if rows not in self._along:
             self._along[rows] = Along(self, rows.M)
         return self._along[rows]
@@ -301,14 +301,14 @@ class Along:
         return self.lesser_bow(rate.size(), rate.through(self.motion.plant.turning).size())
 
     def closer_bow(self, rate: Zonotope) -> list[arb]:
-        """The same, or ``|row A rate| + h |row A e^{A s}| |A rate|``, the first part of the whole set."""
+        """Lesser of `bow` and ``|row A rate| + h |row A e^{A s}| |A rate|``: both are bounds."""
         turned, h = rate.image(self.motion.A), self.motion.plant.h
         size, along = turned.size(), turned.image(self.rows).size() * (h**2 / 8)
         third = (along + self.bends[0] * size * h).entries()
         return [a if a <= b else b for a, b in zip(self.lesser_bow(rate.size(), size), third, strict=True)]
 
     def lesser_bow(self, rate: arb_mat, turned: arb_mat) -> list[arb]:
-        """The same from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
+        """Bound as `bow` does, from bounds on ``|rate|`` and ``|A rate|``, shapes (n, 1)."""
         both = (self.bends[0] * rate).entries(), (self.bends[1] * turned).entries()
         return [a if a <= b else b for a, b in zip(*both, strict=True)]
 

@@ -79,7 +79,7 @@ class Zonotope:
         return Zonotope(M * self.c, M * self.G)
 
     def through(self, rows: Directions) -> Zonotope:
-        """The same by rows that are asked for again, of this set or of it moved or grown."""
+        """The set mapped by rows; the image is kept for this set, moved or grown."""
         return Zonotope(rows.M * self.c, self._made.image(rows))
 
     @cached_property
@@ -163,7 +163,7 @@ class Merging:
         return found
 
     def after(self, z: Zonotope) -> Zonotope:
-        """The same of a set within a step, once it has twice as many."""
+        """Enclosing set with few generators of one that has more than twice as many; else that one."""
         return self.reduced(z) if z.G.ncols() > 2 * self.order * z.G.nrows() else z
 
 

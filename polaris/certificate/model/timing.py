@@ -112,7 +112,7 @@ def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
 
 
 def late(plant: Plant, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
-    """What errors of commands up to `most` that are not measured yet add to a command (Proposition 7 (b))."""
+    """Bound what errors of commands up to `most`, not measured yet, add to a command (Proposition 7 (b))."""
     if not plant.hidden:
         return [arb(0)] * gain.nrows()
     clipped = [smallest(pair) for pair in zip(most, plant.u_max, strict=True)]

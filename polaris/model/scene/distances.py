@@ -1,4 +1,4 @@
-"""What is measured on runs: distance, time to collision, share of time per mode, switches.
+"""Measures of runs: distance, time to collision, share of time per mode, switches.
 
 Everything is vectorised over runs and times: arrays are shaped (..., T) with the time axis last
 (before the axes of a vector), and per-obstacle results have the obstacle axis first.

@@ -100,7 +100,7 @@ def _rounded(centre: Array, spread: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """What S's error from one set needs along the rows of a table, for all time."""
+    """Needs of S's error from one set along the rows of a table, for all time."""
 
     table: CarriedRows
     need: Array  # by age, (memory + 3, r); the last entry holds for every later time

@@ -1,4 +1,4 @@
-"""Where the safe reference is, how much room it has, and the limits that S must keep along it."""
+"""Clearance of the safe reference, and the limits that S must keep along it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -129,7 +129,7 @@ class Clearance:
         return np.asarray(tracking.per_size(rows) * size)
 
     def tail_need(self, rows: Array, nodes: int) -> Array:
-        """What S needs along rows, errors at T apart, from each of so many nodes after T on, (nodes, r)."""
+        """Return S's needs along rows, errors at T apart, from each node after T on, shape (nodes, r)."""
         found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
         at = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
         at[self.q :: self.q] = np.maximum(at[self.q :: self.q], found[:, -1])

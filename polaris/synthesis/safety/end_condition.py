@@ -1,4 +1,4 @@
-"""What is proven after T, S tracking a natural motion that coasts (docs/theory.md, Proposition 12)."""
+"""Claim about the time after T, S tracking a natural motion that coasts (docs/theory.md, Proposition 12)."""
 
 from dataclasses import dataclass
 

@@ -205,7 +205,7 @@ def _correcting(safety: Safety, held: Held, nodes: int, after: After) -> float:
 
 
 def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
-    """What is proven of S's velocity change for all time, from that until T (Proposition 14 (d)).
+    """Bound S's velocity change for all time, from that until T (Proposition 14 (d)).
 
     None if S need not track a coasting reference, or is not proven to keep within its thrust.
     """

@@ -21,7 +21,7 @@ from ..tracker.tracking import Tracking
 
 @dataclass(frozen=True, eq=False)
 class HandOvers:
-    """What S needs along the facets of all unsafe sets after hand-overs, cell by cell.
+    """Needs of S along the facets of all unsafe sets after hand-overs, cell by cell.
 
     A planner may keep any clearance: what is proven along its path does not rest on it.
 

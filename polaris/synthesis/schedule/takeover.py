@@ -69,7 +69,7 @@ class Takeover:
         return None if margin.inside else margin
 
     def over_cells(self, tracking: Tracking, rows: Array, cells: int, periods: int | None = None) -> Array:
-        """What they need along rows within every cell, or its first periods, shape (cells, r)."""
+        """Return their needs along rows within every cell, or its first periods, shape (cells, r)."""
         tube, q = error_tube(tracking, self.box, rows), tracking.feedback.nodes_per_cell
         return tube.over_cells(cells, q, self.first, self.last, periods)
 

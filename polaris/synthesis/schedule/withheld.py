@@ -9,7 +9,7 @@ from .schedule import Schedule
 
 @lru_cache(maxsize=1)
 def withheld(schedule: Schedule) -> list[dict[str, Any]]:
-    """What each fault that is isolated late keeps from experimental controllers (Proposition 8), as data.
+    """Return, as data, the steps that each late fault keeps from experimental controllers (Proposition 8).
 
     Of a step it is told who could fly it without such faults and cannot with them, and what is short with
     this fault alone. What all of them need is the largest of what they need one by one, so one alone is in

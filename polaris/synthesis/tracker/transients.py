@@ -1,4 +1,4 @@
-"""What faults add to the states until they are isolated (docs/theory.md, Proposition 8 (a))."""
+"""Boxes of what faults add to the states until they are isolated (docs/theory.md, Proposition 8 (a))."""
 
 from collections.abc import Callable
 from dataclasses import replace
