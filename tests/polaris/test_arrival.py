@@ -210,7 +210,9 @@ def derived(forger):
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
-    found = checked.Arrival(Continuation(document, path, tracker), held, taken, argument.pilots[0])
+    found = checked.Arrival(
+        Continuation(document, path, tracker), held, taken, argument.pilots[0], Merging(80)
+    )
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 
 

@@ -38,7 +38,7 @@ class Arrival:
     held: tuple[tuple[Zonotope, int], ...]
     spent: arb
     pilot: Pilot | None = None  # S, where it is flown on
-    merging: Merging = field(default_factory=lambda: Merging(24))
+    merging: Merging | None = None  # of the sets that it flies
     _flown: list[Flown] = field(default_factory=list, repr=False)
     _joint: dict[int, arb] = field(default_factory=dict, repr=False)
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
@@ -167,7 +167,7 @@ class Arrival:
         """S from T on, for at least so many periods."""
         doc = self.document
         reached = self.held[-1][0].grown(diagonal(self.flight.jump.entries()))
-        assert self.pilot is not None
+        assert self.pilot is not None and self.merging is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
             pilot = self.pilot.knowing(doc.known_to(k))
