@@ -107,9 +107,9 @@ from .synthesis.safety.problem import Problem as Problem
 from .synthesis.safety.problem import Zonotope as Zonotope
 from .synthesis.safety.recoverable import Margin as Margin
 from .synthesis.safety.recoverable import RecoverableSet as RecoverableSet
+from .synthesis.schedule.rules import SwitchingRules as SwitchingRules
 from .synthesis.schedule.schedule import Schedule as Schedule
 from .synthesis.schedule.schedule import Step as Step
-from .synthesis.schedule.search import SwitchingRules as SwitchingRules
 from .synthesis.schedule.synthesize import synthesize as synthesize
 from .synthesis.tracker.error_bounds import ErrorBounds as ErrorBounds
 from .synthesis.tracker.feedback import Feedback as Feedback

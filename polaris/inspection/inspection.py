@@ -3,24 +3,24 @@
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from reach.numerics.linear import discretize
 
-from ..model.checks import number, of_kind, positive, whole
+from ..model.checks import number, of_kind, whole
 from ..model.errors import ScenarioError
 from ..model.hill import clohessy_wiltshire
+from ..model.keys import Key, Positive, Real, check_fields
 from ..model.system import Array, LinearSystem
 from .constraints.constraint import Constraint
 from .vectors import CENTRE
 
+Rate = Annotated[Real, Field(gt=0, le=0.01)]
 MOST_DEPUTIES = 50  # most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints
-UNITS = {"mass": "kg", "mean_motion": "rad/s", "field_of_view": "rad", "passive_time": "s", "thrust_max": "N"}
-UNITS |= dict.fromkeys(("deputy_radius", "chief_radius", "distance_max", "smoothing"), "m")
-UNITS |= dict.fromkeys(("docking_speed", "speed_max", "delta_v_max"), "m/s") | {"speed_slope": "1/s"}
-"""Units of the parameters, all of which are positive."""
 
 
 @dataclass(frozen=True)
@@ -33,31 +33,33 @@ class Inspection:
     ----------
     deputies : int
         Number N of active spacecraft.
-    mass : float
-        Mass m of a deputy [kg].
-    mean_motion : float
-        Mean motion n of the chief's orbit [rad/s].
-    deputy_radius, chief_radius : float
-        Collision radii r_d and r_c [m].
-    docking_speed : float
-        Least allowed speed nu_0 at the chief [m/s].
-    speed_slope : float, optional
-        Rate nu_1 at which the allowed speed grows with distance [1/s]; default ``2 n``.
-    delta_v_max : float
-        Fuel limit [m/s].
-    field_of_view : float
-        Full opening angle alpha_FOV of the sensor [rad].
-    distance_max : float
-        Largest distance r_max from the chief [m].
-    passive_time : float
-        Time T for which free flight must stay clear [s].
-    speed_max : float
-        Largest speed v_max along each axis [m/s].
-    thrust_max : float
-        Thrust limit u_max per axis [N].
-    smoothing : float
-        Depth [m] of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
-        are replaced by a line; it costs half of it in distance.
+    mass : float [kg]
+        Mass m of a deputy.
+    mean_motion : float [rad/s]
+        Mean motion n of the chief's orbit.
+    deputy_radius : float [m]
+        Collision radius r_d of a deputy.
+    chief_radius : float [m]
+        Collision radius r_c of the chief.
+    docking_speed : float [m/s]
+        Speed nu_0 allowed at the chief itself.
+    speed_slope : float [1/s], optional
+        Rate nu_1 at which the allowed speed grows with distance; twice n without it.
+    delta_v_max : float [m/s]
+        Fuel limit.
+    field_of_view : float [rad]
+        Full opening angle alpha_FOV of the sensor.
+    distance_max : float [m]
+        Largest distance r_max from the chief.
+    passive_time : float [s]
+        Time T for which free flight must stay clear; at most half an orbit.
+    speed_max : float [m/s]
+        Largest speed v_max along each axis.
+    thrust_max : float [N]
+        Thrust limit u_max per axis.
+    smoothing : float [m]
+        Depth of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36
+        become a line; costs half of it in distance.
     constraints : tuple of Constraint
         Of one's own, beside phi1 to phi11.
 
@@ -70,30 +72,30 @@ class Inspection:
     """
 
     deputies: int = 5
-    mass: float = 12.0
-    mean_motion: float = 0.001027
-    deputy_radius: float = 5.0
-    chief_radius: float = 5.0
-    docking_speed: float = 0.2
-    speed_slope: float | None = None
-    delta_v_max: float = 20.0
-    field_of_view: float = np.pi / 3
-    distance_max: float = 1000.0
-    passive_time: float = 500.0
-    speed_max: float = 1.0
-    thrust_max: float = 1.0
-    smoothing: float = 0.1
+    mass: Annotated[float, Key("mass_kg", "kg", Annotated[Real, Field(ge=1e-3, le=1e7)])] = 12.0
+    mean_motion: Annotated[
+        float, Key("mean_motion_rad_s", "rad/s", Annotated[Real, Field(gt=0, le=0.01)])
+    ] = 0.001027
+    deputy_radius: Annotated[float, Key("deputy_radius_m", "m", Positive)] = 5.0
+    chief_radius: Annotated[float, Key("chief_radius_m", "m", Positive)] = 5.0
+    docking_speed: Annotated[float, Key("docking_speed_m_s", "m/s", Positive)] = 0.2
+    speed_slope: Annotated[float | None, Key("speed_slope_1_s", "1/s", Positive)] = None
+    delta_v_max: Annotated[float, Key("delta_v_max_m_s", "m/s", Positive)] = 20.0
+    field_of_view: Annotated[float, Key("field_of_view_deg", "deg", Annotated[Real, Field(gt=0, lt=180)])] = (
+        np.pi / 3
+    )
+    distance_max: Annotated[float, Key("distance_max_m", "m", Positive)] = 1000.0
+    passive_time: Annotated[float, Key("passive_time_s", "s", Positive)] = 500.0
+    speed_max: Annotated[float, Key("speed_max_m_s", "m/s", Positive)] = 1.0
+    thrust_max: Annotated[float, Key("thrust_max_N", "N", Positive)] = 1.0
+    smoothing: Annotated[float, Key("smoothing_m", "m", Positive)] = 0.1
     constraints: tuple[Constraint, ...] = ()
 
     def __post_init__(self) -> None:
         whole("deputies", self.deputies, 1)
         if self.deputies > MOST_DEPUTIES:
             raise ScenarioError("deputies", self.deputies, f"must be at most {MOST_DEPUTIES}")
-        for name, unit in UNITS.items():
-            if name != "speed_slope" or self.speed_slope is not None:
-                positive(name, getattr(self, name), unit)
-        if self.field_of_view >= np.pi:
-            raise ScenarioError("field_of_view", self.field_of_view, "must be below pi rad")
+        check_fields(self, "parameters")
         if self.distance_max <= self.separation:
             rule = f"must exceed the sum of the collision radii, {self.separation:g} m"
             raise ScenarioError("distance_max", self.distance_max, rule)

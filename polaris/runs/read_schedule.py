@@ -20,8 +20,9 @@ from ..synthesis.controllers.controllers import Controller
 from ..synthesis.safety.get_safety import Safety, find_safety
 from ..synthesis.safety.problem import Problem
 from ..synthesis.schedule.powered import KnownBranches
+from ..synthesis.schedule.rules import SwitchingRules
 from ..synthesis.schedule.schedule import Schedule
-from ..synthesis.schedule.search import Search, SwitchingRules
+from ..synthesis.schedule.search import Search
 from ..synthesis.schedule.synthesize import along, switching_logic
 from ..synthesis.schedule.worth import as_good
 from .files.controllers import flown
@@ -146,7 +147,7 @@ def _proven(run: RunFolder, document: Document, boxes: Mapping[str, Ask]) -> Sch
         schedule = replace(schedule, statement=Statement(**document.statement))
     schedule = replace(schedule, branches=_branches(run, document))
     demanding = rules.delta_v_max is not None or (problem.abort is not None and problem.abort.required)
-    if demanding and not rules.allow(schedule):
+    if demanding and not schedule.keeps(rules):
         raise NotCertified("its velocity change or its drift is not proven to be what the scenario demands")
     if schedule.powered is not None:
         schedule.powered.require()

@@ -38,7 +38,6 @@ from ..synthesis.schedule import synthesize
 from ..synthesis.schedule.same_system import check_safety
 from ..synthesis.schedule.schedule import Schedule
 from ..synthesis.schedule.share_bound import ShareBound, share_bound
-from ..synthesis.schedule.withheld import withheld
 from .certificate import hexadecimal, write_certificate
 from .declared import naming_errors
 from .files import arrays
@@ -49,6 +48,7 @@ from .files.folder import SCENARIO, Draw, RunFolder, RunKind, read_json, write_f
 from .picture import Picture, SlicePicture
 from .picturing import picture_of
 from .stages import Stages
+from .withheld import withheld
 
 SYNTHESIS = ("safety controller", "schedule")
 """Stages of the synthesis, whose parts a schedule times itself."""

@@ -45,9 +45,8 @@ class InspectionScenario(Scenario):
     @kept
     def inspection(self) -> Inspection:
         """The problem."""
-        given = self.model.parameters
-        with in_file_terms("parameters", given):
-            return Inspection(self.deputies, **given.arguments())
+        made: Inspection = self.model.parameters.make("parameters", deputies=self.deputies)
+        return made
 
     def _check_time(self, table: str, spec: models.FlightTime | models.FuelFlight | models.Campaign) -> None:
         """Periods divide the flight, and there are not too many."""
@@ -75,8 +74,7 @@ class FilteredScenario(InspectionScenario):
         for family in chosen:
             given: Alpha | None = getattr(table, family)
             if given is not None:
-                with in_file_terms(f"strengthening.{family}", given):
-                    chosen[family] = Strengthening(**given.arguments())
+                chosen[family] = given.make(f"strengthening.{family}")
         return chosen
 
     def families(self) -> Families:

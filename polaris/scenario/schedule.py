@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..synthesis.controllers.policy import Policy
     from ..synthesis.safety.get_safety import Safety
     from ..synthesis.safety.problem import Problem
-    from ..synthesis.schedule.search import SwitchingRules
+    from ..synthesis.schedule.rules import SwitchingRules
 
 
 class ScheduleScenario(Scenario):
@@ -286,9 +286,6 @@ class ScheduleScenario(Scenario):
 
     def switching_rules(self) -> SwitchingRules:
         """Options of Algorithm 2."""
-        from ..synthesis.schedule.search import SwitchingRules
-
-        given = self.model.schedule.arguments()
-        given.pop("bound_programs")
         weights = tuple(spec.weight for spec in self.model.experimental)
-        return SwitchingRules(min_dwell=given.pop("min_dwell_steps"), weights=weights, **given)
+        made: SwitchingRules = self.model.schedule.make("schedule", weights=weights)
+        return made

@@ -11,7 +11,7 @@ from polaris.planning.goals import Box, StationaryPoint
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
 from polaris.synthesis.safety.get_safety import get_safety
-from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.sets.zonotope import Zonotope
 

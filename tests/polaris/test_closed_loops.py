@@ -15,8 +15,9 @@ from polaris.rta.methods.monitor import Monitor
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.schedule import Step
-from polaris.synthesis.schedule.search import Search, SwitchingRules
+from polaris.synthesis.schedule.search import Search
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer

@@ -19,7 +19,8 @@ from polaris.synthesis.safety.clearance import error_tube, facet_room
 from polaris.synthesis.safety.goal_rows import _weights, distance, goal_rows, inset
 from polaris.synthesis.schedule.hand_over import HandOvers, reached_sets
 from polaris.synthesis.schedule.in_view import Windows, followable, in_windows, neighbours
-from polaris.synthesis.schedule.search import Search, SwitchingRules
+from polaris.synthesis.schedule.rules import SwitchingRules
+from polaris.synthesis.schedule.search import Search
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.schedule.worth import Worth
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.look_ahead import APART, EACH, LookAhead, rungs
-from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from .conftest import small_controllers, small_safety

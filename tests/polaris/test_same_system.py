@@ -13,7 +13,7 @@ from polaris.synthesis.controllers.controllers import AffineController, AnyThrus
 from polaris.synthesis.safety.ball_sets import BallSets
 from polaris.synthesis.safety.clearance import best_facets
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
-from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking

@@ -12,7 +12,7 @@ from polaris.planning.lp import GrowingLP
 from polaris.report.sentences import share as _share
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust
-from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.share_bound import Master, share_bound
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.schedule.undisturbed import FREE, Flights

@@ -12,7 +12,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
-from polaris.synthesis.schedule.search import SwitchingRules
+from polaris.synthesis.schedule.rules import SwitchingRules
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import CHOSEN, printed, quick

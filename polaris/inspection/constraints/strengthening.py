@@ -1,32 +1,37 @@
 """Strengthening functions alpha of the barrier conditions (eq. 7): odd polynomials, given by numbers."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
-from ...model.checks import number, one_of
+from ...model.checks import one_of
 from ...model.errors import ScenarioError
+from ...model.keys import Key, NonNegative, Real, check_fields
 from ...model.system import Array
+
+Coefficients = Annotated[tuple[NonNegative, ...], Field(min_length=3, max_length=3)]
 
 
 @dataclass(frozen=True)
 class Strengthening:
-    """Strictly increasing and zero at the bias: ``c_1 s + c_2 |s| s + c_3 s^3`` with ``s = h - bias``.
+    """One strengthening function, `c_1 s + c_2 |s| s + c_3 s^3` with `s = h - bias`.
 
-    Where ``s < 0`` the state is outside (or within the bias of the boundary) and the condition asks for
-    recovery: ``recovery * alpha - push``.
+    Where `s < 0` the state is outside (or within the bias of the boundary) and the condition asks for
+    recovery: `recovery * alpha - push`.
 
     Parameters
     ----------
     coefficients : tuple of 3 floats
-        c_1 [1/s], c_2 and c_3, >= 0 and not all zero.
+        c_1, c_2 and c_3, >= 0 and not all zero.
     bias : float
-        Subtracted from h first, in its unit; >= 0.
+        Distance kept of the boundary h = 0.
     recovery : float
-        Factor below zero, >= 1.
+        Factor where s < 0.
     push : float
-        Least growth of h asked for below zero, in units of h per second; >= 0.
+        Least growth of h asked for where s < 0.
 
     Raises
     ------
@@ -34,22 +39,17 @@ class Strengthening:
         If a number is out of range.
     """
 
-    coefficients: tuple[float, float, float]
-    bias: float = 0.0
-    recovery: float = 1.0
-    push: float = 0.0
+    coefficients: Annotated[tuple[float, float, float], Key("coefficients", "1/s, ...", Coefficients)]
+    bias: Annotated[float, Key("bias", "unit of h", NonNegative)] = 0.0
+    recovery: Annotated[float, Key("recovery", "-", Annotated[Real, Field(ge=1, le=1e6)])] = 1.0
+    push: Annotated[float, Key("push", "unit of h per second", NonNegative)] = 0.0
 
     def __post_init__(self) -> None:
-        rule = "must be three numbers >= 0, not all zero"
-        if not isinstance(self.coefficients, (tuple, list)) or len(self.coefficients) != 3:
-            raise ScenarioError("coefficients", self.coefficients, rule)
-        values = tuple(number("coefficients", c, rule) for c in self.coefficients)
-        if min(values) < 0 or not any(values):
-            raise ScenarioError("coefficients", self.coefficients, rule)
-        for name, least in (("bias", 0.0), ("recovery", 1.0), ("push", 0.0)):
-            rule = f"must be a finite number >= {least:g}"
-            if number(name, getattr(self, name), rule) < least:
-                raise ScenarioError(name, getattr(self, name), rule)
+        given = self.coefficients
+        check_fields(self, "strengthening")
+        object.__setattr__(self, "coefficients", tuple(map(float, self.coefficients)))
+        if not any(self.coefficients):
+            raise ScenarioError("strengthening.coefficients", given, "must not all be zero")
 
     def __call__(self, h: ArrayLike) -> Array:
         """The values alpha(h), same shape as h."""

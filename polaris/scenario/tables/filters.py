@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field
-
 from ...inspection.backup.brake import Brake
 from ...inspection.backup.tube import Uncertainty
 from ...inspection.constraints.families import Families
@@ -16,7 +14,7 @@ from ...inspection.flights.simulation import BatchFilter, OneFlight
 from ...inspection.inspection import Inspection
 from ...model import keys as f
 from ...rta.one_call import RunTimeFilter
-from .fields import BY_KIND, ScenarioPart, unit
+from .fields import BY_KIND, Described, ScenarioPart, unit
 
 Family = Literal[
     "chief_separation",
@@ -33,18 +31,8 @@ Family = Literal[
 FAMILY_NAMES: tuple[str, ...] = get_args(Family)
 
 
-Coefficients = Annotated[tuple[f.NonNegative, ...], Field(min_length=3, max_length=3)]
-
-
-class Alpha(ScenarioPart):
-    """One strengthening function, `c1 s + c2 |s| s + c3 s^3` with `s = h - bias`."""
-
-    coefficients: Coefficients = unit("1/s, ...", "c1, c2 and c3, >= 0 and not all zero.")
-    bias: f.NonNegative = unit("unit of h", "Distance kept of the boundary h = 0.", default=0.0)
-    recovery: f.Real = unit("-", "Factor where s < 0.", default=1.0, ge=1, le=1e6)
-    push: f.NonNegative = unit(
-        "unit of h per second", "Least growth of h asked for where s < 0.", default=0.0
-    )
+class Alpha(Described, makes=Strengthening):
+    """See `Strengthening`."""
 
 
 def _alpha(name: str) -> Alpha | None:

@@ -8,37 +8,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ...inspection.inspection import Inspection
 from ...model import keys as f
 from .errors import Thrusters, Timing
-from .fields import BY_KIND, Head, ScenarioPart, unit
+from .fields import BY_KIND, Described, Head, ScenarioPart, unit
 from .filters import Filter, FlightFilter, StrengtheningTable
 from .navigation import Estimate
 
 MOST_PERIODS = 200_000  # most control periods of one flight
 
 
-class Parameters(ScenarioPart):
-    """The spacecraft and the limits of Table 1."""
-
-    mass_kg: f.Real = unit("kg", "Mass m of a deputy.", default=12.0, ge=1e-3, le=1e7)
-    mean_motion_rad_s: f.Real = unit("rad/s", default=0.001027, gt=0, le=0.01)
-    """Mean motion n of the chief's orbit."""
-    deputy_radius_m: f.Positive = unit("m", "Collision radius r_d of a deputy.", default=5.0)
-    chief_radius_m: f.Positive = unit("m", "Collision radius r_c of the chief.", default=5.0)
-    docking_speed_m_s: f.Positive = unit("m/s", "Speed nu_0 allowed at the chief itself.", default=0.2)
-    speed_slope_1_s: f.Positive | None = unit("1/s", default=None)
-    """Rate nu_1 at which the allowed speed grows with distance; twice n without it."""
-    delta_v_max_m_s: f.Positive = unit("m/s", "Fuel limit.", default=20.0)
-    field_of_view_deg: f.Real = unit("deg", default=60.0, gt=0, lt=180)
-    """Full opening angle alpha_FOV of the sensor."""
-    distance_max_m: f.Positive = unit("m", "Largest distance r_max from the chief.", default=1000.0)
-    passive_time_s: f.Positive = unit("s", default=500.0)
-    """Time T for which free flight must stay clear; at most half an orbit."""
-    speed_max_m_s: f.Positive = unit("m/s", "Largest speed v_max along each axis.", default=1.0)
-    thrust_max_N: f.Positive = unit("N", "Thrust limit u_max per axis.", default=1.0)
-    smoothing_m: f.Positive = unit("m", default=0.1)
-    """Depth of the layer beside each boundary in which the square roots of eqs. 29, 30, 35 and 36 become a
-    line; costs half of it in distance."""
+class Parameters(Described, makes=Inspection):
+    """See `Inspection`."""
 
 
 class InitialStates(ScenarioPart):

@@ -3,8 +3,8 @@
 from typing import Literal
 
 from ...model import keys as f
-from ...model.checks import MAX_STEPS
 from ...planning.problem import Objective, PlannerOptions
+from ...synthesis.schedule.rules import SwitchingRules
 from .fields import Described, ScenarioPart, unit
 
 
@@ -51,29 +51,9 @@ class Planner(Described, makes=PlannerOptions):
     for the experimental controller, as extra_margin_m is."""
 
 
-class Schedule(ScenarioPart):
+class Schedule(Described, makes=SwitchingRules):
     """How the switching schedule is chosen (Algorithm 2 and beyond)."""
 
-    strategy: Literal["greedy", "look_ahead"] = unit("-", default="greedy")
-    """`greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use
-    over the whole horizon, by weight."""
-    min_dwell_steps: f.Whole = unit("steps", default=1, ge=1, le=MAX_STEPS)
-    """Fewest steps between two switches."""
-    max_switches: f.Whole | None = unit(
-        "-", "Most switches in the run; no cap without it.", default=None, ge=0
-    )
-    delta_v_price: f.NonNegative = unit("-", default=0.06)
-    """Share of the horizon under an experimental controller that is given up for a velocity change as large
-    as the safety controller's alone."""
-    switch_price: f.NonNegative = unit("-", default=0.005)
-    """Share of the horizon under an experimental controller that is given up for one switch less."""
-    delta_v_max_m_s: f.Positive | None = unit("m/s", default=None)
-    """Budget of velocity change until the goal, or until the end if the goal is not proven reached. What is
-    returned is proven to keep it; where no such schedule is found, exit code 4, and how little was. None
-    without it."""
-    beam: f.Whole = unit("-", default=1, ge=1, le=1000)
-    """Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
-    better ones, in as much more time."""
     bound_programs: f.Whole = unit("-", default=400, ge=0, le=10**9)
     """Linear programs, about, spent on a proven bound on the time under experimental controllers over all
     schedules; 0 for none."""

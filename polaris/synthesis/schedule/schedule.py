@@ -25,7 +25,8 @@ from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
 from .arrival import Arrival, Held, Upkeep, arrival, spare, upkeep
 from .powered import KnownBranches, PoweredSafety, powered
-from .spending import Prices, Spell, spent
+from .rules import Prices, SwitchingRules
+from .spending import Spell, spent
 
 
 @brief
@@ -173,6 +174,10 @@ class Schedule:
     def switches(self) -> int:
         """Number of changes of mode inside the horizon."""
         return int(np.count_nonzero(np.diff(self.modes)))
+
+    def keeps(self, rules: SwitchingRules) -> bool:
+        """Return True if it keeps the budget, and what is required of the drift after all thrust stops."""
+        return rules.affords(self.spent) and (self.passive is None or self.passive.kept)
 
     @cached_property
     def _spells(self) -> list[Spell]:

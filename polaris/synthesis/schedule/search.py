@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from reach.sets.zonotope import Zonotope
 
-from ...model.checks import non_negative, of_kind, one_of, positive, whole
+from ...model.checks import of_kind
 from ...model.errors import ScenarioError
 from ..controllers.black_box import BlackBox
 from ..controllers.controllers import Controller, TubeSegment
@@ -17,76 +17,9 @@ from ..safety.get_safety import Safety
 from ..safety.passive import clear
 from ..safety.problem import Problem
 from .look_ahead import SAFETY, LookAhead
+from .rules import SwitchingRules
 from .same_system import check_controller, check_safety, check_segment
 from .schedule import Schedule, Step, drift_of
-from .spending import Prices
-
-
-@dataclass(frozen=True)
-class SwitchingRules:
-    """Options of Algorithm 2 beyond the paper.
-
-    Parameters
-    ----------
-    strategy : {"greedy", "look_ahead"}
-        ``greedy`` is Algorithm 2 as printed: U whenever it is contained. ``look_ahead`` searches for
-        the schedule with most (weighted) use of U. It is never worse than greedy, nor than itself under
-        stricter rules (dwell times above 8 steps: those of `polaris.synthesis.schedule.look_ahead.rungs`).
-    min_dwell : int
-        Steps a controller keeps, once switched to.
-    max_switches : int or None
-        Cap on the number of switches. One is always held back for the return to S, so a cap of 0
-        leaves S alone, and the last one may stay unused.
-    weights : tuple of float
-        Worth of one step under each experimental controller, in their order of preference.
-    beam : int
-        Schedules that ``look_ahead`` keeps at every step for each number of switches and controller.
-    delta_v_price : float
-        Share of the horizon that a velocity change as large as S's alone costs, where schedules are compared.
-    switch_price : float
-        Share of the horizon that a switch costs there.
-    delta_v_max : float or None
-        Budget [m/s] of velocity change (`Schedule.spent`): what is returned is proven to keep it.
-    """
-
-    strategy: str = "greedy"
-    min_dwell: int = 1
-    max_switches: int | None = None
-    weights: tuple[float, ...] = ()
-    beam: int = 1
-    delta_v_price: float = 0.06
-    switch_price: float = 0.005
-    delta_v_max: float | None = None
-
-    def __post_init__(self) -> None:
-        one_of("schedule.strategy", self.strategy, ("greedy", "look_ahead"))
-        whole("schedule.min_dwell_steps", self.min_dwell, 1)
-        whole("schedule.beam", self.beam, 1)
-        if self.max_switches is not None:
-            whole("schedule.max_switches", self.max_switches, 0)
-        non_negative("schedule.delta_v_price", self.delta_v_price, "-")
-        non_negative("schedule.switch_price", self.switch_price, "-")
-        if self.delta_v_max is not None:
-            positive("schedule.delta_v_max_m_s", self.delta_v_max, "m/s")
-        for weight in self.weights:
-            positive("schedule.weights", weight, "-")
-
-    def worths(self, modes: int) -> tuple[float, ...]:
-        """Worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
-        given = (0.0, *self.weights)[:modes]
-        return given + (1.0,) * (modes - len(given))
-
-    def prices(self, unit: float) -> Prices:
-        """Return the objective by which schedules are compared; S alone spends `unit` [m/s]."""
-        return Prices(self.weights, self.delta_v_price, self.switch_price, unit)
-
-    def affords(self, spent: float) -> bool:
-        """Whether the budget allows a velocity change [m/s]."""
-        return self.delta_v_max is None or spent <= self.delta_v_max
-
-    def allow(self, schedule: Schedule) -> bool:
-        """Whether a schedule keeps the budget, and what is required of the drift after all thrust stops."""
-        return self.affords(schedule.spent) and (schedule.passive is None or schedule.passive.kept)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
 from ..controllers.controllers import AffineController
+from .rules import SwitchingRules
 from .schedule import Schedule
-from .search import SwitchingRules
 from .undisturbed import FREE, Flights, Held
 
 NODES = 2000  # most nodes of an integer program; what it has proven until then is used

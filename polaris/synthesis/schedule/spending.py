@@ -1,6 +1,6 @@
 """Bounds on the velocity change, period by period or for all periods of a linear loop, and its price."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -16,25 +16,6 @@ from ..controllers.neural import NeuralController
 
 LONGEST = 4000  # periods of a loop that are looked at all at once, at most
 SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
-
-
-@dataclass(frozen=True)
-class Prices:
-    """Objective of a flight: weighted time under U less priced velocity change and switches.
-
-    All three count as shares of the horizon.
-    """
-
-    weights: tuple[float, ...]  # of the time under mode 1, 2, ...; 1 for modes beyond
-    delta_v: float  # price of a velocity change of one `unit`
-    switch: float  # price of a switch
-    unit: float  # velocity change of S alone [m/s]
-
-    def __call__(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:
-        """Return the objective for shares of the time by mode, a velocity change [m/s] and switches."""
-        weights = dict(enumerate(self.weights, start=1)) | {0: 0.0}
-        time = sum(weights.get(mode, 1.0) * share for mode, share in shares.items())
-        return time - self.delta_v * delta_v / self.unit - self.switch * switches
 
 
 @dataclass(frozen=True, eq=False)

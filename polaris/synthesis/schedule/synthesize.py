@@ -15,8 +15,9 @@ from ..safety.get_safety import LESSER, SHARES, Safety, find_safety, get_safety
 from ..safety.recoverable import directed
 from .in_view import views
 from .look_ahead import SAFETY
+from .rules import SwitchingRules
 from .schedule import Schedule
-from .search import Branch, Search, SwitchingRules
+from .search import Branch, Search
 from .worth import Worth, as_good
 
 LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
@@ -119,7 +120,7 @@ def most_worthy(search: Search, recourse: bool) -> Schedule:
         search, printed = arriving(search, printed)
         found = with_recourse(search, printed)
         search.clock.lap("recourse")
-    if search.rules.allow(found):
+    if found.keeps(search.rules):
         return found
     found = within_budget(search, [printed, found])
     search.clock.lap("budget")
@@ -182,7 +183,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         found += [each for view in searches for each in view.schedules(prove)]
         late |= any(view.late for view in searches)
         best = max(found, key=worth)
-        if search.rules.allow(best):
+        if best.keeps(search.rules):
             break
     library = tuple(one for one in found if one is not best and as_good(one, best, search.rules))
     if late:
@@ -196,7 +197,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
-    """The longest beginning of a schedule after which S alone keeps what the rules allow.
+    """The longest beginning of a schedule after which S alone keeps the rules.
 
     Of several the most worthy: budget of velocity change, and what is required of the drift.
     `SynthesisInfeasible` if S alone keeps the budget, but its drift is not clear, along any of their
@@ -213,7 +214,7 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
             least = min(least, found.spent)
             if search.rules.affords(found.spent) and found.passive is not None:
                 witness = witness or found.passive.witness()
-            if search.rules.allow(found):
+            if found.keeps(search.rules):
                 few, best = tried, found
             elif best is None:
                 break

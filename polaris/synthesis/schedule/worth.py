@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..safety.get_safety import Safety
+from .rules import Prices, SwitchingRules
 from .schedule import Schedule
-from .search import SwitchingRules
-from .spending import Prices
 
 Mask = NDArray[np.bool_]  # steps that S is meant to fly, shape (K,)
 WORSE = 10.0  # how much more a step counts by which a schedule is worse than the printed one
@@ -18,7 +17,7 @@ WORSE = 10.0  # how much more a step counts by which a schedule is worse than th
 def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
     """Return True if a schedule keeps the rules, is safe as long and arrives wherever another one does."""
     first, second = (
-        (rules.allow(each), each.safety.end.until, each.arrival.reached is True) for each in (one, other)
+        (each.keeps(rules), each.safety.end.until, each.arrival.reached is True) for each in (one, other)
     )
     return all(a >= b for a, b in zip(first, second, strict=True))
 
@@ -62,7 +61,7 @@ class Worth:
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         value = self.of(shares, schedule.delta_v_middle, schedule.switches)
         lasts = schedule.safety.end.until >= self.until
-        return self.rules.allow(schedule), lasts, schedule.arrival.reached is True, value
+        return schedule.keeps(self.rules), lasts, schedule.arrival.reached is True, value
 
     def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
         """The same, nothing being the printed one; without prices as the printed algorithms choose."""

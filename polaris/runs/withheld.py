@@ -1,10 +1,10 @@
-"""Which steps S flies because of faults that are isolated late, and which bound is short by how much."""
+"""Steps that S flies because of faults that are isolated late, with the bound that is short."""
 
 from functools import lru_cache
 from typing import Any
 
-from ..safety.recoverable import Margin
-from .schedule import Schedule
+from ..synthesis.safety.recoverable import Margin
+from ..synthesis.schedule.schedule import Schedule
 
 
 @lru_cache(maxsize=1)

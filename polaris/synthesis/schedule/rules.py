@@ -1,0 +1,90 @@
+"""Options of Algorithm 2, and the objective by which schedules are compared."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ...model.checks import MAX_STEPS, positive
+from ...model.keys import Key, NonNegative, Positive, Whole, check_fields
+
+Steps = Annotated[Whole, Field(ge=1, le=MAX_STEPS)]
+
+
+@dataclass(frozen=True)
+class Prices:
+    """Objective of a flight: weighted time under U less priced velocity change and switches.
+
+    All three count as shares of the horizon.
+    """
+
+    weights: tuple[float, ...]  # of the time under mode 1, 2, ...; 1 for modes beyond
+    delta_v: float  # price of a velocity change of one `unit`
+    switch: float  # price of a switch
+    unit: float  # velocity change of S alone [m/s]
+
+    def __call__(self, shares: Mapping[int, float], delta_v: float, switches: float) -> float:
+        """Return the objective for shares of the time by mode, a velocity change [m/s] and switches."""
+        weights = dict(enumerate(self.weights, start=1)) | {0: 0.0}
+        time = sum(weights.get(mode, 1.0) * share for mode, share in shares.items())
+        return time - self.delta_v * delta_v / self.unit - self.switch * switches
+
+
+@dataclass(frozen=True)
+class SwitchingRules:
+    """Options of Algorithm 2 beyond the paper.
+
+    Parameters
+    ----------
+    strategy : {"greedy", "look_ahead"}
+        `greedy`: Algorithm 2, use an experimental controller whenever it is safe now. `look_ahead`: most use
+        over the whole horizon, by weight; never less than `greedy`, nor than itself under stricter rules
+        (fewest steps above 8: those of `polaris.synthesis.schedule.look_ahead.rungs`).
+    min_dwell : int
+        Fewest steps between two switches.
+    max_switches : int, optional
+        Most switches in the run; no cap without it. One is always held back for the return to the safety
+        controller, so a cap of 0 leaves that alone, and the last one may stay unused.
+    weights : tuple of float
+        Worth of one step under each experimental controller, in their order of preference.
+    beam : int
+        Schedules that `look_ahead` keeps at every step for each number of switches and controller. More find
+        better ones, in as much more time.
+    delta_v_price : float
+        Share of the horizon under an experimental controller that is given up for a velocity change as large
+        as the safety controller's alone.
+    switch_price : float
+        Share of the horizon under an experimental controller that is given up for one switch less.
+    delta_v_max : float [m/s], optional
+        Budget of velocity change until the goal, or until the end if the goal is not proven reached.
+        What is returned is proven to keep it; where no such schedule is found, exit code 4, and how little
+        was. None without it.
+    """
+
+    strategy: Annotated[str, Key("strategy", "-", Literal["greedy", "look_ahead"])] = "greedy"
+    min_dwell: Annotated[int, Key("min_dwell_steps", "steps", Steps)] = 1
+    max_switches: Annotated[int | None, Key("max_switches", "-", Annotated[Whole, Field(ge=0)])] = None
+    weights: tuple[float, ...] = ()
+    beam: Annotated[int, Key("beam", "-", Annotated[Whole, Field(ge=1, le=1000)])] = 1
+    delta_v_price: Annotated[float, Key("delta_v_price", "-", NonNegative)] = 0.06
+    switch_price: Annotated[float, Key("switch_price", "-", NonNegative)] = 0.005
+    delta_v_max: Annotated[float | None, Key("delta_v_max_m_s", "m/s", Positive)] = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, "schedule")
+        for weight in self.weights:
+            positive("schedule.weights", weight, "-")
+
+    def worths(self, modes: int) -> tuple[float, ...]:
+        """Worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
+        given = (0.0, *self.weights)[:modes]
+        return given + (1.0,) * (modes - len(given))
+
+    def prices(self, unit: float) -> Prices:
+        """Return the objective by which schedules are compared; S alone spends `unit` [m/s]."""
+        return Prices(self.weights, self.delta_v_price, self.switch_price, unit)
+
+    def affords(self, spent: float) -> bool:
+        """Whether the budget allows a velocity change [m/s]."""
+        return self.delta_v_max is None or spent <= self.delta_v_max
