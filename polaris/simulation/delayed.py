@@ -7,7 +7,7 @@ from scipy.linalg import expm
 from ..model.prediction import between_nodes, prediction_error
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule.schedule import Schedule
-from ..synthesis.tracker.craft_loop import remembers
+from ..synthesis.sources.source import remembers
 from .integration import Integrator
 
 PAST = 100

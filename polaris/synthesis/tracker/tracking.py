@@ -14,7 +14,9 @@ from reach.tubes.flow import LinearFlow
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
-from .craft_loop import craft_loop, remembers, step_errors
+from ..sources.craft import craft_loop
+from ..sources.estimate import step_errors
+from ..sources.source import remembers
 from .feedback import Feedback
 from .loop import Channel
 from .profile import profile
