@@ -212,14 +212,10 @@ class LinearSystem:
     def at_step(self, k: int) -> LinearSystem:
         """The same system with the errors of estimates that there may be in step k."""
         steps = self.error_by_step
-        return self if steps is None else self._known_to(steps[min(k, len(steps) - 1)])
+        return self if steps is None else self.known_to(steps[min(k, len(steps) - 1)])
 
-    @cached_property
-    def calmest(self) -> LinearSystem:
-        """The same system with the least error of every estimate: what is more counts step by step."""
-        return self if self.error_by_step is None else self._known_to(np.min(self.error_by_step, axis=0))
-
-    def _known_to(self, error: Array) -> LinearSystem:
+    def known_to(self, error: Array) -> LinearSystem:
+        """The same system with errors of estimates, shape (n,), that are those of every step."""
         return replace(self, estimate_error=error, error_by_step=None)
 
     def estimate_off(self, most: Array | None = None) -> Array:

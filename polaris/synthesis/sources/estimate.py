@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from ...model.prediction import between_nodes
+from ...model.prediction import when_measured
 from ...model.system import LinearSystem
 from ...model.thrusters import Thrusters
 from ..tracker.loop import Array, Channel, Loop
@@ -28,7 +28,8 @@ class Estimate:
     @classmethod
     def of(cls, system: LinearSystem, h: float) -> "Estimate | None":
         """Return the box of estimates as they are measured, or as a whole where the loop has no states."""
-        known, timing = system.calmest, system.timing
+        timing, steps = system.timing, system.error_by_step
+        known = system if steps is None else system.known_to(np.min(steps, axis=0))
         if not remembers(system):
             least = known.estimate_off(np.zeros(known.m))
             if np.any(known.estimate_off(known.u_max) != least):
@@ -54,8 +55,7 @@ class Estimate:
 
 def displaced(system: LinearSystem, h: float) -> Array:
     """Bounds on what jitter and pulses displace states by as they are measured, shape (n,)."""
-    away, pulsed = system.displaced_at_nodes - system.carried_away, system.timing.pulsed
-    return away + between_nodes(system.timing, h) * np.array(pulsed) if any(pulsed) else away
+    return when_measured(system.timing, h, system.displaced_at_nodes - system.carried_away)
 
 
 def step_errors(system: LinearSystem) -> Array:
