@@ -282,8 +282,7 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
         bit, within = pulse_error(system, np.array(timing.fired), h)
         timing = replace(timing, pulsed=tuple(within.tolist()))
         away, moved = when_measured(timing, h, moved), moved + within
-    displaced, longer = tuple(moved.tolist()), 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter else 0.0
-    timing = replace(timing, bit=exact.bit, longer=longer, displaced=displaced, period=h)
+    timing = replace(timing, bit=exact.bit, displaced=tuple(moved.tolist()), period=h)
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     if system.observer is not None:  # of the motion under inputs that are held
         system = observing(system, system.observer, h, away)

@@ -21,8 +21,8 @@ from ..synthesis.safety.clearance import Clearance
 from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.problem import Problem
 from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.sources.late_faults import hidden
 from ..synthesis.tracker.tracking import Tracking
-from ..synthesis.tracker.transients import hidden
 
 WHOLE = 1e-9  # relative tolerance on "divides"
 

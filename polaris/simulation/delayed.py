@@ -62,13 +62,12 @@ class Predicting(Integrator):
     def _noise(self) -> Array:
         """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""
         system, timing = self.system, self.system.timing
-        measured = np.array(timing.measured or system.navigation)
         if system.error_by_step is None or timing.instant:
-            return self.known if timing.instant else measured + 0 * self.known
+            return self.known if timing.instant else system.measured + 0 * self.known
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
         left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
         away = when_measured(timing, timing.period, system.displaced_at_nodes)
-        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, measured)
+        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, system.measured)
         noise, steps = left, np.arange(len(left)) + self.lag
         for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in
             used = np.minimum(steps + late * self.substeps, len(left) - 1)

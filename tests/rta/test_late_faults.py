@@ -20,7 +20,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
 from polaris.synthesis.controllers.black_box import BlackBox
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.tracker.transients import moved
+from polaris.synthesis.sources.late_faults import moved
 
 from ..polaris.test_transients import SOFT, made
 from ..polaris.tiny import TINY

@@ -139,7 +139,7 @@ def _observer(observer: Observer) -> dict[str, Any]:
 def errors_of(system: LinearSystem) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
-    unsaid = "period", "unseen", "longer"  # nothing is derived from them
+    unsaid = "period", "unseen"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),

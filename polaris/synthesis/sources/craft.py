@@ -12,21 +12,15 @@ from .observer import Filter
 from .source import Source
 from .thrusters import ThrusterErrors
 
-SOURCES: tuple[type[Source], ...] = (
-    Delay,
-    CarriedImpulse,
-    Filter,
-    Estimate,
-    Disturbance,
-    ImpulseDrift,
-    ThrusterErrors,
-)
-"""In the order in which they extend a loop: navigation carries what came before it."""
+SOURCES = (Delay, CarriedImpulse, Filter, Estimate, Disturbance, ImpulseDrift, ThrusterErrors)
+"""In the order in which they extend a loop: navigation carries what came before it. Faults that are isolated
+late act once in a flight and extend none (`late_faults`)."""
 
 
 def sources(system: LinearSystem, h: float) -> tuple[Source, ...]:
     """Return the sources that a system declares, its law renewed every h [s], in the order of `SOURCES`."""
-    return tuple(source for each in SOURCES if (source := each.of(system, h)) is not None)
+    kinds: tuple[type[Source], ...] = SOURCES
+    return tuple(source for kind in kinds if (source := kind.of(system, h)) is not None)
 
 
 def craft_loop(system: LinearSystem, h: float) -> Loop:

@@ -38,7 +38,7 @@ class Estimate:
         if system.observer is not None or not np.any(known.navigation):
             return None
         if timing.delay > 0:
-            return cls(np.array(timing.measured) + displaced(system, h))
+            return cls(system.measured + displaced(system, h))
         return cls(np.maximum(known.navigation - system.carried_away, 0.0))
 
     def extend(self, loop: Loop) -> Loop:

@@ -14,16 +14,20 @@ from .source import remembers
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """Observer whose error is a state; what it measures is displaced by `away` (n,) at most."""
+    """Observer whose error, within `settled` (n,), is a state; it sees states displaced by `away` (n,)."""
 
     observer: Observer
     away: Array
+    settled: Array | None = None
 
     @classmethod
     def of(cls, system: LinearSystem, h: float) -> "Filter | None":
         """Return the observer where the loop remembers it."""
         seen = system.observer
-        return cls(seen, displaced(system, h)) if seen is not None and remembers(system) else None
+        if seen is None or not remembers(system):
+            return None
+        settled = system.measured if seen.settled is None else seen.settled
+        return cls(seen, displaced(system, h), settled + system.carried_away)  # it sees states with that
 
     def extend(self, loop: Loop) -> Loop:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""
@@ -38,4 +42,4 @@ class Filter:
         offset = loop.offset_measured
         size = self.observer.noise + measures @ self.away + measures @ offset
         loop = loop.with_channels(Channel("measurement", size, sample=sample))
-        return replace(loop, navigated=offset)
+        return replace(loop, navigated=offset, settled=self.settled)
