@@ -68,6 +68,7 @@ bench: $(BENCH) ## Run the benchmarks and print their tables
 schema: $(BASE) ## Rewrite the generated pages: schemas and reference of scenarios
 	$(BIN)/python -m docs.generate.scenario_docs
 	$(BIN)/python -m docs.generate.method_docs
+	$(BIN)/python -m docs.generate.source_docs
 
 docs: $(DOCS) schema ## Build the documentation into build/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/docs

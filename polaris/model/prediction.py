@@ -259,10 +259,10 @@ def _spreading(system: LinearSystem, h: float, field: str, given: object) -> Arr
     return np.linalg.pinv(moments)
 
 
-def between_nodes(timing: Timing, h: float) -> float:
-    """Share of what pulses displace within periods of h [s] that may be there when states are measured."""
+def when_measured(timing: Timing, h: float, away: Array) -> Array:
+    """Add to displacements at nodes (n,) those by pulses of periods of h [s] when states are measured."""
     off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
-    return 1.0 if off else AT_NODES * bool(timing.delay)
+    return np.asarray(away + (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.pulsed or 0.0))
 
 
 def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
@@ -280,10 +280,9 @@ def predicting(system: LinearSystem, timing: Timing, period: float | None) -> Li
     away = moved
     if timing.fired:
         bit, within = pulse_error(system, np.array(timing.fired), h)
-        away = moved + between_nodes(timing, h) * within
-        moved, timing = moved + within, replace(timing, pulsed=tuple(within.tolist()))
-    displaced, longer = tuple(moved.tolist()), 2 * timing.jitter / h * (1 + ROUNDED) if timing.jitter else 0.0
-    timing = replace(timing, bit=exact.bit, longer=longer, displaced=displaced, period=h)
+        timing = replace(timing, pulsed=tuple(within.tolist()))
+        away, moved = when_measured(timing, h, moved), moved + within
+    timing = replace(timing, bit=exact.bit, displaced=tuple(moved.tolist()), period=h)
     system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
     if system.observer is not None:  # of the motion under inputs that are held
         system = observing(system, system.observer, h, away)

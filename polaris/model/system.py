@@ -15,7 +15,7 @@ from reach.numerics.linear import discretize
 from .acceleration import acceleration_input
 from .errors import ScenarioError
 from .thrusters import Thrusters
-from .timing import Observer, Timing, Transient
+from .timing import WHOLE, Observer, Timing, Transient
 
 Array = NDArray[np.float64]
 
@@ -162,6 +162,11 @@ class LinearSystem:
         return self.estimate_error
 
     @property
+    def measured(self) -> Array:
+        """Bounds on the errors of measured states, those of estimates where nothing else is known, (n,)."""
+        return np.array(self.timing.measured or self.navigation)
+
+    @property
     def ideal(self) -> bool:
         """Whether laws see the exact state, and what they command is what is applied, without late faults."""
         return self.thrusters.exact and not np.any(self.navigation) and not self.transients
@@ -197,11 +202,10 @@ class LinearSystem:
     @property
     def prompt(self) -> LinearSystem:
         """The same system if commands took effect at once: with the errors of measurements."""
-        timing, own = self.timing, self.thrusters
-        if timing == Timing():
+        if self.timing == Timing():
             return self
-        own, measured = replace(own, bit=timing.bit), np.array(timing.measured)
-        return replace(self, estimate_error=measured, thrusters=own, **AT_ONCE)
+        own = replace(self.thrusters, bit=self.timing.bit)
+        return replace(self, estimate_error=self.measured, thrusters=own, **AT_ONCE)
 
     def as_ideal(self) -> LinearSystem:
         """The same system without errors of estimates and thrusters, and without faults known late."""
@@ -212,14 +216,10 @@ class LinearSystem:
     def at_step(self, k: int) -> LinearSystem:
         """The same system with the errors of estimates that there may be in step k."""
         steps = self.error_by_step
-        return self if steps is None else self._known_to(steps[min(k, len(steps) - 1)])
+        return self if steps is None else self.known_to(steps[min(k, len(steps) - 1)])
 
-    @cached_property
-    def calmest(self) -> LinearSystem:
-        """The same system with the least error of every estimate: what is more counts step by step."""
-        return self if self.error_by_step is None else self._known_to(np.min(self.error_by_step, axis=0))
-
-    def _known_to(self, error: Array) -> LinearSystem:
+    def known_to(self, error: Array) -> LinearSystem:
+        """The same system with errors of estimates, shape (n,), that are those of every step."""
         return replace(self, estimate_error=error, error_by_step=None)
 
     def estimate_off(self, most: Array | None = None) -> Array:
@@ -247,7 +247,9 @@ class LinearSystem:
 
     def spent(self, most: Array) -> Array:
         """Bounds on what is applied, on average over time, under commands up to `most`, shape (..., m)."""
-        return np.asarray((1 + self.timing.longer) * (most + self.prompt.thrusters.error(most)))
+        jitter, h = self.timing.jitter, self.timing.period
+        longer = 2 * jitter / h * (1 + WHOLE) if jitter else 0.0  # share of a period that a command may last
+        return np.asarray((1 + longer) * (most + self.prompt.thrusters.error(most)))
 
     def error_map(self, error: Array) -> Array | None:
         """Errors of inputs, and what is carried, as generators of the rate of the states; None for none."""

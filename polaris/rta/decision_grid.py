@@ -21,8 +21,8 @@ from ..synthesis.safety.clearance import Clearance
 from ..synthesis.safety.continuation import Continuation
 from ..synthesis.safety.problem import Problem
 from ..synthesis.schedule.schedule import Schedule
+from ..synthesis.sources.late_faults import hidden
 from ..synthesis.tracker.tracking import Tracking
-from ..synthesis.tracker.transients import hidden
 
 WHOLE = 1e-9  # relative tolerance on "divides"
 
@@ -89,7 +89,7 @@ class DecisionGrid:
         known = safety.tracking
         period, half = check_decisions(safety.problem, period, latency, half_widths)
         nodes, delay = round(period / known.flow.h), round(latency / known.flow.h)
-        system = _judged(known.system, nodes, delay, known.flow.h)
+        system = met_by_decisions(known.system, nodes, delay, known.flow.h)
         tracking = Tracking(system, known.gain, known.feedback, known.delta)
         old = safety.clearance
         clearance = Clearance(tracking, old.reference, old.unsafe, old.facets, old.planned, old.jump)
@@ -253,7 +253,7 @@ def _at_nodes(arcs: Array) -> Array:
     return np.concatenate([arcs[:, :-1].reshape(-1, *arcs.shape[2:]), arcs[-1, -1:]])
 
 
-def _judged(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSystem:
+def met_by_decisions(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSystem:
     """Faults as decisions of so many periods of h [s] meet them, which take effect `delay` periods late."""
     if not (faults := system.transients):
         return system

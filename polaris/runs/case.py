@@ -13,7 +13,7 @@ from ..model.files import load_json
 from ..model.system import Array
 from ..scenario.reading import parse_toml
 from ..scenario.scenario import ScheduleScenario, bundled_files, load_scenario
-from ..simulation.delayed import flight_of
+from ..simulation.delayed import flies
 from ..simulation.failing import Failing
 from ..simulation.falsification.aborting import exceeded
 from ..simulation.falsification.attacks import Attack
@@ -135,7 +135,7 @@ def replay(path: str | Path) -> tuple[Failure | None, ScheduleScenario]:
             Failing.of(data["failing"], len(data["x0"])) if data["failing"] else None,
         )
         claims = Claims(schedule, bool(data["tail"]), attack.failing is not None)
-        flight = flight_of(schedule, claims.modes, 1)
+        flight = flies(schedule.safety.problem.system)(schedule, claims.modes, 1)
         if len(attack.w) != flight.steps or attack.x0.shape[1] != flight.system.n:
             raise ValueError("its arrays do not fit the schedule")
         runs, known = attack.fly(flight), Failure(**data["violation"])

@@ -4,10 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ..model.prediction import between_nodes, prediction_error
+from ..model.prediction import prediction_error, when_measured
 from ..model.system import Array, LinearSystem
-from ..synthesis.schedule.schedule import Schedule
-from ..synthesis.tracker.craft_loop import remembers
+from ..synthesis.sources.source import remembers
 from .integration import Integrator
 
 PAST = 100
@@ -63,15 +62,12 @@ class Predicting(Integrator):
     def _noise(self) -> Array:
         """Errors of measurements in every step, such that predictions keep to their bounds, (steps, 1, n)."""
         system, timing = self.system, self.system.timing
-        measured = np.array(timing.measured or system.navigation)
         if system.error_by_step is None or timing.instant:
-            return self.known if timing.instant else measured + 0 * self.known
+            return self.known if timing.instant else system.measured + 0 * self.known
         age, worst = timing.delay + timing.missed * self.tracking.flow.h, system.thrusters.error(system.u_max)
         left = self.known - prediction_error(system, np.zeros(system.n), worst, age)
-        away = system.displaced_at_nodes
-        if timing.fired:
-            away = away + between_nodes(timing, timing.period) * np.array(timing.pulsed)
-        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, measured)
+        away = when_measured(timing, timing.period, system.displaced_at_nodes)
+        left = np.clip(left @ np.linalg.inv(np.abs(expm(system.A * age))).T - away, 0.0, system.measured)
         noise, steps = left, np.arange(len(left)) + self.lag
         for late in range(timing.missed + 1):  # bounds are those of the steps that a measurement is used in
             used = np.minimum(steps + late * self.substeps, len(left) - 1)
@@ -157,12 +153,11 @@ class Predicting(Integrator):
         """What is commanded depends on more than the state."""
 
 
-def flight_of(schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> Integrator:
-    """Return a flight as attacks fly it.
+def flies(system: LinearSystem) -> type[Integrator]:
+    """Return the kind of flight that attacks fly.
 
     Observer and delay are flown as they are on board where they are states of the loop that is proven; else
     estimates are drawn from the box that stands for them, though an observer always filters.
     """
-    system = schedule.safety.problem.system
     on_board = system.observer is not None or (system.timing.delay > 0 and remembers(system))
-    return (Predicting if on_board else Integrator)(schedule, modes, substeps)
+    return Predicting if on_board else Integrator

@@ -10,7 +10,7 @@ from ..model.errors import ScenarioError
 from ..model.scene.satellite import true_states
 from ..model.system import Array
 from ..synthesis.schedule.schedule import Schedule
-from .delayed import Predicting, flight_of
+from .delayed import Predicting, flies
 from .disturbances import Disturbance, disturbances, limit_rows
 from .failing import in_every_second
 from .integration import Integrator
@@ -64,7 +64,7 @@ def simulate(
     if mode is not None and whole("simulation.mode", mode, 0) >= len(schedule.controllers):
         raise ScenarioError("simulation.mode", mode, f"must be below {len(schedule.controllers)}")
     rng = np.random.default_rng(seed)
-    flight = flight_of(schedule, flown_modes(schedule, tail, mode), substeps)
+    flight = flies(schedule.safety.problem.system)(schedule, flown_modes(schedule, tail, mode), substeps)
     if isinstance(flight, Predicting):
         flight.prepare(n, rng)
     x0 = initial_states(schedule, n, rng, initial)

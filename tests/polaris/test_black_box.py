@@ -37,7 +37,7 @@ from polaris.simulation.integration import Integrator
 from polaris.simulation.sampled import SPARE, at_most, flights_needed, outside, synthesize_sampled
 from polaris.simulation.simulate import initial_states, simulate
 from polaris.synthesis.controllers.black_box import BlackBox
-from polaris.synthesis.tracker.transients import moved
+from polaris.synthesis.sources.late_faults import moved
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 

@@ -12,6 +12,7 @@ import flint
 import numpy as np
 import pytest
 
+from docs.generate import source_docs
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.files.artefacts import Stated
@@ -37,10 +38,11 @@ from polaris.synthesis.safety.carried_rows import error_tube
 from polaris.synthesis.safety.demand import Scheduled
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.sources.craft import SOURCES, craft_loop
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
-from ..kept import ROOT, kept
+from ..kept import kept
 from ..sizes import fewer
 from .closed_loops import attack, attack_monitor
 from .forging import CERTIFICATE, COARSE, Forger, make
@@ -443,16 +445,20 @@ def test_a_grown_set_holds_every_place_within_the_radius():
         assert np.median((before - radius - after)[near]) < 0.02, item.name  # facets fit exactly
 
 
-def test_every_place_where_the_docs_say_an_error_enters_is_there():
-    text = (ROOT / "docs" / "guarantees.md").read_text(encoding="utf-8")
-    rows = text.split("### Where an error enters")[1].split("|---|---|---|---|---|---|\n")[1].split("\n\n")[0]
-    tables = set(ScenarioModel.model_fields)
-    for row in rows.splitlines():
-        name, table, *places, online = (cell.strip() for cell in row.strip("|").split("|"))
-        assert table.strip("`").split(".")[0] in tables and online in ("booked", "refused"), name
-        assert len(places) == 3
-        for place in places:
-            assert pydoc.locate(place.strip("`")) is not None, place
+def test_the_docs_say_where_every_error_enters():
+    text = source_docs.PAGE.read_text(encoding="utf-8")
+    made = source_docs.table()
+    assert made in text, "run: python -m docs.generate.source_docs"
+    assert all(pydoc.locate(place) is not None for place in source_docs.HEAD.values() if place)
+    assert {row.table.split(".")[0] for row in source_docs.ROWS} <= set(ScenarioModel.model_fields)
+    assert all(f"`{source.__name__}`: " in made for source in SOURCES)
+
+
+@pytest.mark.parametrize("row", source_docs.ROWS, ids=lambda row: row.name)
+def test_the_checker_has_as_many_states_as_the_loop(row):
+    declared = source_docs.Declared((*row.beside, *row.example))
+    system, h = declared.problem.system, declared.problem.period
+    assert declared.craft.F.nrows() == craft_loop(system, h).N
 
 
 @pytest.mark.usefixtures("few")

@@ -10,6 +10,7 @@ from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from polaris.model.errors import ScenarioError
 from polaris.model.thrusters import Thrusters
+from polaris.model.timing import Observer
 from polaris.synthesis.sources.delay import Delay
 from polaris.synthesis.sources.disturbance import Disturbance
 from polaris.synthesis.sources.estimate import Estimate
@@ -81,17 +82,19 @@ def bounds(soft, nav, w=W, errors=None, noise=None, scale=None):
     """Tightening of the loop of a flight software."""
     n, m = soft.B.shape
     noise = sizes(nav, n) if noise is None else noise
-    loop = Delay(soft.delay).extend(Loop.of(soft.A, soft.B, soft.h))
+    loop = Loop.of(soft.A, soft.B, soft.h)
+    if soft.delay:
+        loop = Delay(soft.delay).extend(loop)
     if soft.bit:
-        made = () if errors is None else (errors.along, errors.across)
-        loop = CarriedImpulse(soft.bit, *made).extend(loop)
+        loop = CarriedImpulse(soft.bit, 0.0 if errors is None else errors.along).extend(loop)
     if nav == "estimate":
         loop = Estimate(noise).extend(loop)
     if nav == "observer":
-        loop = Filter(soft.measures, noise, soft.correction).extend(loop)
+        loop = Filter(Observer(soft.measures, noise, soft.correction), np.zeros(n)).extend(loop)
     loop = Disturbance(soft.D, w).extend(loop)
     if errors is not None:
-        loop = ThrusterErrors(errors, carried=bool(soft.bit)).extend(loop)
+        more = errors.across * np.sqrt(m - 1) * soft.bit / soft.h  # errors of what is made (Lemma 6 (c))
+        loop = ThrusterErrors(replace(errors, bit=errors.bit + more)).extend(loop)
     return Tightening(
         loop.under(soft.gain), np.full(m, soft.u_max), np.ones(loop.N) if scale is None else scale
     )

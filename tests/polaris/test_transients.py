@@ -26,7 +26,7 @@ from polaris.simulation.falsification.search import falsify
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.tracker.transients import moved
+from polaris.synthesis.sources.late_faults import moved
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, Forger, make

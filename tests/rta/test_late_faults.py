@@ -8,7 +8,7 @@ import pytest
 
 from polaris.model.errors import NotCertified, ScenarioError
 from polaris.rta.arena import compare_methods
-from polaris.rta.decision_grid import DecisionGrid, _judged
+from polaris.rta.decision_grid import DecisionGrid, met_by_decisions
 from polaris.rta.flight import Conditions, fly
 from polaris.rta.method_result import measure
 from polaris.rta.methods import METHODS
@@ -20,7 +20,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing
 from polaris.synthesis.controllers.black_box import BlackBox
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.tracker.transients import moved
+from polaris.synthesis.sources.late_faults import moved
 
 from ..polaris.test_transients import SOFT, made
 from ..polaris.tiny import TINY
@@ -158,7 +158,7 @@ def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_t
     h, late = tiny(WEAK).safety.tracking.flow.h, replace(system.timing, delay=0.25)
     (fault,) = system.transients
     calm = replace(fault, lasts=h, gains=0 * fault.gains)
-    found = _judged(replace(system, timing=late, transients=(calm,)), 1, 1, h)
+    found = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, 1, h)
     bound = moved(found, found.transients[0], 0 * fault.gains, h, np.zeros((1, 4))).max(axis=0)
     Ad, Bd, _ = DecisionGrid.of(tiny(WEAK)).held
     assert np.all(np.abs(Ad @ Ad @ Bd @ fault.pushes[-1]) <= bound)

@@ -17,6 +17,7 @@ from ...synthesis.controllers.black_box import BlackBox
 from ...synthesis.controllers.controllers import AffineController, Controller
 from ...synthesis.controllers.neural import NeuralController
 from ...synthesis.safety.get_safety import Safety
+from ...synthesis.safety.problem import Problem
 from ...synthesis.schedule.schedule import Schedule
 from .tables import errors_of, json_text, write_text
 
@@ -30,7 +31,7 @@ def flown(schedule: Schedule) -> dict[str, Any]:
     """Return the system, its sampling and its controllers."""
     safety, feedback = schedule.safety, schedule.safety.tracking.feedback
     return {
-        "system": _system(safety),
+        "system": system_table(safety.problem),
         "sampling": {
             "step": float(safety.problem.delta),
             "steps": safety.problem.K,
@@ -40,8 +41,9 @@ def flown(schedule: Schedule) -> dict[str, Any]:
     }
 
 
-def _system(safety: Safety) -> dict[str, Any]:
-    system = safety.problem.system
+def system_table(problem: Problem) -> dict[str, Any]:
+    """Return the system and its errors."""
+    system = problem.system
     return {
         "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
         "mean_motion": None if system.mean_motion is None else float(system.mean_motion),
@@ -53,8 +55,8 @@ def _system(safety: Safety) -> dict[str, Any]:
         "input_max": system.u_max,
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
-        **errors_of(safety),
-        **_allocation(safety.problem.allocation),
+        **errors_of(system),
+        **_allocation(problem.allocation),
         **_transients(system.transients),
     }
 

@@ -16,7 +16,6 @@ from ...model.system import LinearSystem
 from ...model.timing import Observer, Timing
 from ...planning.reference import Reference
 from ...simulation.metrics import finite
-from ...synthesis.safety.get_safety import Safety
 from ...synthesis.safety.recoverable import directed
 from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.schedule.synthesize import in_words
@@ -137,11 +136,10 @@ def _observer(observer: Observer) -> dict[str, Any]:
     return {key: x for key, x in told.items() if x is not None and key not in unsaid}
 
 
-def errors_of(safety: Safety) -> dict[str, Any]:
+def errors_of(system: LinearSystem) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
-    system = safety.problem.system
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
-    unsaid = "period", "unseen", "longer"  # nothing is derived from them
+    unsaid = "period", "unseen"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),

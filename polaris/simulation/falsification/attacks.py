@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...model.system import Array
 from ...synthesis.schedule.schedule import Schedule
-from ..delayed import flight_of
+from ..delayed import flies
 from ..disturbances import adjoint_worst_case, disturbances, limit_rows
 from ..failing import Failing, drawn
 from ..integration import Integrator
@@ -66,7 +66,7 @@ class Attacker:
     def of(cls, schedule: Schedule, tail: bool, rng: np.random.Generator, failing: bool = False) -> Attacker:
         """With S's flight after T or without, one integration step per node."""
         claims = Claims(schedule, tail, failing)
-        return cls(claims, flight_of(schedule, claims.modes, 1), rng)
+        return cls(claims, flies(claims.system)(schedule, claims.modes, 1), rng)
 
     def random(self, count: int) -> Attack:
         """Random disturbances from random states and corners; inputs at random, most of them bang-bang."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...synthesis.safety.recoverable import directed
-from ..delayed import flight_of
+from ..delayed import flies
 from ..run_metrics import Runs
 from .attacks import Attack
 from .claims import EXACT_INPUT, EXACT_M, Attained, Claims, attained
@@ -100,5 +100,5 @@ def overspent(runs: Runs) -> tuple[Failure, int]:
 
 def confirm(claims: Claims, attack: Attack) -> Failure | None:
     """Fly one attack again, alone; return its violation, or None if there is none."""
-    flight = flight_of(claims.schedule, claims.modes, 1)
+    flight = flies(claims.system)(claims.schedule, claims.modes, 1)
     return violation(claims, attained(claims, attack.fly(flight), attack.failing))

@@ -1,1 +1,1 @@
-"""Sources of uncertainty: one file each adds states and channels to the loop, and states what it assumes."""
+"""Sources of uncertainty: one file each adds states and channels to the loop of a craft."""

@@ -7,7 +7,9 @@ from math import ceil
 import numpy as np
 from scipy.linalg import expm
 
+from ...model.system import LinearSystem
 from ..tracker.loop import Array, Loop
+from .source import remembers
 
 WHOLE = 1e-9  # share of a period by which a delay may differ from a whole number of periods and count as one
 
@@ -23,11 +25,14 @@ class Delay:
 
     seconds: float
 
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> "Delay | None":
+        """Return the delay where the loop remembers it."""
+        return cls(system.timing.delay) if system.timing.delay > 0 and remembers(system) else None
+
     def extend(self, loop: Loop) -> Loop:
         """Add the delay line."""
         n, h, A = loop.n, loop.h, loop.A
-        if self.seconds <= 0:
-            return loop
         if loop.navigated is not None:
             raise ValueError("a delay must be added before navigation, whose errors it carries")
         periods = max(ceil(self.seconds / h - WHOLE), 1)
@@ -63,11 +68,6 @@ class Delay:
             else:
                 now = [back if b <= h - late * (1 - WHOLE) else 0 * back for _, b, _ in loop.enter]
         return replace(loop, carry=expm(A * self.seconds) @ loop.carry, shown=shown, shown_now=tuple(now))
-
-    @property
-    def assumption(self) -> str:
-        """Sentence that is printed with the guarantee."""
-        return f"delay: a command rests on the state of {self.seconds:g} s before, predicted since"
 
 
 def _part(start: float, end: float, instant: float, early: bool, n: int) -> Array:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...model.system import LinearSystem
 from ..tracker.loop import Array, Channel, Loop
 
 
@@ -14,11 +15,11 @@ class Disturbance:
     D: Array
     w_max: float
 
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> "Disturbance":
+        """Return the disturbance, which there always is."""
+        return cls(system.D, system.w_max)
+
     def extend(self, loop: Loop) -> Loop:
         """Add one channel."""
         return loop.with_channels(Channel("disturbance", np.array([self.w_max]), rate=self.D, ball=True))
-
-    @property
-    def assumption(self) -> str:
-        """Sentence that is printed with the guarantee."""
-        return f"disturbance: at most {self.w_max:g} in the 2-norm at every instant, however it changes"

@@ -2,22 +2,66 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.linalg import expm
+
+from ...model.prediction import when_measured
+from ...model.system import LinearSystem
+from ...model.thrusters import Thrusters
 from ..tracker.loop import Array, Channel, Loop
+from .source import remembers
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Every estimate is within `error` (n,) of the state measured, however the difference changes."""
+    """Every estimate is within `error` (n,) of the state measured, however the difference changes.
+
+    Errors of `thrusters` add `unseen` (n, m) times their size until they are measured, `lag` periods later,
+    where that is not None.
+    """
 
     error: Array
+    thrusters: Thrusters = Thrusters()
+    unseen: Array | None = None
+    lag: int = 0
+
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> "Estimate | None":
+        """Return the box of estimates as they are measured, or as a whole where the loop has no states."""
+        timing, steps = system.timing, system.error_by_step
+        known = system if steps is None else system.known_to(np.min(steps, axis=0))
+        if not remembers(system):
+            least = known.estimate_off(np.zeros(known.m))
+            if np.any(known.estimate_off(known.u_max) != least):
+                return cls(least, known.thrusters, np.array(timing.unseen), timing.hidden)
+            return cls(least) if np.any(least) else None
+        if system.observer is not None or not np.any(known.navigation):
+            return None
+        if timing.delay > 0:
+            return cls(system.measured + displaced(system, h))
+        return cls(np.maximum(known.navigation - system.carried_away, 0.0))
 
     def extend(self, loop: Loop) -> Loop:
         """Add one channel of noise, carried over the delay."""
-        offset = loop.offset_measured
-        loop = loop.with_channels(Channel("estimate", self.error + offset, noise=loop.carry))
-        return replace(loop, navigated=offset)
+        offset, share = loop.offset_measured, None if self.unseen is None else self.share
+        channel = Channel("estimate", self.error + offset, noise=loop.carry, share=share, lag=self.lag)
+        return replace(loop.with_channels(channel), navigated=offset)
 
-    @property
-    def assumption(self) -> str:
-        """Sentence that is printed with the guarantee."""
-        return f"navigation: estimates within {self.error.tolist()} of the true state"
+    def share(self, u: Array) -> Array:
+        """Return what commands u (..., m) add to errors of estimates until it is measured, (..., n)."""
+        assert self.unseen is not None
+        return np.asarray(self.thrusters.part(u) @ self.unseen.T)
+
+
+def displaced(system: LinearSystem, h: float) -> Array:
+    """Bounds on what jitter and pulses displace states by as they are measured, shape (n,)."""
+    return when_measured(system.timing, h, system.displaced_at_nodes - system.carried_away)
+
+
+def step_errors(system: LinearSystem) -> Array:
+    """Bounds on what estimates are off by in each step, and ever after, beside the loop's own, (K + 1, n)."""
+    if system.error_by_step is None:
+        return np.zeros((1, system.n))
+    if remembers(system) and system.observer is not None and system.observer.fading is not None:
+        return np.asarray(system.observer.fading @ np.abs(expm(system.A * system.timing.delay)).T)
+    return np.asarray(system.error_by_step - system.error_by_step.min(axis=0))

@@ -1,33 +1,30 @@
-"""Impulse bit whose remainder is carried to the next period."""
+"""Impulse bit whose remainder is carried to the next period (docs/theory.md, Lemma 6 (c))."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..tracker.loop import Channel, Loop
+from ...model.system import LinearSystem
+from ..tracker.loop import Array, Channel, Loop
+from .source import remembers
 
 
 @dataclass(frozen=True)
 class CarriedImpulse:
     """Impulses are multiples of a bit; what is left of a command, at most `bit` [N s], adds to the next one.
 
-    Attributes
-    ----------
-    bit : float
-        Impulse bit [N s].
-    along, across : float
-        Errors of magnitude and direction (`polaris.model.thrusters.Thrusters`). They act on what is made, not
-        on what is commanded: the difference moves the plant as a carried impulse times `share` does
-        (docs/theory.md, Lemma 6 (c)).
+    Errors of magnitude act on what is made, not on what is commanded: the difference moves the plant as a
+    carried impulse times `along` does.
     """
 
     bit: float
     along: float = 0.0
-    across: float = 0.0
 
-    def share(self, m: int) -> float:
-        """Share of a carried impulse by which errors of what is made exceed those of what is commanded."""
-        return self.along + self.across * (m - 1)
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> "CarriedImpulse | None":
+        """Return the carried impulse where the loop remembers it."""
+        carried = system.timing.carried
+        return cls(carried, system.thrusters.along) if carried and remembers(system) else None
 
     def extend(self, loop: Loop) -> Loop:
         """Add the remainder as a state, and its next value as a channel."""
@@ -35,15 +32,26 @@ class CarriedImpulse:
         loop = loop.with_states(np.zeros((m, first + m)), applied=np.eye(m) / h)
         sample = np.zeros((loop.N, m))
         sample[first:] = np.eye(m)
-        size, more = np.full(m, self.bit), np.full(m, self.bit * self.share(m))
+        size, more = np.full(m, self.bit), np.full(m, self.bit * self.along)
         carried = Channel("carried impulse", size, sample=sample, push=-np.eye(m) / h)
-        if self.share(m) == 0:
+        if self.along == 0:
             return loop.with_channels(carried)
         away = np.abs(B) @ more
         loop = loop.with_channels(carried, Channel("carried impulse", more, rate=loop.A @ B))
         return replace(loop, offset=loop.offset + away, offset_at_nodes=loop.offset_at_nodes + away)
 
-    @property
-    def assumption(self) -> str:
-        """Sentence that is printed with the guarantee."""
-        return f"thrusters: impulses are multiples of {self.bit:g} N s, the remainder is carried"
+
+@dataclass(frozen=True, eq=False)
+class ImpulseDrift:
+    """Rates of the states by carried impulses, columns of `drift` (n, k), where the loop remembers none."""
+
+    drift: Array
+
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> "ImpulseDrift | None":
+        """Return the drift where a box stands for the estimate."""
+        return cls(system.adrift) if system.timing.carried and not remembers(system) else None
+
+    def extend(self, loop: Loop) -> Loop:
+        """Add one channel."""
+        return loop.with_channels(Channel("carried impulse", np.ones(self.drift.shape[1]), rate=self.drift))

@@ -5,42 +5,41 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
+from ...model.system import LinearSystem
+from ...model.timing import Observer
 from ..tracker.loop import Array, Channel, Loop
+from .estimate import displaced
+from .source import remembers
 
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """``x+ = x- + gain (y - measures x-)`` at every measurement, ``x-`` predicted under known commands.
+    """Observer whose error, within `settled` (n,), is a state; it sees states displaced by `away` (n,)."""
 
-    Attributes
-    ----------
-    measures : ndarray, shape (r, n)
-    noise : ndarray, shape (r,)
-        Bounds on the errors of what is measured.
-    gain : ndarray, shape (n, r)
-    """
+    observer: Observer
+    away: Array
+    settled: Array | None = None
 
-    measures: Array
-    noise: Array
-    gain: Array
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> "Filter | None":
+        """Return the observer where the loop remembers it."""
+        seen = system.observer
+        if seen is None or not remembers(system):
+            return None
+        settled = system.measured if seen.settled is None else seen.settled
+        return cls(seen, displaced(system, h), settled + system.carried_away)  # it sees states with that
 
     def extend(self, loop: Loop) -> Loop:
         """Add the error of the estimate as a state, and the noise of the measurements as a channel."""
-        n, first = loop.n, loop.N
-        rest = np.eye(n) - self.gain @ self.measures
+        n, first, rest, measures = loop.n, loop.N, self.observer.rest, np.abs(self.observer.measures)
         loop = loop.with_states(
             np.hstack([-rest @ loop.shown, rest @ expm(loop.A * loop.h)]), known=loop.carry
         )
         now = dict(zip([(a, b) for a, b, _ in loop.enter], loop.shown_now, strict=True))
         loop = loop.entering(slice(first, first + n), lambda a, b: -rest @ now[a, b])
-        sample = np.zeros((loop.N, len(self.noise)))
-        sample[first : first + n] = self.gain
+        sample = np.zeros((loop.N, len(measures)))
+        sample[first : first + n] = self.observer.gain
         offset = loop.offset_measured
-        size = self.noise + np.abs(self.measures) @ offset
+        size = self.observer.noise + measures @ self.away + measures @ offset
         loop = loop.with_channels(Channel("measurement", size, sample=sample))
-        return replace(loop, navigated=offset)
-
-    @property
-    def assumption(self) -> str:
-        """Sentence that is printed with the guarantee."""
-        return f"navigation: measurements within {self.noise.tolist()} of their true values"
+        return replace(loop, navigated=offset, settled=self.settled)

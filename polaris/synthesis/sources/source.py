@@ -1,18 +1,26 @@
-"""Source of uncertainty: what the loop, the simulation and the printed assumptions need of it."""
+"""Source of uncertainty, as the loop of a craft and its simulation need it."""
 
-from typing import Protocol
+from typing import Protocol, Self
 
+from ...model.system import LinearSystem
 from ..tracker.loop import Loop
 
 
 class Source(Protocol):
     """One way in which a flight differs from its model."""
 
+    @classmethod
+    def of(cls, system: LinearSystem, h: float) -> Self | None:
+        """Return the source as a system declares it, its law renewed every h [s]; None where it does not."""
+
     def extend(self, loop: Loop) -> Loop:
         """Return the loop with the states and channels of this source."""
-        ...
 
-    @property
-    def assumption(self) -> str:
-        """Sentence that is printed with the guarantee."""
-        ...
+
+def remembers(system: LinearSystem) -> bool:
+    """Return True if delay and observer are states of the loop, False if a box stands for the estimate.
+
+    A box it is where any of several patterns of measurements may be met, and beside faults.
+    """
+    late, by_phase = system.timing.delay > 0, system.error_by_step is not None and system.observer is None
+    return not (system.timing.missed or system.transients or (late and by_phase))

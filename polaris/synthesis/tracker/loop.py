@@ -93,6 +93,8 @@ class Loop:
     channels : tuple of Channel
     offset, offset_at_nodes, navigated : ndarray, shape (n,)
         Largest distance of the true state from the modelled one: ever, at nodes, counted by navigation.
+    settled : ndarray, shape (n,), optional
+        Bounds on the last n states, errors of an observer, whatever law has flown.
     """
 
     A: Array
@@ -110,6 +112,7 @@ class Loop:
     offset: Array
     offset_at_nodes: Array
     navigated: Array | None = None
+    settled: Array | None = None
 
     @classmethod
     def of(cls, A: Array, B: Array, h: float) -> "Loop":

@@ -14,12 +14,14 @@ from reach.tubes.flow import LinearFlow
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
-from .craft_loop import craft_loop, remembers, step_errors
+from ..sources.craft import craft_loop
+from ..sources.estimate import step_errors
+from ..sources.late_faults import lost, misled, moved
+from ..sources.source import remembers
 from .feedback import Feedback
 from .loop import Channel
 from .profile import profile
 from .tightening import Response, Tightening
-from .transients import lost, misled, moved
 
 LEFT_OVER, WITH_PROFILE = 1e-3, 1e-5
 """Share of an error (contraction norm) below which one ball collects all limits, without a profile and with
@@ -85,11 +87,9 @@ class Tracking:
     def remembered(self) -> Array:
         """Bounds on the loop states beside the tracking error, whatever law has flown, shape (N - n,)."""
         others = np.eye(self.tightening.closed.loop.N)[self.system.n :]
-        found, seen = np.array(self.tightening.from_rest(others, self.system.u_max)[-1]), self.system.observer
-        if len(found) and seen is not None:
-            measured = self.system.timing.measured or self.system.navigation
-            settled = np.asarray(measured if seen.settled is None else seen.settled)
-            found[-self.system.n :] = settled + self.system.carried_away  # of states without what is carried
+        found = np.array(self.tightening.from_rest(others, self.system.u_max)[-1])
+        if (settled := self.tightening.closed.loop.settled) is not None:
+            found[-self.system.n :] = settled
         return found
 
     @property

@@ -77,7 +77,7 @@ def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Arra
         each = np.einsum("lnm,jm->jln", gains.reshape(-1, n, system.m), wrong)
         first = wrong @ unseen_by(system, timing.delay).T
     else:
-        known = np.array(timing.measured or system.navigation) + system.displaced
+        known = system.measured + system.displaced
         worst = system.thrusters.error(system.u_max)
         each = (np.abs(left) @ prediction_error(system, known, worst, fault.lasts + h))[None]
     found = sliding_window_view(each, lasting, axis=1).sum(axis=-1)
@@ -96,7 +96,7 @@ def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array
     (J, n) remains. Periods may be missed before and after.
     """
     timing, every = system.timing, np.eye(system.n)
-    measured = np.array(timing.measured or system.navigation) + system.displaced
+    measured = system.measured + system.displaced
     age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
     found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]

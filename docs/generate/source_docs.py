@@ -1,0 +1,224 @@
+"""Write the table of ``docs/guarantees.md`` that says where each declared error enters, from the code.
+
+Run ``python -m docs.generate.source_docs`` after a change to a source; a test compares the page.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polaris.certificate.files.document import Document
+from polaris.certificate.files.file_keys import CERTIFICATE
+from polaris.certificate.files.structure import conform
+from polaris.certificate.kernel.balls import matrix
+from polaris.certificate.model.craft.craft import Craft
+from polaris.certificate.model.craft.states import craft_of
+from polaris.certificate.model.plants import plant_of
+from polaris.model.errors import ScenarioError
+from polaris.rta.decision_grid import met_by_decisions
+from polaris.runs.certificate import hexadecimal
+from polaris.runs.files.controllers import system_table
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.delayed import flies
+from polaris.simulation.integration import columns
+from polaris.synthesis.safety.problem import Problem
+from polaris.synthesis.sources.craft import sources
+from polaris.synthesis.sources.estimate import step_errors
+from polaris.synthesis.tracker.loop import Loop
+
+from .method_docs import put
+
+PAGE = Path(__file__).parents[1] / "guarantees.md"
+
+HEAD = {
+    "Source": "",
+    "Table": "",
+    "Loop of S": "polaris.synthesis.sources.craft.craft_loop",
+    "Beside the loop": "polaris.scenario.schedule.ScheduleScenario.problem",
+    "Checker": "polaris.certificate.model.craft.states.craft_of",
+    "Simulation, `falsify`": "polaris.simulation.delayed.flies",
+    "Run-time methods": "polaris.rta.decision_grid.DecisionGrid.of",
+}
+"""Columns, and the one function that puts the errors of all rows in its place."""
+
+CAMERA = "navigation.measurement.position_error_m=0.1"
+PHASE = "from_s=600.0,position_error_m=0.02,velocity_error_m_s=0.001"
+ESTIMATE = "navigation.position_error_m=0.05", "navigation.velocity_error_m_s=0.002"
+BIT = "thrusters.impulse_bit_N_s=0.005"
+MOVING = "obstacles[0].velocity_m_s=[0.01,0.0,0.0]"
+LATE = 'faults=[{kind="loss",share=0.2,isolation_s=4.0}]'
+
+
+@dataclass(frozen=True)
+class Row:
+    """One declared error: its table in the scenario, an example, and the errors that it is added to."""
+
+    name: str
+    table: str
+    example: tuple[str, ...]
+    beside: tuple[str, ...] = ()
+
+
+ROWS = (
+    Row("Disturbance", "system.disturbance_max", ("system.disturbance_max_m_s2=6e-5",)),
+    Row("Estimate of the state", "navigation", ESTIMATE),
+    Row("Phases of navigation", "navigation.phases", (f"navigation.phases=[{{{PHASE}}}]",), ESTIMATE),
+    Row(
+        "Range of a phase",
+        "navigation.phases.within_m",
+        (f"navigation.phases=[{{{PHASE},within_m=2000.0}}]",),
+        (f"navigation.phases=[{{{PHASE}}}]",),
+    ),
+    Row("Measurements of an observer", "navigation.measurement", (CAMERA,)),
+    Row(
+        "First estimate of an observer",
+        "navigation.measurement.initial",
+        ("navigation.measurement.initial={position_error_m=0.3,velocity_error_m_s=0.01}",),
+        (CAMERA,),
+    ),
+    Row("Periods that an observer misses", "timing.missed_periods", ("timing.missed_periods=2",), (CAMERA,)),
+    Row(
+        "Thrusters, mass",
+        "thrusters",
+        ("thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"),
+    ),
+    Row("Impulse bit, the rest dropped", "thrusters.impulse_bit_N_s", (BIT,)),
+    Row("Impulse bit, the rest carried", "thrusters.remainder", (BIT, 'thrusters.remainder="carried"')),
+    Row(
+        "The same with missed periods",
+        "thrusters.remainder",
+        (BIT, 'thrusters.remainder="carried"'),
+        ("timing.missed_periods=2",),
+    ),
+    Row("Pulses", "thrusters.pulse", ('thrusters.pulse="centred"',)),
+    Row("Delay", "timing.delay_s", ("timing.delay_s=2.0",)),
+    Row("Missed periods", "timing.missed_periods", ("timing.missed_periods=2",)),
+    Row("Jitter of commands", "timing.jitter_s", ("timing.jitter_s=0.01",)),
+    Row("Clocks", "timing.clock_error_s", ("timing.clock_error_s=0.5",), (MOVING,)),
+    Row("Faults known at once", "faults", ('faults=[{kind="loss",share=0.2}]',)),
+    Row("Faults isolated late", "faults", (LATE,), ('faults=[{kind="loss",share=0.2}]',)),
+    Row("Navigation lost", "faults", ('faults=[{kind="navigation_lost",lasts_s=20.0}]',), ESTIMATE),
+    Row("Faults that mislead an observer", "faults", (LATE,), (CAMERA,)),
+    Row("Size of the chaser", "chaser", ("chaser.radius_m=0.5",)),
+)
+"""In the order of the page."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """Scene ``static`` with a control period of 2 s and some errors."""
+
+    given: tuple[str, ...]
+
+    @cached_property
+    def problem(self) -> Problem:
+        """Problem that is synthesised."""
+        return load_scenario("static").with_assignments(["feedback.period_s=2.0", *self.given]).problem()
+
+    @cached_property
+    def loop(self) -> dict[bytes, str]:
+        """States and channels that each source adds, in words, by all that it adds."""
+        system, found = self.problem.system, {}
+        loop = Loop.of(system.A, system.B, self.problem.period)
+        for source in sources(system, self.problem.period):
+            before, loop = loop, source.extend(loop)
+            states, channels = loop.N - before.N, loop.channels[len(before.channels) :]
+            names = [f"{states} states"] * bool(states) + list(dict.fromkeys(c.name for c in channels))
+            values = [(c.name, c.size, c.rate, c.noise, c.lag, c.share is None) for c in channels]
+            key = pickle.dumps((type(source).__name__, states, values))
+            found[key] = f"`{type(source).__name__}`: {', '.join(names)}"
+        return found
+
+    @cached_property
+    def craft(self) -> Craft:
+        """Loop that the checker builds from what a certificate says of the system."""
+        problem, document = self.problem, Document.__new__(Document)
+        table = conform(hexadecimal(system_table(problem)), CERTIFICATE["system"], "format", "system")
+        nodes = round(problem.delta / problem.period)
+        document._take_system(table, {"steps": problem.K, "nodes_per_step": nodes, "step": problem.delta})
+        return craft_of(document, plant_of(document), matrix(problem.gain.tolist()))
+
+    @cached_property
+    def checked(self) -> dict[str, str]:
+        """Parts of the checker's loop beside the tracking error, by what they are called."""
+        craft, states = self.craft, self.craft.F.nrows() - self.problem.system.n
+        grows = any(craft.plant.thrusters[:2])
+        return {
+            f"{states} states": str(states or ""),
+            "values per period": "".join(str(sample.size) for sample in craft.samples),
+            "pushes": "".join(str(push.cover) for push in craft.steady),
+            "shares of commands": str((craft.plant.thrusters, craft.lag)) if grows else "",
+        }
+
+    @cached_property
+    def beside(self) -> dict[str, object]:
+        """What of the problem depends on errors and is not in the loop."""
+        system, by_step = self.problem.system, step_errors(self.problem.system)
+        return {
+            "errors by step": pickle.dumps(by_step) if np.any(by_step) else b"",
+            "once in a flight": pickle.dumps(system.transients) if system.transients else b"",
+            "limits of inputs": pickle.dumps(system.u_max),
+            "unsafe sets": pickle.dumps(self.problem.unsafe),
+        }
+
+    @cached_property
+    def flown(self) -> dict[str, object]:
+        """Errors that simulations draw, and the kind of their flights."""
+        system, kind = self.problem.system, f"`{flies(self.problem.system).__name__}`"
+        first = None if system.observer is None else system.observer.initial
+        sizes = system.w_max, (system.navigation, system.error_by_step, first), system.thrusters
+        drawn = zip(("disturbance", "estimates", "thrusters"), columns(system), sizes, strict=False)
+        return {
+            kind: kind,
+            **{name: pickle.dumps(size) for name, part, size in drawn if part.start != part.stop},
+            "impulses": system.timing.carried,
+            "pulses": system.timing.fired,
+            "faults": pickle.dumps(system.transients) if system.transients else b"",
+        }
+
+    @property
+    def online(self) -> str:
+        """Answer of run-time methods."""
+        try:
+            met_by_decisions(self.problem.system, 1, 0, self.problem.period)
+        except ScenarioError:
+            return "refused"
+        return "booked"
+
+
+def differing(found: Mapping[Any, Any], base: Mapping[Any, Any]) -> str:
+    """Names of what is not empty and differs from the same in another dictionary."""
+    names = [name for name, value in found.items() if value and base.get(name) != value]
+    return ", ".join(names) or "-"
+
+
+def table() -> str:
+    """Return the table, one row for each declared error."""
+    head = (f"{name}: `{place}`" if place else name for name, place in HEAD.items())
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(HEAD)]
+    for row in ROWS:
+        found, base = Declared((*row.beside, *row.example)), Declared(row.beside)
+        added = "; ".join(text for key, text in found.loop.items() if key not in base.loop) or "-"
+        pairs = ((getattr(found, part), getattr(base, part)) for part in ("beside", "checked", "flown"))
+        cells = row.name, f"`{row.table}`", added, *(differing(*pair) for pair in pairs), found.online
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Rewrite the page if the table changed."""
+    before = PAGE.read_text(encoding="utf-8")
+    text = put(before, "sources", table())
+    if text != before:
+        PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
