@@ -19,7 +19,7 @@ from ..model.system import Array, LinearSystem
 from .constraints.constraint import Constraint
 from .vectors import CENTRE
 
-Rate = Annotated[Real, Field(gt=0, le=0.01)]
+Rate, Opening = Annotated[Real, Field(gt=0, le=0.01)], Annotated[Real, Field(gt=0, lt=180)]
 MOST_DEPUTIES = 50  # most deputies of one problem: 50 of them have 1,225 pairs and 5,750 constraints
 
 
@@ -73,17 +73,13 @@ class Inspection:
 
     deputies: int = 5
     mass: Annotated[float, Key("mass_kg", "kg", Annotated[Real, Field(ge=1e-3, le=1e7)])] = 12.0
-    mean_motion: Annotated[
-        float, Key("mean_motion_rad_s", "rad/s", Annotated[Real, Field(gt=0, le=0.01)])
-    ] = 0.001027
+    mean_motion: Annotated[float, Key("mean_motion_rad_s", "rad/s", Rate)] = 0.001027
     deputy_radius: Annotated[float, Key("deputy_radius_m", "m", Positive)] = 5.0
     chief_radius: Annotated[float, Key("chief_radius_m", "m", Positive)] = 5.0
     docking_speed: Annotated[float, Key("docking_speed_m_s", "m/s", Positive)] = 0.2
     speed_slope: Annotated[float | None, Key("speed_slope_1_s", "1/s", Positive)] = None
     delta_v_max: Annotated[float, Key("delta_v_max_m_s", "m/s", Positive)] = 20.0
-    field_of_view: Annotated[float, Key("field_of_view_deg", "deg", Annotated[Real, Field(gt=0, lt=180)])] = (
-        np.pi / 3
-    )
+    field_of_view: Annotated[float, Key("field_of_view_deg", "deg", Opening)] = np.pi / 3
     distance_max: Annotated[float, Key("distance_max_m", "m", Positive)] = 1000.0
     passive_time: Annotated[float, Key("passive_time_s", "s", Positive)] = 500.0
     speed_max: Annotated[float, Key("speed_max_m_s", "m/s", Positive)] = 1.0
@@ -95,7 +91,7 @@ class Inspection:
         whole("deputies", self.deputies, 1)
         if self.deputies > MOST_DEPUTIES:
             raise ScenarioError("deputies", self.deputies, f"must be at most {MOST_DEPUTIES}")
-        check_fields(self, "parameters")
+        check_fields(self)
         if self.distance_max <= self.separation:
             rule = f"must exceed the sum of the collision radii, {self.separation:g} m"
             raise ScenarioError("distance_max", self.distance_max, rule)

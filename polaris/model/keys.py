@@ -188,16 +188,16 @@ def broken_rule(problem: ErrorDetails, value: Any) -> str:
     return printable(re.sub(r"^[A-Z]\w* should", "must", message))
 
 
-def check_fields(made: Any, path: str) -> None:
+def check_fields(made: Any, path: str = "") -> None:
     """Check the fields of an object made in Python by the rules of a file, and turn lists into arrays.
 
-    Raises `ScenarioError`, which names the field after `path`.
+    Raises `ScenarioError`, which names the field after `path`, if one is given.
     """
     cls: type = type(made)
     sizes: dict[str, tuple[str, int]] = {}  # of the first field per axis or state
     for name, key in keys_of(cls).items():
-        given = getattr(made, name)
-        if given is None:
+        given, field = getattr(made, name), f"{path}.{name}".lstrip(".")
+        if given is None and getattr(cls, name, ...) is None:
             continue
         in_degrees = key.name.endswith("_deg") and isinstance(given, int | float | np.number)
         given = float(np.degrees(given)) if in_degrees else given
@@ -206,15 +206,15 @@ def check_fields(made: Any, path: str) -> None:
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
             rule = broken_rule(problem, problem["input"]) + ("" if key.unit == "-" else f" [{key.unit}]")
-            raise ScenarioError(f"{path}.{name}", given, rule) from None
+            raise ScenarioError(field, given, rule) from None
         if isinstance(value, tuple):
             value = np.array(value, dtype=float)
             value.setflags(write=False)
             first, size = sizes.setdefault(key.per or name, (name, value.shape[-1]))
             if value.shape[-1] != size:
-                raise ScenarioError(f"{path}.{name}", given, f"must be {size} numbers, as {first} has")
+                raise ScenarioError(field, given, f"must be {size} numbers, as {first} has")
             if key.per == "axis" and size > 3:
                 rule = "must be 1, 2 or 3 numbers, one per axis of position"
-                raise ScenarioError(f"{path}.{name}", given, rule)
+                raise ScenarioError(field, given, rule)
         if not in_degrees:
             object.__setattr__(made, name, value)

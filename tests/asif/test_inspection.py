@@ -68,7 +68,7 @@ def test_fifty_deputies_are_allowed():
 
 @pytest.mark.parametrize("angle", [np.pi, 4.0])
 def test_field_of_view_below_half_a_turn(angle):
-    assert "below pi" in refused("field_of_view", field_of_view=angle)
+    assert "< 180 [deg]" in refused("field_of_view", field_of_view=angle)
 
 
 def test_distance_must_leave_room():

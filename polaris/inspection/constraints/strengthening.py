@@ -46,10 +46,10 @@ class Strengthening:
 
     def __post_init__(self) -> None:
         given = self.coefficients
-        check_fields(self, "strengthening")
+        check_fields(self)
         object.__setattr__(self, "coefficients", tuple(map(float, self.coefficients)))
         if not any(self.coefficients):
-            raise ScenarioError("strengthening.coefficients", given, "must not all be zero")
+            raise ScenarioError("coefficients", given, "must be three numbers >= 0, not all zero")
 
     def __call__(self, h: ArrayLike) -> Array:
         """The values alpha(h), same shape as h."""
