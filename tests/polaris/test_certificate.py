@@ -73,6 +73,15 @@ def test_the_other_bundled_scenarios_verify(name, tmp_path):
     verify_bundled(name, tmp_path)
 
 
+@pytest.mark.slow
+def test_a_scene_verifies_whose_sets_are_merged_otherwise_by_both_programs(tmp_path):
+    phases = "navigation.phases=[{from_s=600.0,position_error_m=0.02,velocity_error_m_s=0.001}]"
+    errors = (phases, "timing.missed_periods=2", "chaser.radius_m=0.5")
+    scenario, schedule = bundled("static", "feedback.period_s=2.0", "recoverable.recourse=none", *errors)
+    run = write_run(tmp_path / "merged", scenario, schedule, compare(schedule, 2, 0))
+    assert verify(run.path).outcome == "VERIFIED"
+
+
 @pytest.mark.parametrize("feedback", ["{}", "{period_s=0.05}"])
 def test_anything_within_the_thrust_limits_verifies(feedback):
     data = variant(

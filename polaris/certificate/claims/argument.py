@@ -24,7 +24,7 @@ from .powered import check_aborts
 from .spending import spent
 from .upkeep import check_upkeep
 
-ORDERS = 24, 96, 384
+ORDERS = 24, 96, 384, 1536
 """Generators per dimension that sets keep, as many as it takes."""
 
 NARROWER = "controllers", "separation", "recoverable", "margins", "goal", "passive", "powered_abort"
@@ -60,7 +60,7 @@ class Argument:
         self.record.holds("end", check_end(self.document, path))
         confirmed = len(self.record.checked)
         # Where errors grow with commands less is left to spare.
-        orders = ORDERS[-2:] if self.document.profile else ORDERS
+        orders = ORDERS[1:] if self.document.profile else ORDERS
         for order in orders:
             merging = Merging(order)
             try:
