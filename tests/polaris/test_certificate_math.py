@@ -1,5 +1,6 @@
 """The checker's own mathematics: every enclosure contains what it must, every bound holds."""
 
+from contextlib import nullcontext
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
@@ -17,13 +18,17 @@ from flint import arb, arb_mat
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.coasting import prolonged
+from polaris.certificate.claims.drift import Departures
 from polaris.certificate.claims.recovery import Recovery
 from polaris.certificate.files.document import Document, digest
+from polaris.certificate.files.parts import Departure
+from polaris.certificate.kernel.arcs import Arc
 from polaris.certificate.kernel.balls import (
     PRECISION,
     beside,
     column,
     exponential_over,
+    identity,
     lengths,
     magnitude,
     matrix,
@@ -378,3 +383,15 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     with pytest.raises(Rejected) as told:
         recovery._leaves(0.6, target, arb(0), "the start")
     assert told.value.claim == "margins"
+
+
+def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
+    """Of a craft at rest the parallelotope of departures must hold the displacement alone."""
+    zero, one = arb_mat(2, 1), identity(2)
+    plant = Plant(matrix([[0.0, 1], [0, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(0.5))
+    base, rest = Arc.of(plant, zero, arb_mat(1, 1)), Zonotope(zero, arb_mat(2, 0))
+    group = Departure(1, [0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]], [])
+    for displaced, inside in (([0.9, 0.0], True), ([1.1, 0.0], False), ([0.0, 1.1], False)):
+        departures = Departures(plant, 0, [group], displaced)
+        with nullcontext() if inside else pytest.raises(Rejected, match="where thrust may stop"):
+            departures.check(0, base, rest, rest, rest, [arb(0), arb(0)])

@@ -9,10 +9,13 @@ pytest.importorskip("flint")
 
 from flint import arb
 
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.continuation import Continuation
 from polaris.certificate.claims.recovery import Recovery
+from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.kernel.balls import column, identity, matrix
 from polaris.certificate.kernel.motion import Plant
-from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope
 from polaris.certificate.model.craft.memory import Memory
 from polaris.certificate.model.craft.needs import Needs
@@ -57,6 +60,16 @@ def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
                 check(recovery((cell, i)), step)
 
 
+@pytest.mark.parametrize("cell", range(CELLS))
+def test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed(cell):
+    """Without a claimed share the limits beyond the memory are those of all sets together."""
+    flight = Continuation(None, None, None)
+    flight.__dict__["recovery"] = found = recovery((cell, 1))
+    assert found.needs.memory.periods < (CELLS - 1) * Q
+    with pytest.raises(Rejected):
+        flight.keeps({0: Zonotope(column([arb(0)]), identity(1))})
+
+
 def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
     """Between its nodes ``e^t - GAIN (e^t - 1)`` leaves its chord by so much, half way."""
     needs = recovery().needs
@@ -73,3 +86,19 @@ def test_what_is_over_is_over():
     check(recovery((3, 0)), 3, after=1)
     with pytest.raises(Rejected):
         check(recovery((3, 2)), 3, after=1)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(late):
+    asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
+    argument = SimpleNamespace(document=doc, stated=Stated(), K=3, record=Record())
+    flight = SimpleNamespace(
+        keeps=lambda reached, claimed: asked.update(reached) or 1.0,
+        recovery=SimpleNamespace(nodes=9),
+        tracker=SimpleNamespace(memory=SimpleNamespace(periods=1)),
+    )
+    Argument.recoverability(
+        argument, flight, "abcd", [SimpleNamespace(nodes=each) for each in ("pq", "rs", "tu")]
+    )
+    within = {1: "p", 2: "q", 7: "t", 8: "u"} if late else {}
+    assert asked == {0: "a", 3: "b", 6: "c"} | within
