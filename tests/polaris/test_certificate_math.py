@@ -1,6 +1,8 @@
 """The checker's own mathematics: every enclosure contains what it must, every bound holds."""
 
+import math
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
@@ -40,6 +42,7 @@ from polaris.certificate.kernel.balls import (
     widths,
 )
 from polaris.certificate.kernel.motion import Along, Plant, Push
+from polaris.certificate.kernel.periods import Period
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.kernel.zonotopes import (
     Directions,
@@ -383,6 +386,18 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     with pytest.raises(Rejected) as told:
         recovery._leaves(0.6, target, arb(0), "the start")
     assert told.value.claim == "margins"
+
+
+@pytest.mark.parametrize("place", ["push", "error"])
+def test_a_period_counts_every_push_at_its_end_and_on_the_way(place):
+    """A constant push e moves a mass by e t^2 / 2, which is below the chord to what is booked at the end."""
+    h, e, one = 0.5, 0.2, identity(2)
+    plant = Plant(matrix([[0.0, 1], [0, -1]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
+    period = replace(Period(plant.open, arb_mat(2, 1)), **{place: plant.push([arb(e)])})
+    first, last = period.extra(Directions(one), Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
+    for t in np.linspace(0, h, 11):
+        for moved, a, b in zip((e * (t + math.expm1(-t)), -e * math.expm1(-t)), first, last, strict=True):
+            assert float(a) * (1 - t / h) + float(b) * t / h >= moved * (1 - 1e-12)
 
 
 def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():

@@ -10,6 +10,7 @@ pytest.importorskip("flint")
 from flint import arb
 
 from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.arrival import Arrival
 from polaris.certificate.claims.continuation import Continuation
 from polaris.certificate.claims.recovery import Recovery
 from polaris.certificate.files.artefacts import Stated
@@ -102,3 +103,20 @@ def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(l
     )
     within = {1: "p", 2: "q", 7: "t", 8: "u"} if late else {}
     assert asked == {0: "a", 3: "b", 6: "c"} | within
+
+
+@pytest.mark.parametrize("node", [0, 3, 100])
+def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not(node):
+    """Jitter and carried impulses displace states (Lemma 6); S answers to what it sees."""
+    needs, found = recovery().needs, []
+    start = Zonotope(column([arb(0)]), identity(1))
+    for away in (0.0, 0.3):
+        document = SimpleNamespace(at_nodes=[away], profile=[])
+        tracker = SimpleNamespace(memory=needs.memory)
+        flight = SimpleNamespace(document=document, tracker=tracker, jump=column([arb(0)]), scheduled=None)
+        arrival = Arrival(flight, ((start, 0),), arb(0))
+        around = arrival._at(needs, node, around=True)[0]
+        found.append((arrival._at(needs, node)[0], around, arrival.holding(needs)))
+    (still, asked, held), (moved, asked_too, held_too) = found
+    assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
+    assert float(asked_too) == float(asked)
