@@ -2,6 +2,7 @@
 
 import math
 from contextlib import nullcontext
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -22,6 +23,7 @@ from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.coasting import prolonged
 from polaris.certificate.claims.drift import Departures
 from polaris.certificate.claims.recovery import Recovery
+from polaris.certificate.claims.spending import together
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.files.parts import Departure
 from polaris.certificate.kernel.arcs import Arc
@@ -42,7 +44,7 @@ from polaris.certificate.kernel.balls import (
     widths,
 )
 from polaris.certificate.kernel.motion import Along, Plant, Push
-from polaris.certificate.kernel.periods import Period
+from polaris.certificate.kernel.periods import Period, Spell
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.kernel.zonotopes import (
     Directions,
@@ -111,6 +113,14 @@ def test_reachable_sets_contain_what_is_flown(name):
         z = flown[k].nodes[i - 1]
         errors = runs.states[:, k * q + i] - values(path.arcs[k].nodes[i])[:, 0]
         assert np.all(np.abs(errors - values(z.c)[:, 0]) <= [float(x) + 1e-9 for x in z.widths])
+
+
+def test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated():
+    argument = copy(scene("clipped")[1])
+    for size, kept in ((1e-9, True), (100.0, False)):
+        argument.upsets = [column([arb(0)] * 4), column([arb(size)] * 4)]
+        with nullcontext() if kept else pytest.raises(Rejected, match="separation"):
+            argument.tubes(argument.reference(), Merging(12))
 
 
 @pytest.mark.parametrize("name", ["clipped", "clipped, given period"])
@@ -410,3 +420,15 @@ def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
         departures = Departures(plant, 0, [group], displaced)
         with nullcontext() if inside else pytest.raises(Rejected, match="where thrust may stop"):
             departures.check(0, base, rest, rest, rest, [arb(0), arb(0)])
+
+
+def test_what_errors_do_within_a_period_is_answered_in_the_next():
+    """Over a whole turn an oscillator forgets a constant push, but not one with the sign of cos t."""
+    h, k, e = 2 * math.pi, 0.5, 0.01
+    A, one = matrix([[0.0, 1], [-1, 0]]), identity(2)
+    plant = Plant(A, matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
+    pilot = SimpleNamespace(plant=plant, gain=matrix([[0.0, k]]))
+    flight = SimpleNamespace(pilot=pilot, start=Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
+    spell = Spell(arb(0), arb_mat(1, 1), ([arb(0)], [arb(e)]))
+    most = together(flight, [spell, spell])
+    assert float(most) >= (2 * e + k * 4 * e) * h
