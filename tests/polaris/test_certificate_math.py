@@ -432,3 +432,22 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
     spell = Spell(arb(0), arb_mat(1, 1), ([arb(0)], [arb(e)]))
     most = together(flight, [spell, spell])
     assert float(most) >= (2 * e + k * 4 * e) * h
+
+
+def test_a_gain_that_bends_upwards_is_more_than_its_trapezoid():
+    one = identity(2)
+    plant = Plant(matrix([[0.0, 1], [-1, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(1))
+    (gain,) = plant.open.push_gain(matrix([[0.0, 1]]), Push.in_box(plant.B, [arb(1)]))
+    assert math.sin(1) <= float(gain) <= 1.1 * math.sin(1)
+
+
+def test_merged_generators_are_rounded_upwards_at_any_precision():
+    """With 12 bits the sum of what is merged is rounded, and not down."""
+    flint.ctx.prec = 12
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        G = rng.integers(1, 2**12, (2, 6)) / 2.0**12
+        found = Zonotope(arb_mat(2, 1), matrix(G.tolist())).reduced(2)
+        assert found.G.ncols() == 2
+        for i, row in enumerate(G):
+            assert found.G[i, i].mid() >= arb(float(row.sum()))  # a sum of few bits, exact in doubles
