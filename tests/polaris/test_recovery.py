@@ -1,6 +1,7 @@
 """The checker's recovery argument (Proposition 11): no limit is left out, whenever it is."""
 
 import math
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
@@ -19,8 +20,9 @@ from polaris.certificate.kernel.motion import Plant
 from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope
 from polaris.certificate.model.craft.memory import Memory
-from polaris.certificate.model.craft.needs import Needs
+from polaris.certificate.model.craft.needs import Bows, Needs
 from polaris.certificate.model.limits import Limits, Target
+from polaris.certificate.model.transients import upset
 from tests.polaris.loops import loop_of_errors
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
@@ -82,6 +84,20 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
             assert needs.bend[lag][0, 0] >= phi**begun * half_way > 0
 
 
+def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at():
+    start = Zonotope(column([arb(0)]), identity(1))
+    for lag in range(4):
+        found = recovery()
+        exact = start.support(found.needs.carried[lag])[0] + found.needs.disturbed[lag][0]
+        bow = Bows(found.needs, start).next_to(lag)[0]
+        for share, kept in ((1 + 1e-6, True), (0.99, False)):
+            room = exact + bow * share
+            cell, place = divmod(lag, Q)
+            found.limits.targets[cell][place] = [Target(0, room, "wall", room)]
+            with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
+                found.check_sets({0: start}, {})
+
+
 def test_what_is_over_is_over():
     check(recovery((1, 1)), 3)
     check(recovery((3, 0)), 3, after=1)
@@ -120,3 +136,23 @@ def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
     (still, asked, held), (moved, asked_too, held_too) = found
     assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
     assert float(asked_too) == float(asked)
+
+
+def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
+    """Of bounds at a node the chord to the next is taken, and a period begins at either."""
+    grown = [1.0, 3.0, 2.0, 5.0, 4.0, 0.0]
+    needs = SimpleNamespace(
+        rows=identity(1),
+        carried=grown,
+        boxed=lambda box, lag: [arb(grown[lag])],
+        still=lambda box: [arb(0.5)],
+    )
+    steps = [float(most) for (most,) in upset(needs, [column([arb(1)])])]
+    assert steps == [max(grown[: lag + 3]) for lag in range(len(grown))]
+
+
+def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():
+    """What a unit in every period adds in a scalar loop is a geometric series."""
+    needs = recovery().needs
+    factor, periods = needs.craft.F[0, 0], needs.memory.periods
+    assert 0 < factor < 1 and needs.late(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()
