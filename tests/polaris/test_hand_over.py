@@ -14,7 +14,7 @@ import pytest
 from flint import arb
 from scipy.linalg import expm, solve_continuous_are
 
-from polaris.certificate.kernel.balls import column, matrix
+from polaris.certificate.kernel.balls import column, identity, magnitude, matrix
 from polaris.certificate.model.craft.memory import Memory
 from polaris.certificate.model.craft.needs import Needs
 from polaris.certificate.model.craft.scheduled import Scheduled as CheckedSchedule
@@ -250,9 +250,13 @@ def test_what_is_older_than_the_horizon_counts(case):
     assert np.all((np.abs(carried) @ box)[limits.horizon + 2 :] <= handed)
     needs = checker_needs(s, np.eye(s.system.n))
     last, N, more = needs.whole[-1], needs.memory.periods, np.zeros(s.system.n)
+    late = needs.late(column(needs.craft.supports(identity(needs.craft.F.nrows()))))
+    besides = zip(needs.settled, needs.responses[-1], late, strict=True)
+    left = [float((a - b - c).upper()) for a, b, c in besides]
     for _ in range(N):
         last = last * needs.craft.F
         more += [float(x.upper()) for x in needs.craft.supports(last)]
+        assert np.all([x.upper() <= y for x, y in zip((magnitude(last) * needs.craft.box).entries(), left)])
     beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
     assert np.all(more <= beyond)
 

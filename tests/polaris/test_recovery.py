@@ -84,6 +84,15 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
             assert needs.bend[lag][0, 0] >= phi**begun * half_way > 0
 
 
+def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
+    found, start = recovery(), Zonotope(column([arb(0)]), identity(1))
+    room = found.needs.disturbed[-1][0] * 1.2 + 1e-3
+    found.limits.targets[CELLS - 3][1] = [Target(0, room, "wall", room)]
+    found.check_sets({0: start}, {0: 0.1})
+    with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the memory"):
+        found.check_sets({0: start}, {0: 0.5})
+
+
 def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at():
     start = Zonotope(column([arb(0)]), identity(1))
     for lag in range(4):
