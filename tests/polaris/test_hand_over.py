@@ -256,7 +256,8 @@ def test_what_is_older_than_the_horizon_counts(case):
     for _ in range(N):
         last = last * needs.craft.F
         more += [float(x.upper()) for x in needs.craft.supports(last)]
-        assert np.all([x.upper() <= y for x, y in zip((magnitude(last) * needs.craft.box).entries(), left)])
+        handed = (magnitude(last) * needs.craft.box).entries()
+        assert all(x.upper() <= y for x, y in zip(handed, left, strict=True))
     beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
     assert np.all(more <= beyond)
 
