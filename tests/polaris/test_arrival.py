@@ -272,6 +272,15 @@ def test_a_goal_that_is_forged_is_refused(judged, how):
     assert caught.value.claim == "goal"
 
 
+def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
+    found, goal, spec = judged("reached")
+    later = {"by_s": goal["by_s"] + found.document.delta, "distance_m": goal["tolerance_m"]}
+    until, more = (float(x.upper()) * (1 + 1e-5) for x in (found.spent, found.correcting(found.document.q)))
+    found.check(goal | later | {"delta_v_max_m_s": until + more}, spec)
+    with pytest.raises(Rejected, match="velocity change"):
+        found.check(goal | later | {"delta_v_max_m_s": until}, spec)
+
+
 @pytest.mark.usefixtures("few")
 def test_a_whole_folder_with_a_forged_goal_is_refused(forgers):
     lie = Lie(forgers("any state"))

@@ -21,7 +21,8 @@ from flint import arb, arb_mat
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.coasting import prolonged
-from polaris.certificate.claims.drift import Departures
+from polaris.certificate.claims.drift import Departures, Drifts
+from polaris.certificate.claims.flights import fly
 from polaris.certificate.claims.recovery import Recovery
 from polaris.certificate.claims.spending import together
 from polaris.certificate.files.document import Document, digest
@@ -451,3 +452,34 @@ def test_merged_generators_are_rounded_upwards_at_any_precision():
         assert found.G.ncols() == 2
         for i, row in enumerate(G):
             assert found.G[i, i].mid() >= arb(float(row.sum()))  # a sum of few bits, exact in doubles
+
+
+def test_a_facet_leaves_room_at_both_ends_of_every_part_of_a_drift_in_which_it_is_named():
+    """A drift leaves one side of a wall just as it enters the other."""
+    walls = SimpleNamespace(name="wall", start=[[0.0, -3.0]], end=[[0.0, -3.0]])
+    unknown = matrix([[0.0]]), [arb(0)] * 2
+    drifts = SimpleNamespace(
+        document=SimpleNamespace(unsafe=[walls]),
+        _claim=SimpleNamespace(parts=2),
+        _bookings=lambda item, facet: (matrix([[-1.0 if facet == 0 else 1.0]]), *unknown),
+    )
+    sizes = [column([arb(0)])] * 2
+    for middle, kept in ((1.0, True), (-1.0, False), (4.0, False)):
+        states = [matrix([[x]]) for x in (2.0, middle, -4.0)]
+        with nullcontext() if kept else pytest.raises(Rejected, match="the drift from step 0 to wall"):
+            Drifts._rooms(drifts, 0, 0, [0, 1], states, sizes)
+
+
+def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_it():
+    argument, seen = scene("clipped, given period")[1], []
+    path = argument.reference()
+    k = argument.document.modes.index(1)
+    pilot, start = argument.pilots[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
+    spy = SimpleNamespace(check=lambda i, base, d, moved, end, bow: seen.append((base, d, bow)))
+    fly(pilot, start, k, path, None, Merging(12), spy)
+    base, d, bow = seen[0]
+    own = pilot.period(d, base, k, 0).extra(pilot.plant.unit, d)
+    below = [each[0] for each in base.bows(identity(4))]
+    assert len(seen) == argument.document.q and any(x > 0 for x in below)
+    least = [float(max(a, b) + more) for a, b, more in zip(*own, below, strict=True)]
+    assert all(float(x) >= y * (1 - 1e-12) for x, y in zip(bow, least, strict=True))
