@@ -135,16 +135,18 @@ def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
     """Jitter and carried impulses displace states (Lemma 6); S answers to what it sees."""
     needs, found = recovery().needs, []
     start = Zonotope(column([arb(0)]), identity(1))
-    for away in (0.0, 0.3):
+    for away, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
         document = SimpleNamespace(at_nodes=[away], profile=[])
         tracker = SimpleNamespace(memory=needs.memory)
-        flight = SimpleNamespace(document=document, tracker=tracker, jump=column([arb(0)]), scheduled=None)
+        flight = SimpleNamespace(document=document, tracker=tracker, jump=column([arb(jump)]), scheduled=None)
         arrival = Arrival(flight, ((start, 0),), arb(0))
-        around = arrival._at(needs, node, around=True)[0]
-        found.append((arrival._at(needs, node)[0], around, arrival.holding(needs)))
-    (still, asked, held), (moved, asked_too, held_too) = found
+        both = [float(arrival._at(needs, node, around)[0]) for around in (False, True)]
+        found.append((*both, float(arrival.holding(needs))))
+    (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = found
     assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
-    assert float(asked_too) == float(asked)
+    assert asked_too == asked
+    left = 0.2 * abs(float(needs.craft.F[0, 0])) ** node  # of a step of the reference at T
+    assert jumped >= still + left * (1 - 1e-9) and more >= asked + left * (1 - 1e-9)
 
 
 def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
