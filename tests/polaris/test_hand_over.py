@@ -328,6 +328,19 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
             assert np.all(found[L] <= exact * 1.2 + 1e-2), L
 
 
+def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_schedule(monkeypatch):
+    by_step = np.outer([3.0, 1, 4], [0.01, 0.02, 0.004, 0.003])
+    s, caused = tracking(), Needs.caused
+    s = replace(s, system=replace(s.system, error_by_step=by_step))
+
+    def more(*given):
+        nodes, older, bent = caused(*given)
+        return nodes, [x + 1e-3 for x in older], [x + 2e-3 for x in bent]
+
+    monkeypatch.setattr(Needs, "caused", more)
+    assert np.all(along(s, np.zeros((3, 2)), 2, by_step)[1][0] >= 3e-3)
+
+
 def test_a_first_estimate_counts_beside_what_the_loop_remembers():
     s, first, K = tracking(observer=True, delay=1.5), np.array([0.3, 0.4, 0.1, 0.2]), 6
     bare = tracking(observer=True).system
