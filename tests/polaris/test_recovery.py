@@ -93,6 +93,18 @@ def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
         found.check_sets({0: start}, {0: 0.5})
 
 
+def test_from_rest_a_push_leaves_the_chord_of_its_nodes_by_no_more_than_is_booked():
+    """A constant push e moves ``x' = -x + e`` by ``e (1 - exp(-t))``; no rate is known at a node at rest."""
+    push, one, rest = 0.01, matrix([[1.0]]), column([arb(0)])
+    plant = Plant(-one, one, one, one, [arb(10)], arb(push), arb(H))
+    craft = loop_of_errors(plant.loop(matrix([[0.1]])))
+    ways = [-push * math.expm1(-t * H / 20) for t in range(21)]
+    excess = max(way - t / 20 * ways[-1] for t, way in enumerate(ways))
+    (steady,) = craft.always_bent(one, (rest, rest))
+    (error,) = craft.bent(one, (rest, rest), [], [arb(push)])
+    assert excess > 0 and all(excess <= float(x) <= 4 * excess for x in (steady, error))
+
+
 def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at():
     start = Zonotope(column([arb(0)]), identity(1))
     for lag in range(4):
