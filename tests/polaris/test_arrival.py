@@ -30,7 +30,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.safety.problem import require_velocities
-from polaris.synthesis.schedule.arrival import _correcting, _needs, arrival
+from polaris.synthesis.schedule.arrival import _correcting, _needs, arrival, spare
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
@@ -60,6 +60,18 @@ def forgers(tmp_path_factory):
         return made[kind]
 
     return forger
+
+
+def test_settled_commands_count_no_sooner_than_all_that_was_commanded_before_has_faded():
+    given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
+    safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
+    tracking, rows = safety.tracking, safety.tracking.system.position
+    last, long = len(tracking.transitions) - 1, tracking.long
+    need, _ = _needs(safety, ((safety.start, 0),), rows, long + 2)
+    at_first = tracking.responses(rows, tracking.profile)[-1] + safety.clearance.tail_need(rows, long + 2)
+    least = at_first * (1 + spare(tracking)) * (1 - 1e-12)
+    assert last < long and np.all(need[last + 1 : long + 1] >= least[last + 1 : long + 1])
+    assert np.all(need[long + 1] < least[long + 1])
 
 
 def test_what_is_held_for_ever_is_not_what_a_profile_allows_at_first():
@@ -270,6 +282,15 @@ def test_a_goal_that_is_forged_is_refused(judged, how):
     with pytest.raises(Rejected) as caught:
         found.check(goal | FORGED[how](goal, found.document.delta / found.document.q), spec)
     assert caught.value.claim == "goal"
+
+
+def test_what_s_corrects_after_t_is_part_of_the_velocity_change(judged):
+    found, goal, spec = judged("reached")
+    later = {"by_s": goal["by_s"] + found.document.delta, "distance_m": goal["tolerance_m"]}
+    until, more = (float(x.upper()) * (1 + 1e-5) for x in (found.spent, found.correcting(found.document.q)))
+    found.check(goal | later | {"delta_v_max_m_s": until + more}, spec)
+    with pytest.raises(Rejected, match="velocity change"):
+        found.check(goal | later | {"delta_v_max_m_s": until}, spec)
 
 
 @pytest.mark.usefixtures("few")

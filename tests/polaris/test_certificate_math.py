@@ -1,5 +1,9 @@
 """The checker's own mathematics: every enclosure contains what it must, every bound holds."""
 
+import math
+from contextlib import nullcontext
+from copy import copy
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
@@ -17,13 +21,19 @@ from flint import arb, arb_mat
 from polaris.certificate.checker import verify_document
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.coasting import prolonged
+from polaris.certificate.claims.drift import Departures, Drifts
+from polaris.certificate.claims.flights import fly
 from polaris.certificate.claims.recovery import Recovery
+from polaris.certificate.claims.spending import together
 from polaris.certificate.files.document import Document, digest
+from polaris.certificate.files.parts import Departure
+from polaris.certificate.kernel.arcs import Arc
 from polaris.certificate.kernel.balls import (
     PRECISION,
     beside,
     column,
     exponential_over,
+    identity,
     lengths,
     magnitude,
     matrix,
@@ -35,6 +45,7 @@ from polaris.certificate.kernel.balls import (
     widths,
 )
 from polaris.certificate.kernel.motion import Along, Plant, Push
+from polaris.certificate.kernel.periods import Period, Spell
 from polaris.certificate.kernel.verdict import Imprecise, Record, Rejected, Undecided
 from polaris.certificate.kernel.zonotopes import (
     Directions,
@@ -103,6 +114,14 @@ def test_reachable_sets_contain_what_is_flown(name):
         z = flown[k].nodes[i - 1]
         errors = runs.states[:, k * q + i] - values(path.arcs[k].nodes[i])[:, 0]
         assert np.all(np.abs(errors - values(z.c)[:, 0]) <= [float(x) + 1e-9 for x in z.widths])
+
+
+def test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated():
+    argument = copy(scene("clipped")[1])
+    for size, kept in ((1e-9, True), (100.0, False)):
+        argument.upsets = [column([arb(0)] * 4), column([arb(size)] * 4)]
+        with nullcontext() if kept else pytest.raises(Rejected, match="separation"):
+            argument.tubes(argument.reference(), Merging(12))
 
 
 @pytest.mark.parametrize("name", ["clipped", "clipped, given period"])
@@ -378,3 +397,89 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     with pytest.raises(Rejected) as told:
         recovery._leaves(0.6, target, arb(0), "the start")
     assert told.value.claim == "margins"
+
+
+@pytest.mark.parametrize("place", ["push", "error"])
+def test_a_period_counts_every_push_at_its_end_and_on_the_way(place):
+    """A constant push e moves a mass by e t^2 / 2, which is below the chord to what is booked at the end."""
+    h, e, one = 0.5, 0.2, identity(2)
+    plant = Plant(matrix([[0.0, 1], [0, -1]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
+    period = replace(Period(plant.open, arb_mat(2, 1)), **{place: plant.push([arb(e)])})
+    first, last = period.extra(Directions(one), Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
+    for t in np.linspace(0, h, 11):
+        for moved, a, b in zip((e * (t + math.expm1(-t)), -e * math.expm1(-t)), first, last, strict=True):
+            assert float(a) * (1 - t / h) + float(b) * t / h >= moved * (1 - 1e-12)
+
+
+def test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft():
+    """Of a craft at rest the parallelotope of departures must hold the displacement alone."""
+    zero, one = arb_mat(2, 1), identity(2)
+    plant = Plant(matrix([[0.0, 1], [0, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(0.5))
+    base, rest = Arc.of(plant, zero, arb_mat(1, 1)), Zonotope(zero, arb_mat(2, 0))
+    group = Departure(1, [0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]], [])
+    for displaced, inside in (([0.9, 0.0], True), ([1.1, 0.0], False), ([0.0, 1.1], False)):
+        departures = Departures(plant, 0, [group], displaced)
+        with nullcontext() if inside else pytest.raises(Rejected, match="where thrust may stop"):
+            departures.check(0, base, rest, rest, rest, [arb(0), arb(0)])
+
+
+def test_what_errors_do_within_a_period_is_answered_in_the_next():
+    """Over a whole turn an oscillator forgets a constant push, but not one with the sign of cos t."""
+    h, k, e = 2 * math.pi, 0.5, 0.01
+    A, one = matrix([[0.0, 1], [-1, 0]]), identity(2)
+    plant = Plant(A, matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
+    pilot = SimpleNamespace(plant=plant, gain=matrix([[0.0, k]]))
+    flight = SimpleNamespace(pilot=pilot, start=Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
+    spell = Spell(arb(0), arb_mat(1, 1), ([arb(0)], [arb(e)]))
+    most = together(flight, [spell, spell])
+    assert float(most) >= (2 * e + k * 4 * e) * h
+
+
+def test_a_gain_that_bends_upwards_is_more_than_its_trapezoid():
+    one = identity(2)
+    plant = Plant(matrix([[0.0, 1], [-1, 0]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(1))
+    (gain,) = plant.open.push_gain(matrix([[0.0, 1]]), Push.in_box(plant.B, [arb(1)]))
+    assert math.sin(1) <= float(gain) <= 1.1 * math.sin(1)
+
+
+def test_merged_generators_are_rounded_upwards_at_any_precision():
+    """With 12 bits the sum of what is merged is rounded, and not down."""
+    flint.ctx.prec = 12
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        G = rng.integers(1, 2**12, (2, 6)) / 2.0**12
+        found = Zonotope(arb_mat(2, 1), matrix(G.tolist())).reduced(2)
+        assert found.G.ncols() == 2
+        for i, row in enumerate(G):
+            assert found.G[i, i].mid() >= arb(float(row.sum()))  # a sum of few bits, exact in doubles
+
+
+def test_a_facet_leaves_room_at_both_ends_of_every_part_of_a_drift_in_which_it_is_named():
+    """A drift leaves one side of a wall just as it enters the other."""
+    walls = SimpleNamespace(name="wall", start=[[0.0, -3.0]], end=[[0.0, -3.0]])
+    unknown = matrix([[0.0]]), [arb(0)] * 2
+    drifts = SimpleNamespace(
+        document=SimpleNamespace(unsafe=[walls]),
+        _claim=SimpleNamespace(parts=2),
+        _bookings=lambda item, facet: (matrix([[-1.0 if facet == 0 else 1.0]]), *unknown),
+    )
+    sizes = [column([arb(0)])] * 2
+    for middle, kept in ((1.0, True), (-1.0, False), (4.0, False)):
+        states = [matrix([[x]]) for x in (2.0, middle, -4.0)]
+        with nullcontext() if kept else pytest.raises(Rejected, match="the drift from step 0 to wall"):
+            Drifts._rooms(drifts, 0, 0, [0, 1], states, sizes)
+
+
+def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_it():
+    argument, seen = scene("clipped, given period")[1], []
+    path = argument.reference()
+    k = argument.document.modes.index(1)
+    pilot, start = argument.pilots[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
+    spy = SimpleNamespace(check=lambda i, base, d, moved, end, bow: seen.append((base, d, bow)))
+    fly(pilot, start, k, path, None, Merging(12), spy)
+    base, d, bow = seen[0]
+    own = pilot.period(d, base, k, 0).extra(pilot.plant.unit, d)
+    below = [each[0] for each in base.bows(identity(4))]
+    assert len(seen) == argument.document.q and any(x > 0 for x in below)
+    least = [float(max(a, b) + more) for a, b, more in zip(*own, below, strict=True)]
+    assert all(float(x) >= y * (1 - 1e-12) for x, y in zip(bow, least, strict=True))

@@ -14,7 +14,7 @@ import pytest
 from flint import arb
 from scipy.linalg import expm, solve_continuous_are
 
-from polaris.certificate.kernel.balls import column, matrix
+from polaris.certificate.kernel.balls import column, identity, magnitude, matrix
 from polaris.certificate.model.craft.memory import Memory
 from polaris.certificate.model.craft.needs import Needs
 from polaris.certificate.model.craft.scheduled import Scheduled as CheckedSchedule
@@ -41,7 +41,7 @@ def hold(A, B, t):
     return E[:n, :n], E[:n, n:]
 
 
-def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=0, jitter=0.0):
+def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=0, jitter=0.0, fired=()):
     """S in the plane, in a frame that turns; `delay` is in periods."""
     eye = np.eye(2)
     A = np.block([[0 * eye, eye], [0.02 * eye, np.array([[0, 0.1], [-0.1, -0.1]])]])
@@ -52,7 +52,8 @@ def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=
     system = LinearSystem(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
     if observer:
         system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
-    system = predicting(system, Timing(delay=delay * H, missed=missed, carried=carried, jitter=jitter), H)
+    timing = Timing(delay=delay * H, missed=missed, carried=carried, jitter=jitter, fired=fired)
+    system = predicting(system, timing, H)
     return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional else None)
 
 
@@ -165,7 +166,7 @@ def stated(s):
         timing={"delay": timing.delay, "missed": timing.missed},
         carried=timing.carried,
         at_nodes=system.displaced_at_nodes.tolist(),
-        pulsed=nothing,
+        pulsed=list(timing.pulsed) or nothing,
         transients=[],
         observer=None,
         profile=[],
@@ -209,6 +210,8 @@ CASES = [
     {"jitter": 0.01, "delay": 1.0},
     {"jitter": 0.01, "observer": True, "delay": 0.5},
     {"missed": 1, "delay": 0.5, "proportional": True},
+    {"fired": (1.5, 1.2), "delay": 1.5},
+    {"fired": (1.5, 1.2), "delay": 0.5, "observer": True},
 ]
 
 
@@ -247,9 +250,14 @@ def test_what_is_older_than_the_horizon_counts(case):
     assert np.all((np.abs(carried) @ box)[limits.horizon + 2 :] <= handed)
     needs = checker_needs(s, np.eye(s.system.n))
     last, N, more = needs.whole[-1], needs.memory.periods, np.zeros(s.system.n)
+    late = needs.late(column(needs.craft.supports(identity(needs.craft.F.nrows()))))
+    besides = zip(needs.settled, needs.responses[-1], late, strict=True)
+    left = [float((a - b - c).upper()) for a, b, c in besides]
     for _ in range(N):
         last = last * needs.craft.F
         more += [float(x.upper()) for x in needs.craft.supports(last)]
+        handed = (magnitude(last) * needs.craft.box).entries()
+        assert all(x.upper() <= y for x, y in zip(handed, left, strict=True))
     beyond = [float((a - b).upper()) for a, b in zip(needs.settled, needs.responses[-1], strict=True)]
     assert np.all(more <= beyond)
 
@@ -320,6 +328,19 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
             assert np.all(found[L] <= exact * 1.2 + 1e-2), L
 
 
+def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_schedule(monkeypatch):
+    by_step = np.outer([3.0, 1, 4], [0.01, 0.02, 0.004, 0.003])
+    s, caused = tracking(), Needs.caused
+    s = replace(s, system=replace(s.system, error_by_step=by_step))
+
+    def more(*given):
+        nodes, older, bent = caused(*given)
+        return nodes, [x + 1e-3 for x in older], [x + 2e-3 for x in bent]
+
+    monkeypatch.setattr(Needs, "caused", more)
+    assert np.all(along(s, np.zeros((3, 2)), 2, by_step)[1][0] >= 3e-3)
+
+
 def test_a_first_estimate_counts_beside_what_the_loop_remembers():
     s, first, K = tracking(observer=True, delay=1.5), np.array([0.3, 0.4, 0.1, 0.2]), 6
     bare = tracking(observer=True).system
@@ -355,6 +376,15 @@ def test_bounds_between_nodes_hold_what_noise_pushes_in_its_own_period():
     assert np.all(bend <= s.between(np.eye(4), None)) and np.all(bend > 0)
     nodes, disturbed, _ = checked(s, np.eye(4))
     assert np.all(bend <= disturbed[0] - nodes[0])
+
+
+def test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow():
+    limits = tracking(missed=1, delay=0.5, proportional=True).tightening
+    bound = np.linspace(0.6, 0.2, limits.horizon + 2)[:, None] * limits.u_max
+    (late,) = (channel for channel in limits.closed.loop.channels if channel.lag)
+    sizes = limits.sizes(late, limits.known(late, bound))
+    assert np.all(sizes[0] > limits.sizes(late, bound[0]))
+    assert np.all(limits.largest(late, bound) >= sizes)
 
 
 def test_what_holds_ever_after_is_the_largest_of_all_later_nodes():

@@ -19,6 +19,7 @@ from polaris.synthesis.sources.observer import Filter
 from polaris.synthesis.sources.thrusters import ThrusterErrors
 from polaris.synthesis.tracker.loop import Loop
 from polaris.synthesis.tracker.tightening import Tightening
+from reach.numerics.linear import powers
 from tests.polaris.flight_software import CELLS, Software
 
 
@@ -536,6 +537,42 @@ def test_nothing_uncertain_adds_nothing():
     assert np.all(limits.from_rest(rows, np.zeros(1)) == 0) and np.all(
         limits.between(np.eye(2), np.zeros(1))[0] == 0
     )
+
+
+def test_intersample_bounds_count_the_rate_at_a_node_and_what_pushes_within_the_period():
+    """Both terms of Proposition 9 (d), of a plant whose pushes fade within a period."""
+    A, B, D = np.array([[-1, 0.3], [0, -0.5]]), np.array([[0.0], [1]]), np.array([[1.0, 0.2], [0, 0.5]])
+    loop = Disturbance(D, W).extend(Loop.of(A, B, 0.4))
+    limits = Tightening(loop.under(np.array([[0.1, 0.2]])), np.ones(1), np.ones(2))
+    own, rows = W * np.linalg.norm(D, axis=1), np.eye(2)
+    rate = limits.from_rest(limits.closed.rates).max(axis=0)
+    bend = 0.4**2 / 8 * np.abs(A)
+    assert np.all(limits.between(rows)[0] >= bend @ (rate + own))
+    box = replace(loop.channels[0], ball=False, size=np.full(2, W))
+    boxed = replace(limits, closed=replace(loop, channels=(box,)).under(limits.closed.gain))
+    assert np.all(boxed.response(box, rows, rows).between @ box.size >= boxed.between(rows)[0] * (1 - 1e-3))
+    assert np.all(boxed.between(rows)[0] >= limits.between(rows)[0])
+
+
+def test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured():
+    """A remainder and its errors displace the state by up to alpha |B| I (Lemma 6 (c))."""
+    soft, M = software("plane"), np.array([[1.0, 0, -2, 0], [0, 1, 0, 1]])
+    loop = CarriedImpulse(BIT, 0.3, 0.2).extend(Loop.of(soft.A, soft.B, soft.h))
+    away = 0.5 * BIT * np.abs(soft.B).sum(axis=1)
+    seen = Estimate(sizes("estimate", 4)).extend(loop).channels[-1]
+    np.testing.assert_allclose(seen.size, sizes("estimate", 4) + away)
+    measured = Filter(M, np.array([0.05, 0.04]), 0.1 * M.T).extend(loop).channels[-1]
+    np.testing.assert_allclose(measured.size, np.array([0.05, 0.04]) + np.abs(M) @ away)
+
+
+def test_the_remainder_bounds_every_state_that_is_left_at_any_later_node():
+    """What hardly damps turns: at the horizon a row may be near zero that is larger again later."""
+    A, B = np.array([[0, 1], [-1, -0.02]]), np.array([[0.0], [1]])
+    limits = Tightening(Loop.of(A, B, 0.5).under(np.array([[0, 0.02]])), np.ones(1), np.array([1.0, 0.02]))
+    rows, N = np.array([[1.0, 0], [0, 1], [1, 1], [1, -1]]), limits.horizon
+    left = np.abs(rows @ powers(limits.closed.F, 3 * N)[N:]) @ limits.v
+    most = limits.remainder(rows)
+    assert np.all(left.max(axis=0) <= most) and np.all(most <= 40 * left.max(axis=0))
 
 
 def test_a_loop_that_hardly_settles_is_bounded_for_ever_or_refused():

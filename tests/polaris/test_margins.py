@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from polaris.model.errors import PolarisError
+from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.safety.continuation import Continuation
-from polaris.synthesis.safety.get_safety import get_recover
+from polaris.synthesis.safety.get_safety import get_recover, get_safety
 from polaris.synthesis.safety.recoverable import directed, left
 
 from ..sizes import fewer
 from .conftest import small_safety
 from .random_scenarios import synthesised
+from .tiny import TINY
 
 STEPS, NODES = 3, 16
 """Steps under U that are looked at in every scene, and nodes after each, the nearest ones all.
@@ -219,6 +221,35 @@ def test_no_limit_is_left_out_however_late(first, period):
             room[end, node - end, 0] = -1.0
             vars(blocked.limits)["room"] = room
             assert not Continuation(blocked).margin_at(first, safety.start).inside, (node, end)
+
+
+def test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it(period):
+    clearance = small_safety(period).clearance
+    blocked, room = replace(clearance), clearance.limits.room.copy()
+    room[0, clearance.planned * clearance.q + 1, 0] = -1.0
+    vars(blocked.limits)["room"] = room
+    for late in (0, 1, 5):
+        first = clearance.planned + late
+        assert Continuation(clearance).margin_at(first, 0 * small_safety(period).start).inside
+        assert not Continuation(blocked).margin_at(first, 0 * small_safety(period).start).inside, late
+
+
+def test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_booked_for():
+    """Period by period: the bound on S's feedback falls with the time since a hand-over."""
+    given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
+    safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
+    tracking, sets, m = safety.tracking, safety.recoverable, 2
+    need = tracking.disturbance(tracking.commands)[:-1, :m] + tracking.noise
+    rows, rng = tracking.gain @ tracking.transitions, np.random.default_rng(0)
+    ways = np.vstack([rng.normal(size=(60, 4)), *(rows[lag] for lag in (0, 3, 10, 20))])
+    ways = ways / np.linalg.norm(ways @ tracking.W.T, axis=1, keepdims=True)
+    most, above = np.full(len(ways), 0.5 * sets.radius(0)), np.full(len(ways), 1e3 * sets.radius(0))
+    for _ in range(24):
+        inside = sets.contains(0, (middle := (most * above) ** 0.5)[:, None] * ways)
+        most, above = np.where(inside, middle, most), np.where(inside, above, middle)
+    commanded = np.abs(np.einsum("lmn,rn->rlm", rows, most[:, None] * ways)) + need
+    share = (commanded / tracking.profile).max(axis=(1, 2))
+    assert np.all(share <= 1) and share.max() > 0.9
 
 
 @pytest.mark.parametrize("kind", ["polytope", "ball"])

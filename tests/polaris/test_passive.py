@@ -205,13 +205,23 @@ def test_forged_drifts_are_refused(forger):
             for part in parts or ():
                 part["facets"] = [[[runs[0][0], runs[0][1]]] for runs in part["facets"]]
 
+    def briefer(drift):  # of every step alike, so that all parts are named
+        parts = [part for each in drift["steps"] for part in each or ()]
+        cut = sum(count for count, _ in parts[0]["facets"][0]) - 2 * drift["parts"]
+        for part in parts:
+            for runs in part["facets"]:
+                while sum(count for count, _ in runs) > cut:
+                    runs[-1][0] -= 1
+                    if runs[-1][0] == 0:
+                        runs.pop()
+
     def bolder(drift):
         drift["steps"][missing] = drift["steps"][clear[0]]
 
     def periods(drift):
         drift["steps"][clear[0]][0]["periods"] += 1
 
-    for change in (narrower, facets, shorter, sooner, bolder):
+    for change in (narrower, facets, shorter, sooner, briefer, bolder):
         verdict = forged(change)
         assert verdict.outcome == "REJECTED" and verdict.claim in ("passive", "guarantee"), change.__name__
     assert forged(periods).claim == "format"

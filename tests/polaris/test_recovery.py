@@ -1,6 +1,7 @@
 """The checker's recovery argument (Proposition 11): no limit is left out, whenever it is."""
 
 import math
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
@@ -9,14 +10,19 @@ pytest.importorskip("flint")
 
 from flint import arb
 
+from polaris.certificate.claims.argument import Argument
+from polaris.certificate.claims.arrival import Arrival
+from polaris.certificate.claims.continuation import Continuation
 from polaris.certificate.claims.recovery import Recovery
+from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.kernel.balls import column, identity, matrix
 from polaris.certificate.kernel.motion import Plant
-from polaris.certificate.kernel.verdict import Rejected
+from polaris.certificate.kernel.verdict import Record, Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope
 from polaris.certificate.model.craft.memory import Memory
-from polaris.certificate.model.craft.needs import Needs
+from polaris.certificate.model.craft.needs import Bows, Needs
 from polaris.certificate.model.limits import Limits, Target
+from polaris.certificate.model.transients import upset
 from tests.polaris.loops import loop_of_errors
 
 Q, CELLS, H, GAIN = 2, 16, 0.5, 2.0
@@ -57,6 +63,16 @@ def test_a_limit_that_nothing_meets_is_noticed_wherever_it_is(step):
                 check(recovery((cell, i)), step)
 
 
+@pytest.mark.parametrize("cell", range(CELLS))
+def test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed(cell):
+    """Without a claimed share the limits beyond the memory are those of all sets together."""
+    flight = Continuation(None, None, None)
+    flight.__dict__["recovery"] = found = recovery((cell, 1))
+    assert found.needs.memory.periods < (CELLS - 1) * Q
+    with pytest.raises(Rejected):
+        flight.keeps({0: Zonotope(column([arb(0)]), identity(1))})
+
+
 def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
     """Between its nodes ``e^t - GAIN (e^t - 1)`` leaves its chord by so much, half way."""
     needs = recovery().needs
@@ -68,8 +84,98 @@ def test_what_is_booked_at_a_node_covers_the_periods_on_both_sides_of_it():
             assert needs.bend[lag][0, 0] >= phi**begun * half_way > 0
 
 
+def test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too():
+    found, start = recovery(), Zonotope(column([arb(0)]), identity(1))
+    room = found.needs.disturbed[-1][0] * 1.2 + 1e-3
+    found.limits.targets[CELLS - 3][1] = [Target(0, room, "wall", room)]
+    found.check_sets({0: start}, {0: 0.1})
+    with pytest.raises(Rejected, match="0.5 claimed, for the set at 0 s, wall beyond the memory"):
+        found.check_sets({0: start}, {0: 0.5})
+
+
+def test_from_rest_a_push_leaves_the_chord_of_its_nodes_by_no_more_than_is_booked():
+    """A constant push e moves ``x' = -x + e`` by ``e (1 - exp(-t))``; no rate is known at a node at rest."""
+    push, one, rest = 0.01, matrix([[1.0]]), column([arb(0)])
+    plant = Plant(-one, one, one, one, [arb(10)], arb(push), arb(H))
+    craft = loop_of_errors(plant.loop(matrix([[0.1]])))
+    ways = [-push * math.expm1(-t * H / 20) for t in range(21)]
+    excess = max(way - t / 20 * ways[-1] for t, way in enumerate(ways))
+    (steady,) = craft.always_bent(one, (rest, rest))
+    (error,) = craft.bent(one, (rest, rest), [], [arb(push)])
+    assert excess > 0 and all(excess <= float(x) <= 4 * excess for x in (steady, error))
+
+
+def test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at():
+    start = Zonotope(column([arb(0)]), identity(1))
+    for lag in range(4):
+        found = recovery()
+        exact = start.support(found.needs.carried[lag])[0] + found.needs.disturbed[lag][0]
+        bow = Bows(found.needs, start).next_to(lag)[0]
+        for share, kept in ((1 + 1e-6, True), (0.99, False)):
+            room = exact + bow * share
+            cell, place = divmod(lag, Q)
+            found.limits.targets[cell][place] = [Target(0, room, "wall", room)]
+            with nullcontext() if kept else pytest.raises(Rejected, match="wall"):
+                found.check_sets({0: start}, {})
+
+
 def test_what_is_over_is_over():
     check(recovery((1, 1)), 3)
     check(recovery((3, 0)), 3, after=1)
     with pytest.raises(Rejected):
         check(recovery((3, 2)), 3, after=1)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step(late):
+    asked, doc = {}, SimpleNamespace(modes=[1, 0, 1], q=3, transients=[{}] if late else [])
+    argument = SimpleNamespace(document=doc, stated=Stated(), K=3, record=Record())
+    flight = SimpleNamespace(
+        keeps=lambda reached, claimed: asked.update(reached) or 1.0,
+        recovery=SimpleNamespace(nodes=9),
+        tracker=SimpleNamespace(memory=SimpleNamespace(periods=1)),
+    )
+    Argument.recoverability(
+        argument, flight, "abcd", [SimpleNamespace(nodes=each) for each in ("pq", "rs", "tu")]
+    )
+    within = {1: "p", 2: "q", 7: "t", 8: "u"} if late else {}
+    assert asked == {0: "a", 3: "b", 6: "c"} | within
+
+
+@pytest.mark.parametrize("node", [0, 3, 100])
+def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not(node):
+    """Jitter and carried impulses displace states (Lemma 6); S answers to what it sees."""
+    needs, found = recovery().needs, []
+    start = Zonotope(column([arb(0)]), identity(1))
+    for away, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
+        document = SimpleNamespace(at_nodes=[away], profile=[])
+        tracker = SimpleNamespace(memory=needs.memory)
+        flight = SimpleNamespace(document=document, tracker=tracker, jump=column([arb(jump)]), scheduled=None)
+        arrival = Arrival(flight, ((start, 0),), arb(0))
+        both = [float(arrival._at(needs, node, around)[0]) for around in (False, True)]
+        found.append((*both, float(arrival.holding(needs))))
+    (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = found
+    assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)
+    assert asked_too == asked
+    left = 0.2 * abs(float(needs.craft.F[0, 0])) ** node  # of a step of the reference at T
+    assert jumped >= still + left * (1 - 1e-9) and more >= asked + left * (1 - 1e-9)
+
+
+def test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over():
+    """Of bounds at a node the chord to the next is taken, and a period begins at either."""
+    grown = [1.0, 3.0, 2.0, 5.0, 4.0, 0.0]
+    needs = SimpleNamespace(
+        rows=identity(1),
+        carried=grown,
+        boxed=lambda box, lag: [arb(grown[lag])],
+        still=lambda box: [arb(0.5)],
+    )
+    steps = [float(most) for (most,) in upset(needs, [column([arb(1)])])]
+    assert steps == [max(grown[: lag + 3]) for lag in range(len(grown))]
+
+
+def test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit():
+    """What a unit in every period adds in a scalar loop is a geometric series."""
+    needs = recovery().needs
+    factor, periods = needs.craft.F[0, 0], needs.memory.periods
+    assert 0 < factor < 1 and needs.late(column([arb(1)]))[0] >= (factor**periods / (1 - factor)).lower()

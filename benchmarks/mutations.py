@@ -1,0 +1,196 @@
+"""Deliberate defects in what is proven and in its checker, each with a quick test that must notice it.
+
+    python -m benchmarks.mutations [N ...]
+
+Every defect is a slip by which a bound is too small, or a claim passes unchecked. It is written into a copy
+of the tree in a temporary folder, and its test is run there. The exit code is 1 if a defect is not caught.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = "polaris", "reach", "scenarios", "tests", "pyproject.toml"
+
+DEFECTS = """\
+# Channels and sources
+synthesis/tracker/tightening.py
+- fixed + (np.linalg.norm(gains, axis=1) * sizes[0] if channel.ball else gains @ sizes)
++ fixed
+! test_loop.py::test_intersample_bounds_count_the_rate_at_a_node_and_what_pushes_within_the_period
+synthesis/tracker/tightening.py
+- (min(channel.lag, len(bound)), 1)
++ (max(min(channel.lag, len(bound)) - 1, 0), 1)
+! test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
+synthesis/tracker/tightening.py
+- self.sizes(channel, self.u_max if channel.lag else bound[0])
++ self.sizes(channel, bound[0])
+! test_hand_over.py::test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow
+synthesis/sources/observer.py
+- size = self.noise + np.abs(self.measures) @ offset
++ size = self.noise
+! test_loop.py::test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured
+synthesis/tracker/craft_loop.py
+- away + between_nodes(system.timing, h) * np.array(system.timing.pulsed)
++ away
+! test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
+model/prediction.py
+- impulse = jitter * (2 * system.u_max +
++ impulse = jitter * (system.u_max +
+! test_timing.py::test_an_impulse_out_of_time_is_an_error_within_a_period_and_a_displacement
+synthesis/tracker/tightening.py
+- self.factor * sizes.max(axis=0)
++ self.factor * sizes[0]
+! test_loop.py::test_the_remainder_bounds_every_state_that_is_left_at_any_later_node
+# What S recovers from, and where it takes over
+synthesis/safety/continuation.py
+- need[:, self.clearance.limits.booked :] += np.hstack([falls, falls])
++ need += 0 * falls.sum()
+! test_margins.py::test_commands_of_recoverable_errors_keep_below_what_errors_of_thrusters_are_booked_for
+synthesis/safety/continuation.py
+- np.repeat([0, 1, 0], [len(lag)
++ np.repeat([0, 0, 0], [len(lag)
+! test_margins.py::test_no_limit_is_left_out_however_late
+synthesis/safety/continuation.py
+- clearance.planned * clearance.q)
++ clearance.cells * clearance.q)
+! test_margins.py::test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it
+synthesis/schedule/takeover.py
+- tube.nodes, tube, until[k]))
++ tube.nodes, tube, until[k - 1] if k else 0.0))
+! test_powered_abort.py::test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before
+synthesis/schedule/arrival.py
+- np.maximum(at[:-1], at[1:]).sum()
++ at[1:].sum()
+! test_arrival.py::test_untouched_they_are_verified
+synthesis/schedule/takeover.py
+- + tracking.upset(rows)[-1]
++ + 0 * tracking.upset(rows)[-1]
+! test_powered_abort.py::test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit
+# The checker
+certificate/model/craft/needs.py
+- (first + later / (1 - self.memory.c))
++ first
+! test_recovery.py::test_everything_that_is_older_than_the_horizon_counts_to_the_last_digit
+certificate/model/limits.py
+- if place == 0 and cell > 0 and not first:
++ if place == 0 and cell > 0 and first:
+! test_recovery.py::test_a_limit_that_nothing_meets_is_noticed_wherever_it_is
+certificate/model/craft/needs.py
+- max(lag - craft.lag + 1, 0)
++ max(lag + 1, 0)
+! test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
+certificate/claims/continuation.py
+- self.recovery.check_far()
++ pass
+! test_recovery.py::test_a_flight_keeps_no_limit_that_nothing_meets_even_if_no_share_is_claimed
+certificate/claims/drift.py
+- column(bow) + column(self.displaced) + bent
++ column(bow) + bent
+! test_certificate_math.py::test_thrust_may_stop_where_pulses_or_jitter_displace_the_craft
+certificate/claims/argument.py
+- flown[k].nodes if mode > 0 and doc.transients else []
++ []
+! test_recovery.py::test_where_a_fault_may_be_isolated_late_s_takes_over_at_any_node_of_a_step
+certificate/claims/arrival.py
+- least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
++ pass
+! test_recovery.py::test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
+certificate/kernel/periods.py
+- for push in (self.push, self.error):
++ for push in (self.push,):
+! test_certificate_math.py::test_a_period_counts_every_push_at_its_end_and_on_the_way
+certificate/claims/flights.py
+- [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
++ list(room)
+! test_certificate_math.py::test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated
+certificate/claims/spending.py
+- most = (applied + rest) * (known + made)
++ most = applied * (known + made)
+! test_certificate_math.py::test_what_errors_do_within_a_period_is_answered_in_the_next
+certificate/kernel/motion.py
+- h / 2 * (a + b) + h**3 / 12 * c
++ h / 2 * (a + b)
+! test_certificate_math.py::test_a_gain_that_bends_upwards_is_more_than_its_trapezoid
+certificate/kernel/zonotopes.py
+- [x.abs_upper() for x in box]
++ [x.mid() for x in box]
+! test_certificate_math.py::test_merged_generators_are_rounded_upwards_at_any_precision
+certificate/claims/recovery.py
+- most + bows.next_to(lag)[row] + disturbance
++ most + disturbance
+! test_recovery.py::test_between_nodes_a_set_needs_what_its_motion_bends_however_exactly_it_is_looked_at
+certificate/model/transients.py
+- most = _peak([most, needs.boxed(box, lag)])
++ most = _peak([needs.boxed(box, lag)])
+! test_recovery.py::test_a_fault_may_have_been_isolated_in_any_period_since_a_hand_over
+certificate/claims/recovery.py
+- self._check_late(k, reached[k], share)
++ pass
+! test_recovery.py::test_a_share_that_is_claimed_is_left_of_limits_beyond_the_memory_too
+certificate/claims/arrival.py
+- spent = self.spent + self.correcting(node)
++ spent = self.spent
+! test_arrival.py::test_what_s_corrects_after_t_is_part_of_the_velocity_change
+"""
+"""Of each defect a file of the package, a text that occurs once in it, what stands there instead, a test."""
+
+
+@dataclass(frozen=True)
+class Defect:
+    """A text in a file of the package, what stands there instead, and the test that fails then."""
+
+    file: str
+    old: str
+    new: str
+    test: str
+
+    def caught(self, tree):
+        """Write the defect into a tree, run its test, put the file back; return True if the test fails."""
+        file = tree / "polaris" / self.file
+        text = file.read_text(encoding="utf-8")
+        if text.count(self.old) != 1:
+            raise SystemExit(f"{self.file}: a text occurs {text.count(self.old)} times, not once: {self.old}")
+        file.write_text(text.replace(self.old, self.new), encoding="utf-8")
+        test = ["-m", "pytest", "-qxp", "no:cacheprovider", f"tests/polaris/{self.test}"]
+        env = os.environ | {"PYTHONPATH": str(tree)}
+        done = subprocess.run([sys.executable, *test], cwd=tree, env=env, capture_output=True, text=True)
+        file.write_text(text, encoding="utf-8")
+        if " failed" not in done.stdout and " passed" not in done.stdout:  # no test has run
+            raise SystemExit(f"{self.test}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+        return done.returncode == 1
+
+
+def defects():
+    """Return all defects."""
+    lines = [line for line in DEFECTS.splitlines() if not line.startswith("#")]
+    groups = [lines[i : i + 4] for i in range(0, len(lines), 4)]
+    return [Defect(file, old[2:], new[2:], test[2:]) for file, old, new, test in groups]
+
+
+def main():
+    chosen = [int(each) for each in sys.argv[1:]]
+    missed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder)
+        for part in PARTS:
+            copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy
+            copy(ROOT / part, tree / part)
+        for i, defect in enumerate(defects(), 1):
+            if chosen and i not in chosen:
+                continue
+            begin, caught = time.monotonic(), defect.caught(tree)
+            missed += not caught
+            told = f"{i:2} {'caught' if caught else 'MISSED'} {time.monotonic() - begin:5.1f} s"
+            print(f"{told}  {defect.file}: {defect.old}", flush=True)
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
