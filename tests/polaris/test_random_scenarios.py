@@ -184,7 +184,7 @@ def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     late = [k for k, step in enumerate(schedule.steps) if step.mode and is_late(schedule, k, step.margin)]
     assert late
     k = late[0]
-    claimed, margins = worst_share(schedule, k, 1) + 0.01, [0.0] * len(schedule.steps)
+    claimed, margins = worst_share(schedule, k, 1) + 0.03, [0.0] * len(schedule.steps)
     margins[k] = float(claimed)
     argument = Argument(Document(data), Record(), Stated(margins=margins))
     with pytest.raises(Rejected) as refused:
