@@ -227,7 +227,7 @@ def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
     def found(share, spent):
         own = replace(safety, plan=replace(safety.plan, delta_v=spent))
         made = {"share": lambda mode=1: share, "delta_v_middle": spent, "switches": 2, "safety": own}
-        known = {"controllers": schedule.controllers[:2], "passive": None, "spent": spent}
+        known = {"controllers": schedule.controllers[:2], "keeps": lambda rules: rules.affords(spent)}
         return SimpleNamespace(**made, **known, arrival=SimpleNamespace(reached=True))
 
     search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v

@@ -557,11 +557,12 @@ def test_intersample_bounds_count_the_rate_at_a_node_and_what_pushes_within_the_
 def test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured():
     """A remainder and its errors displace the state by up to alpha |B| I (Lemma 6 (c))."""
     soft, M = software("plane"), np.array([[1.0, 0, -2, 0], [0, 1, 0, 1]])
-    loop = CarriedImpulse(BIT, 0.3, 0.2).extend(Loop.of(soft.A, soft.B, soft.h))
+    loop = CarriedImpulse(BIT, 0.5).extend(Loop.of(soft.A, soft.B, soft.h))
     away = 0.5 * BIT * np.abs(soft.B).sum(axis=1)
     seen = Estimate(sizes("estimate", 4)).extend(loop).channels[-1]
     np.testing.assert_allclose(seen.size, sizes("estimate", 4) + away)
-    measured = Filter(M, np.array([0.05, 0.04]), 0.1 * M.T).extend(loop).channels[-1]
+    seen = Observer(M, np.array([0.05, 0.04]), 0.1 * M.T)
+    measured = Filter(seen, np.zeros(4)).extend(loop).channels[-1]
     np.testing.assert_allclose(measured.size, np.array([0.05, 0.04]) + np.abs(M) @ away)
 
 
