@@ -159,7 +159,7 @@ class Declared:
 
     @cached_property
     def beside(self) -> dict[str, object]:
-        """What of the problem depends on errors and is not in the loop."""
+        """Return the parts of a problem that depend on errors and are not in the loop."""
         system, by_step = self.problem.system, step_errors(self.problem.system)
         return {
             "errors by step": pickle.dumps(by_step) if np.any(by_step) else b"",

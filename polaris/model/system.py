@@ -214,12 +214,12 @@ class LinearSystem:
         return replace(self, estimate_error=None, thrusters=Thrusters(), transients=(), **AT_ONCE)
 
     def at_step(self, k: int) -> LinearSystem:
-        """The same system with the errors of estimates that there may be in step k."""
+        """Return the system with the errors of estimates that there may be in step k."""
         steps = self.error_by_step
         return self if steps is None else self.known_to(steps[min(k, len(steps) - 1)])
 
     def known_to(self, error: Array) -> LinearSystem:
-        """The same system with errors of estimates, shape (n,), that are those of every step."""
+        """Return the system with errors of estimates, shape (n,), that are those of every step."""
         return replace(self, estimate_error=error, error_by_step=None)
 
     def estimate_off(self, most: Array | None = None) -> Array:

@@ -77,7 +77,7 @@ class SwitchingRules:
             positive("schedule.weights", weight, "-")
 
     def worths(self, modes: int) -> tuple[float, ...]:
-        """Worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
+        """Return the worth of a step under each of so many modes: 0 under S, 1 where no weight is given."""
         given = (0.0, *self.weights)[:modes]
         return given + (1.0,) * (modes - len(given))
 
@@ -86,5 +86,5 @@ class SwitchingRules:
         return Prices(self.weights, self.delta_v_price, self.switch_price, unit)
 
     def affords(self, spent: float) -> bool:
-        """Whether the budget allows a velocity change [m/s]."""
+        """Return True if the budget allows a velocity change [m/s]."""
         return self.delta_v_max is None or spent <= self.delta_v_max
