@@ -120,7 +120,16 @@ class Loop:
         """How far states may be displaced when they are measured."""
         off = self.system.timing.delay / (self.dt * self.parts)
         between = abs(off - round(off)) > 1e-9
-        return self.system.displaced if between else self.system.displaced_at_nodes
+        away = self.system.displaced if between else self.system.displaced_at_nodes
+        return away - self.system.carried_away if self.remembers else away  # what is carried is flown
+
+    def fire(self, told: Array, rest: Array, off: Array) -> tuple[Array, Array]:
+        """Inputs made of commands (R, m) over a period, and the impulses left (R, m), in multiples of a bit."""
+        h, bit, errors = self.dt * self.parts, self.system.timing.carried, self.system.thrusters
+        asked = told * h + rest
+        made = np.minimum(np.floor(np.abs(asked) / bit) * bit, self.system.u_max * h) * np.sign(asked)
+        wrong = errors.part(made / h) + errors.bit - self.system.timing.bit
+        return made / h + off * wrong, asked - made
 
     def _path(self, chi: Array, nu: Array) -> Array:
         """States at every step of every cell, (cells, per + 1, n); coasting beyond what is known."""
@@ -159,6 +168,7 @@ class Loop:
             Computer(self, states, eta, attack.w) if self.remembers else None,
             np.zeros((self.N, R, n)),
         )
+        rest, carries = np.zeros((R, m)), bool(self.remembers and self.system.timing.carried)
         for i in range(self.N):
             k, j = divmod(i, self.per)
             modes[i] = flying = who(i, x)
@@ -180,6 +190,8 @@ class Loop:
             told = np.clip(raw, -limit, limit)
             fresh = told + off[i] * errors.error(told)
             if j % self.parts == 0:
+                if carries:
+                    fresh, rest = self.fire(told, rest, off[i])
                 u, last, command = fresh, np.abs(raw) > limit, told
             for number, mine in parts:
                 if number not in self.laws:
