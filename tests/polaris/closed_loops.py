@@ -124,7 +124,7 @@ class Loop:
         return away - self.system.carried_away if self.remembers else away  # what is carried is flown
 
     def fire(self, told: Array, rest: Array, off: Array) -> tuple[Array, Array]:
-        """Inputs made of commands (R, m) over a period, and the impulses left (R, m), in multiples of a bit."""
+        """Return the inputs that commands (R, m) make in a period, and the impulses that are left (R, m)."""
         h, bit, errors = self.dt * self.parts, self.system.timing.carried, self.system.thrusters
         asked = told * h + rest
         made = np.minimum(np.floor(np.abs(asked) / bit) * bit, self.system.u_max * h) * np.sign(asked)
