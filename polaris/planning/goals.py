@@ -119,10 +119,10 @@ class _StateGoal(Goal):
 
     def of(self, system: LinearSystem) -> Self:
         """Return the same goal, its velocities those of a system."""
-        found = copy(self)
-        found.__dict__.pop("conditions", None)  # of other velocities
-        object.__setattr__(found, "_speeds", speeds(system.A, system.position))
-        return found
+        goal = copy(self)
+        goal.__dict__.pop("conditions", None)  # of other velocities
+        object.__setattr__(goal, "_speeds", speeds(system.A, system.position))
+        return goal
 
     @property
     def n(self) -> int:

@@ -87,10 +87,10 @@ class Tracking:
     def remembered(self) -> Array:
         """Bounds on the loop states beside the tracking error, whatever law has flown, shape (N - n,)."""
         others = np.eye(self.tightening.closed.loop.N)[self.system.n :]
-        found = np.array(self.tightening.from_rest(others, self.system.u_max)[-1])
+        bounds = np.array(self.tightening.from_rest(others, self.system.u_max)[-1])
         if (settled := self.tightening.closed.loop.settled) is not None:
-            found[-self.system.n :] = settled
-        return found
+            bounds[-self.system.n :] = settled  # no source after the observer adds a state
+        return bounds
 
     @property
     def displaced(self) -> Array:
