@@ -57,7 +57,7 @@ class Recovery:
         Those of `decided`, if given: a grid with grown unsafe sets, whose conditions imply those of `grid`.
         Raises `NotCertified` if the initial set does not meet the conditions of `grid`.
         """
-        found, start = cls(grid), grid.schedule.safety.start
+        found, start = cls(grid), grid.tracking.error(grid.schedule.safety.start)
         size = np.asarray(np.linalg.norm(grid.tracking.W @ start.c) + found.size(start.G))
         share = float(found.share(0, start.c, size, found.demand(start.G)))
         if not share <= 1:

@@ -50,8 +50,8 @@ def set_arrays(schedule: Schedule, slices: SlicePicture) -> dict[str, Any]:
         "node": nodes,
         "t_s": nodes * tracking.flow.h,
         "radius": np.array([safety.recoverable.radius(int(node)) for node in nodes]),
-        "start_center": safety.start.c,
-        "start_generators": safety.start.G,
+        "start_center": (start := tracking.error(safety.start)).c,
+        "start_generators": start.G[:, np.any(start.G != 0, axis=0)],
         **held_by(slices, SLICES),
     }
 
@@ -64,7 +64,7 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     and carried impulses displace the true state from the modelled one, is the last n of them.
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
-    system, final = safety.problem.system, schedule.final
+    system, final = safety.problem.system, safety.tracking.error(schedule.final)
     single, most = nodes.G.astype(np.float32), np.float32(np.inf)
     off = (np.abs(nodes.G - single).sum(axis=-1) + system.displaced_at_nodes).astype(np.float32)
     box = np.nextafter(off, most)[..., None] * np.eye(nodes.dim, dtype=np.float32)

@@ -137,7 +137,7 @@ class Claims:
             bow[k] = step.tube.bow @ np.abs(rows).T
         K = len(self.schedule.steps)
         if self.cells > K:
-            tube = error_tube(safety.tracking, self.schedule.final.inflate(safety.clearance.jump), rows)
+            tube = error_tube(safety.tracking, safety.clearance.after_jump(self.schedule.final), rows)
             ages = np.arange(self.cells - K)[:, None] * q + np.arange(q + 1)
             need[K:] = tube.at(ages) + safety.clearance.scheduled(rows)[K : self.cells]
         return need, bow

@@ -64,7 +64,7 @@ def visited(schedule: Schedule) -> Region:
     alone = _under_s(safety, safety.start, 0, curve)
     parts = [flown, alone]
     if safety.reference.cells > K:
-        at_end = schedule.final.inflate(safety.clearance.jump)
+        at_end = safety.clearance.after_jump(schedule.final)
         parts.append(_under_s(safety, at_end, K, curve))
     return Region.join(parts)
 

@@ -1,7 +1,8 @@
 """The safety controller S, and the kinds of experimental controller U that reachability covers.
 
 Every controller flies one planning step at a time in error coordinates ``e = x - xi(t)`` about the
-safe reference, so that its tube is compared with the recoverable sets directly.
+safe reference, so that its tube is compared with the recoverable sets directly. S and affine laws fly sets of
+the whole loop state, whose first part is the error.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +25,8 @@ from ..tracker.tracking import Tracking
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
 ORDER, WIDE = 25.0, 200.0
-"""Generators per dimension kept at the end of a step, without errors and with: what is merged has decayed."""
+"""Generators per dimension of the error kept at the end of a step, without errors and with: what is merged has
+decayed."""
 
 
 @brief
@@ -34,25 +36,34 @@ class TubeSegment:
 
     Attributes
     ----------
-    nodes : Zonotope
-        Stack of q+1 sets in error coordinates. The set over ``[t_i, t_{i+1}]`` lies within the
-        convex hull of the two nodes (corresponding points), up to `bow`.
+    states : Zonotope
+        Stack of q+1 sets of the loop state, or of errors alone. The errors over ``[t_i, t_{i+1}]`` lie within
+        the convex hull of those at the two nodes (corresponding points), up to `bow`.
     bow : ndarray, shape (q, n)
         Elementwise bound on the distance from that hull: curvature of the motion, and the disturbance
         since the node.
     end : Zonotope
-        Set at the end of the step, reduced.
+        Set at the end of the step, reduced, of the same dimension.
     refused : str
         Why this controller must not fly here at all ("" if it may).
     slopes : ndarray or None, shape (q, m)
         Slopes of the bands that a clipped command was enclosed in; None if nothing clips.
     """
 
-    nodes: Zonotope
+    states: Zonotope
     bow: Array
     end: Zonotope
     refused: str = ""
     slopes: Array | None = None
+
+    @cached_property
+    def nodes(self) -> Zonotope:
+        """Errors at the nodes, a stack of q+1 sets."""
+        n = self.bow.shape[-1]
+        if self.states.dim == n:
+            return self.states
+        G = self.states.G[:, :n]
+        return Zonotope(self.states.c[:, :n], G[..., np.any(G != 0, axis=(0, 1))])
 
 
 class Controller(Protocol):
@@ -64,7 +75,7 @@ class Controller(Protocol):
         ...
 
     def fly(self, start: Zonotope, k: int) -> TubeSegment:
-        """Reachable set over step k from a set in error coordinates."""
+        """Reachable set over step k from a set of errors; of the loop state, for S and affine laws."""
         ...
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
@@ -109,7 +120,7 @@ class AffineController(AffineLaw):
         A tube that is found under errors of commands within some bound, and in which commands keep within it,
         holds every flight: none can be the first to exceed it.
         """
-        here = self._like(system=self.system.at_step(k))
+        here, start = self.in_step(k), self.tracking.whole_state(start)
         if not self.system.thrusters.proportional:
             return here._flown(start, k)[0]
         most = LEVELS[0] * self.system.u_max
@@ -120,12 +131,16 @@ class AffineController(AffineLaw):
             above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
             most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)
 
-    def _like(self, **known: Any) -> "AffineController":
+    def in_step(self, k: int) -> "AffineController":
+        """Return the law with the errors of estimates that there may be in step k."""
+        more = self.tracking.step_errors
+        return self._like(off=more[min(k, len(more) - 1)])
+
+    def _like(self, **known: Array) -> "AffineController":
         """The same law while it commands no more than so much, or knows its state so well."""
-        if (system := known.get("system")) is self.system:
-            return self
-        key = (known["most"] if system is None else system.navigation).tobytes()
-        law = self._levels.get(key) or replace(self, **known, _levels={})
+        ((name, value),) = known.items()
+        key = name.encode() + value.tobytes()
+        law = self._levels.get(key) or replace(self, **known, _levels={})  # type: ignore[arg-type]
         self._levels[key] = law
         assert isinstance(law, AffineController)
         return law
@@ -136,14 +151,13 @@ class AffineController(AffineLaw):
         Where the tube of the unclipped law stays within the thrust limits, the clipped law is the
         same law; only elsewhere is the clip relaxed (or an unclipped controller refused).
         """
-        zeta = self.offset[k]
+        zeta, n = self.whole_offset(k), self.system.n
         d = start - zeta[0]
         nodes = self.powers @ d + self.disturbance
         bow = affine_bow(self, nodes[:-1], k)
         commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
         # Without a clip errors of the estimate count; with one they come after it (Proposition 5 (a)).
-        noise = self.system.command_error(self.gain)
-        over = commanded + (0.0 if self.clips else noise) - self.system.u_max
+        over = commanded + (0.0 if self.clips else self.noise) - self.system.u_max
         excess, axis = float(over.max()), int(np.argmax(over))
         if excess > 0 and self.clips:
             nodes, slopes = self._clipped_nodes(d, k)
@@ -152,12 +166,12 @@ class AffineController(AffineLaw):
         elif excess > 0:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         # The two references are stored states: what separates them is known up to their round-off.
-        bow = bow + self.reference.rounding[k] + self.own.rounding[k]
-        error = nodes + zeta
-        end = error[-1].inflate(self.reference.rounding[k] + self.own.rounding[k])
-        order = ORDER if self.system.ideal else WIDE
-        segment = TubeSegment(error, bow, end.reduce(order), refused, slopes)
-        return segment, np.minimum(commanded + noise, self.system.u_max)
+        rounding = self.reference.rounding[k] + self.own.rounding[k]
+        states = nodes + zeta
+        end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
+        order = ORDER if self.system.ideal else WIDE * n / states.dim
+        segment = TubeSegment(states, bow + rounding, end.reduce(order), refused, slopes)
+        return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
     def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
         """The same law beside another safe reference; one that shares the safe reference shares that one."""
@@ -165,17 +179,18 @@ class AffineController(AffineLaw):
         return replace(self, reference=reference, own=own, tracking=tracking, _levels={})
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
-        """Command on the exact state before clipping in step k, its middle and spread, shapes (q+1, m) [N].
+        """Command before clipping in step k, `noise` apart, its middle and spread, shapes (q+1, m) [N].
 
-        `nodes` are errors about the law's own reference. With the bow on either side booked, the hull of two
-        nodes holds what is commanded in the part between them.
+        `nodes` are loop states about the law's own reference. With the bow on either side booked, the hull of
+        two nodes holds what is commanded in the part between them.
         """
-        centre = self.own.nu[k] - nodes.c @ self.gain.T
-        spread = np.abs(self.gain @ nodes.G).sum(axis=-1)
+        K = self.closed.K
+        centre = self.own.nu[k] - nodes.c @ K.T
+        spread = np.abs(K @ nodes.G).sum(axis=-1)
         return centre, spread + at_nodes(bow) @ np.abs(self.gain).T
 
     def _at_most(self, nodes: Zonotope, bow: Array, k: int) -> Array:
-        """Bound on the unclipped command on the exact state in the step [N], shape (m,)."""
+        """Bound on the unclipped command in the step, `noise` apart [N], shape (m,)."""
         centre, spread = self.commanded(nodes, bow, k)
         return np.asarray(((np.abs(centre) + spread) * (1 + ROUNDING)).max(axis=0))
 
@@ -239,6 +254,21 @@ class AnyThrust:
         )
         bow = bent + self.flow.period_box
         return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
+
+
+def beside_errors(tube: TubeSegment, start: Zonotope, idle: AffineLaw) -> TubeSegment:
+    """Return a tube of errors with the other loop states, which begin in `start` and move under no law."""
+    n, first = idle.system.n, Zonotope(start.c[idle.system.n :], start.G[idle.system.n :])
+    caused = Zonotope(idle.disturbance.c[:, n:], idle.disturbance.G[:, n:])
+    others = idle.powers[:, n:, n:] @ first + caused
+
+    def joined(errors: Zonotope, others: Zonotope) -> Zonotope:
+        G = np.zeros((*errors.batch, start.dim, errors.order_count + others.order_count))
+        G[..., :n, : errors.order_count], G[..., n:, errors.order_count :] = errors.G, others.G
+        return Zonotope(np.concatenate([errors.c, others.c], axis=-1), G)
+
+    end = joined(tube.end, others[-1]).reduce(WIDE * n / start.dim)
+    return replace(tube, states=joined(tube.states, others), end=end)
 
 
 def construct_s(tracking: Tracking, reference: Reference) -> AffineController:

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from reach.sets.zonotope import Zonotope
+
 from ...model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
 from ...model.scene.obstacles import perceive
 from ...model.scene.timed_polytope import TimedPolytope
@@ -67,7 +69,7 @@ class Attempts:
         self.tail = tail_length(tracking)
         ahead = 0 if problem.abort is None else problem.abort.cells(problem.delta)
         self.unsafe = perceive_unsafe(problem, problem.K + max(self.tail, ahead))
-        self.start = problem.initial_set - problem.initial_set.c
+        self.start = start_about(problem, tracking)
         self.cut_by_clock: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[tuple[Reference, Array]]:
@@ -165,6 +167,11 @@ def perceive_unsafe(problem: Problem, cells: int) -> tuple[TimedPolytope, ...]:
     return tuple(perceive(problem.unsafe, problem.system, problem.delta, cells))
 
 
+def start_about(problem: Problem, tracking: Tracking) -> Zonotope:
+    """Return the loop states at the start: Theta less its middle, and all that may be known of the rest."""
+    return tracking.whole_state(problem.initial_set - problem.initial_set.c, tracking.at_start)
+
+
 def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope, ...]) -> PlanProblem:
     """The MIP of eqs. 14 to 19, with margins from S's tube and thrust limits tightened by it.
 
@@ -172,7 +179,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     have.
     """
     system, q, K = problem.system, tracking.feedback.nodes_per_cell, problem.K
-    start = problem.initial_set - problem.initial_set.c
+    start = start_about(problem, tracking)
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
     largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))

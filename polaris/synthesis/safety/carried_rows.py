@@ -15,10 +15,11 @@ from ..tracker.tracking import Tracking
 
 @dataclass(frozen=True, eq=False)
 class CarriedRows:
-    """Table ``row phi^l`` of every row and age, with what is added to it (docs/theory.md, Theorem 3).
+    """Table ``row F^l`` of every row and age, with what is added to it (docs/theory.md, Theorem 3).
 
-    Entry l of a table belongs to node l after errors were handed over to S. Over the period between two
-    nodes a row needs at most the chord of their entries.
+    Entry l of a table belongs to node l after a loop state was handed over to S. Over the period between two
+    nodes a row needs at most the chord of their entries. Sets are those of the loop state, or of the
+    tracking error ``x - xi`` where the rest of it may be whatever any law leaves (`Tracking.whole_state`).
 
     Parameters
     ----------
@@ -41,12 +42,21 @@ class CarriedRows:
 
     @cached_property
     def carried(self) -> Array:
-        """``row phi^l``, shape (memory + 2, r, n)."""
-        return np.asarray(self.plant @ self.tracking.transitions)
+        """``row F^l``, shape (memory + 2, r, N)."""
+        return np.asarray(self.tracking.whole(self.rows) @ self.tracking.whole_transitions)
+
+    @cached_property
+    def handed(self) -> Array:
+        """Need, and that between nodes alone, per unit of loop states beside the error, by age and ever after.
+
+        Shape (2, memory + 3, r, N - n).
+        """
+        between = self.tracking.handed_between(self.plant)
+        return np.stack([self.tracking.handed(self.rows) + between, between])
 
     @cached_property
     def disturbance(self) -> Array:
-        """Need of everything but the errors handed over, by age and ever after, shape (memory + 3, r)."""
+        """Need of everything but the state handed over, by age and ever after, shape (memory + 3, r)."""
         return self.tracking.disturbance(self.rows, self.failing)
 
     @cached_property
@@ -57,7 +67,8 @@ class CarriedRows:
     @cached_property
     def sizes(self) -> Array:
         """``norm(row phi^l W^-1)``: need at nodes per unit of ``norm(W e)``, shape (memory + 2, r)."""
-        return np.asarray(np.linalg.norm(self.carried @ self.tracking.W_inverse, axis=-1))
+        own = self.carried[..., : self.tracking.system.n]
+        return np.asarray(np.linalg.norm(own @ self.tracking.W_inverse, axis=-1))
 
     @cached_property
     def beyond(self) -> Array:
@@ -65,15 +76,23 @@ class CarriedRows:
         return self.tracking.forgotten(self.plant, 1.0)
 
     def at(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
-        """Return the needs from a set of errors ``x - xi`` at ages within the memory, shape (ages, r)."""
-        carried, radius = self.carried[ages], float(start.norm_bound(self.tracking.W))
+        """Return the needs from a set at ages within the memory, shape (ages, r)."""
+        start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
+        carried, between = self.carried[ages], self.handed[1, :-1][ages] @ others
         spread = np.abs(carried.reshape(-1, start.dim) @ start.G).sum(axis=-1).reshape(carried.shape[:-1])
         support = _rounded(carried @ start.c, spread)
-        return np.asarray(support + self.bend[ages] * radius + self.disturbance[:-1][ages])
+        return np.asarray(support + self.bend[ages] * radius + between + self.disturbance[:-1][ages])
+
+    def sizes_of(self, sets: Zonotope) -> tuple[Array, Array]:
+        """Return bounds on ``norm(W e)`` over sets, shape (...), and on the other loop states, (..., N - n)."""
+        whole, n = self.tracking.whole_state(sets), self.tracking.system.n
+        others = np.abs(whole.c[..., n:]) + np.abs(whole.G[..., n:, :]).sum(axis=-1)
+        return self.tracking.error(whole).norm_bound(self.tracking.W), others
 
     def tube(self, start: Zonotope) -> "Tube":
-        """Return the needs from a set of errors ``x - xi``, for all time."""
-        beyond = self.beyond * float(start.norm_bound(self.tracking.W)) + self.disturbance[-1]
+        """Return the needs from a set, for all time."""
+        radius, others = self.sizes_of(start)
+        beyond = self.beyond * radius + self.handed[0, -1] @ others + self.disturbance[-1]
         need = np.vstack([self.at(start, slice(None)), beyond])
         return Tube(self, need + ROUNDING * np.abs(need))
 
@@ -82,14 +101,14 @@ class CarriedRows:
 
         Elementwise, (sets, n), the bow bounds what lies between each node and its neighbours.
         """
-        exact = self.carried[lag, row]
+        exact, n = self.carried[lag, row], self.tracking.system.n
         centre = sets.c @ exact.T
         spread = [np.abs(exact @ G).sum(axis=-1) for G in sets.G] if sets.G.size else 0 * centre
         support = _rounded(centre, np.asarray(spread))
         if np.any(bow > 0):
             # More than is needed: only U's own claim between two nodes is left, at lag 0 (Proposition 11).
             before = self.carried[np.maximum(lag - 1, 0), row]
-            support += np.maximum(bow @ np.abs(exact).T, bow @ np.abs(before).T)
+            support += np.maximum(bow @ np.abs(exact[:, :n]).T, bow @ np.abs(before[:, :n]).T)
         return support
 
 
@@ -121,9 +140,10 @@ class Tube:
 
     def left_over(self, tracking: Tracking, radius: float) -> Array:
         """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        return np.asarray(tracking.forgotten(self.table.plant, radius) + self.table.disturbance[-1])
+        handed = self.table.handed[0, -1] @ tracking.remembered
+        return np.asarray(tracking.forgotten(self.table.plant, radius) + handed + self.table.disturbance[-1])
 
 
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
-    """Return a tight bound on ``row e(t)`` under S from a set of errors at time 0 (see `CarriedRows`)."""
+    """Return a tight bound on ``row e(t)`` under S from a set at time 0 (see `CarriedRows`)."""
     return CarriedRows(tracking, rows, failing).tube(start)

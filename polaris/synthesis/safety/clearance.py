@@ -117,6 +117,10 @@ class Clearance:
         """Return what the jump into the tail needs along rows (r, n) in every cell, shape (cells, r)."""
         return np.where(np.arange(self.cells)[:, None] >= self.planned, self.jump_need(rows), 0.0)
 
+    def after_jump(self, sets: Zonotope) -> Zonotope:
+        """Return sets of errors or loop states with the jump into the tail."""
+        return sets.inflate(np.pad(self.jump, (0, sets.dim - len(self.jump))))
+
     def jump_need(self, rows: Array) -> Array:
         """What the jump into the tail needs along rows (r, n) at any time after it, shape (r,)."""
         tracking = self.tracking

@@ -39,7 +39,7 @@ class Continuation(RecoverableSet):
 
     @cached_property
     def disturbance(self) -> Array:
-        """Need besides the error, round-off of the reference included, by age, shape (memory + 3, r)."""
+        """Need besides the state, round-off of the reference included, by age, shape (memory + 3, r)."""
         tracking, table = self.clearance.tracking, self.table
         need = table.disturbance + self.clearance.round_off(table.plant)
         if tracking.profile is not None:  # a bound that falls is the first one, of which more is taken
@@ -60,27 +60,32 @@ class Continuation(RecoverableSet):
         return min(node + clearance.tracking.memory, clearance.planned * clearance.q)
 
     def _allowed(self, node: int) -> float:
-        """Largest ``norm(W e)`` at a node that all limits beyond the memory allow."""
-        spare = self.clearance.limits.ahead[self._later(node)] - self.disturbance[-1]
+        """Largest ``norm(W e)`` at a node that all limits beyond the memory allow, whatever law has flown."""
+        handed = self.table.handed[0, -1] @ self.clearance.tracking.remembered
+        spare = self.clearance.limits.ahead[self._later(node)] - self.disturbance[-1] - handed
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
     def _shares(
-        self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array, spare: float
+        self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array], spare: float
     ) -> tuple[Array, Array, Array, Where]:
         """Share of the room left, need and room of all limits that may need more than a share `spare`.
 
-        Of a stack of sets at the nodes `at`, the first one least, with a bound on ``norm(W e)`` of each. The
-        entries are those of the table, where a period begins and where one ends, and one per row for all
-        times beyond the memory.
+        Of a stack of sets of the loop state at the nodes `at`, the first one least, with bounds on
+        ``norm(W e)`` and on the other states of each. The entries are those of the table, where a period
+        begins and where one ends, and one per row for all times beyond the memory.
         """
+        radius, others = sizes
         limits, table = self.clearance.limits, self.table
         r, last = len(limits.rows), limits.room.shape[1] - 1
         least = spare * limits.ahead[at[0]] - (1 - spare) * limits.most_taken
-        most = (self._per_size * radius.max() + self.disturbance[:-1]) * (1 + ROUNDING)
+        handed, between = table.handed
+        beside = handed @ others.max(axis=0, initial=0.0)
+        most = (self._per_size * radius.max() + beside[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
         lag, row = np.nonzero(most > least)
         size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
         exact = table.supports(lag, row, sets, bow) + np.multiply.outer(radius, bend)
-        near = np.minimum(exact, np.multiply.outer(radius, size)) + pushed
+        exact = exact + others @ between[lag, row].T
+        near = np.minimum(exact, np.multiply.outer(radius, size) + others @ handed[lag, row].T) + pushed
         node, start = at[:, None] + lag, self._later(int(at[0]))
         end, row = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
         period = np.hstack([node, node - 1, np.full((len(at), r), start)])
@@ -88,24 +93,29 @@ class Continuation(RecoverableSet):
         room, taken = limits.room[where], limits.taken[where]
         room[(period < at[0]) | (period > last)] = np.inf
         room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
-        need = np.hstack([near, near, np.multiply.outer(radius, table.beyond) + self.disturbance[-1]])
+        beyond = np.multiply.outer(radius, table.beyond) + others @ handed[-1].T + self.disturbance[-1]
+        need = np.hstack([near, near, beyond])
         need, room = need * (1 + ROUNDING * np.sign(need)) + taken, room + taken
         share = left(need, room)
         share[np.isinf(room) | ((row >= limits.booked) & (share >= 0))] = np.inf
         return share, need, room, (end, period, row)
 
-    def _radius(self, sets: Zonotope, bow: Array) -> Array:
-        """Bound on ``norm(W e)`` over a tube: states between two nodes are as large as the larger node's."""
-        W = self.clearance.tracking.W
-        return np.full(len(bow), np.max(sets.norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)))
+    def _sizes(self, sets: Zonotope, bow: Array) -> tuple[Array, Array]:
+        """Bounds over a tube on ``norm(W e)``, and on the other loop states at every node.
+
+        Errors between two nodes are as large as the larger node's.
+        """
+        W, (radius, others) = self.clearance.tracking.W, self.table.sizes_of(sets)
+        return np.full(len(bow), np.max(radius + np.linalg.norm(bow @ np.abs(W).T, axis=-1))), others
 
     def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
-        """Margin of errors at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
-        at, radius = first + np.arange(len(bow)), self._radius(sets, bow)
-        found = self._shares(at, sets, bow, radius, COARSE)
+        """Margin of sets at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
+        sets = self.clearance.tracking.whole_state(sets)
+        at, sizes = first + np.arange(len(bow)), self._sizes(sets, bow)
+        found = self._shares(at, sets, bow, sizes, COARSE)
         if not found[0].min() < 1 - COARSE:  # what was left out may be tighter than what was found
             spare = max((1 - float(found[0].min())) * (1 - ROUNDING), np.finfo(float).tiny)
-            found = self._shares(at, sets, bow, radius, spare)
+            found = self._shares(at, sets, bow, sizes, spare)
         share, need, room, (end, period, row) = found
         tight = i, entry = np.unravel_index(int(np.argmin(share)), share.shape)
         when, limit = int(period[tight]), int(row[entry])
@@ -118,8 +128,8 @@ class Continuation(RecoverableSet):
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
-        first, bow = k * self.clearance.q, at_nodes(bow)
-        share = self._shares(first + np.arange(len(bow)), nodes, bow, self._radius(nodes, bow), 1.0)[0]
+        first, bow, nodes = k * self.clearance.q, at_nodes(bow), self.clearance.tracking.whole_state(nodes)
+        share = self._shares(first + np.arange(len(bow)), nodes, bow, self._sizes(nodes, bow), 1.0)[0]
         return bool(np.all(share >= 0))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
@@ -129,16 +139,17 @@ class Continuation(RecoverableSet):
         found = np.asarray(radius <= self._allowed(node))
         if found.any():
             points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
-            at = np.full(len(points.c), node)
-            share = self._shares(at, points, 0 * points.c, radius[found], 1.0)[0]
+            at, points = np.full(len(points.c), node), self.clearance.tracking.whole_state(points)
+            share = self._shares(at, points, 0 * errors[found], self.table.sizes_of(points), 1.0)[0]
             found[found] = np.all(share >= 0, axis=1)
         return found
 
     def radius(self, node: int) -> float:
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
+        pushed = self.disturbance + self.table.handed[0] @ self.clearance.tracking.remembered
         for end in (0, 1):  # of the periods that begin and that end at a node
             room = self.clearance.limits.room[end, node : node + len(per_size) - end]
             lags = slice(end, end + len(room))
-            allowed = float(np.min((room - self.disturbance[lags]) / per_size[lags], initial=allowed))
+            allowed = float(np.min((room - pushed[lags]) / per_size[lags], initial=allowed))
         return max(0.0, allowed)  # also where it is no number

@@ -82,7 +82,7 @@ class RecoverableSet(ABC):
     def margin_at(self, k: int, start: Zonotope) -> Margin:
         """Margin of one set at the start of cell k."""
         one = Zonotope(start.c[None], start.G[None])
-        return self.tightest(k * self.clearance.q, one, np.zeros((1, start.dim)))
+        return self.tightest(k * self.clearance.q, one, np.zeros((1, self.clearance.tracking.system.n)))
 
     @abstractmethod
     def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:

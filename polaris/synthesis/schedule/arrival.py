@@ -74,7 +74,7 @@ class After:
     """S along the tail from the errors at T on, step by step as far as it is asked for."""
 
     def __init__(self, safety: Safety, final: Zonotope) -> None:
-        self.safety, self.reached, self.spells = safety, final.inflate(safety.clearance.jump), list[Spell]()
+        self.safety, self.reached, self.spells = safety, safety.clearance.after_jump(final), list[Spell]()
 
     def until(self, nodes: int) -> list[Spell]:
         """The steps of at least so many periods."""
@@ -149,16 +149,18 @@ def _needs(
     S `after` T may need less than those that any hand-over allows.
     """
     tracking = safety.tracking
-    carried = rows @ tracking.transitions
+    carried, handed = tracking.whole(rows) @ tracking.whole_transitions, tracking.handed(rows)[-1]
     last = len(carried) - 1
     pushed, left = tracking.responses(rows, tracking.profile), _left(tracking, rows)
     found, centre = [], np.zeros((nodes, len(rows)))
     for z, since in held:
+        z = tracking.whole_state(z)
         lag = since + np.arange(nodes)
         near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > tracking.long)[:, None]
         centre = np.where(gone, 0.0, (carried @ z.c)[near])
         spread = np.abs(carried @ z.G).sum(axis=-1)[near]
-        once = left * float(z.norm_bound(tracking.W)) + pushed[-1]
+        others = z.extent[tracking.system.n :]
+        once = left * float(tracking.error(z).norm_bound(tracking.W)) + handed @ others + pushed[-1]
         forgotten = np.where(far, long_after(tracking, rows, z), once)
         found.append(np.where(gone, forgotten, centre + spread + pushed[near]))
     away = np.abs(rows) @ tracking.system.displaced_at_nodes
@@ -177,7 +179,8 @@ def _left(tracking: Tracking, rows: Array) -> Array:
 
 def long_after(tracking: Tracking, rows: Array, taken: Zonotope) -> Array:
     """Bound rows of errors `Tracking.long` after S took over a set of them, faults apart, shape (r,)."""
-    once = float(taken.norm_bound(tracking.W)) * (1.0 if tracking.profile is None else tracking.decay[-1])
+    once = float(tracking.error(taken).norm_bound(tracking.W))
+    once *= 1.0 if tracking.profile is None else tracking.decay[-1]
     return np.asarray(_left(tracking, rows) * once + tracking.settled(rows))
 
 

@@ -108,7 +108,8 @@ class Windows:
         if self.fades:
             both = zip(asked.margins, self._fading(), strict=True)
             asked = replace(asked, margins=tuple(margin + tube for margin, tube in both))
-        self.followed = Followed.of(system, law.powers[-1], law.own)
+        transition = law.powers[-1][: system.n, : system.n]
+        self.followed = Followed.of(system, transition, law.own)
         self.closing = np.arange(self.K) >= self.K - (system.n // system.m + 1)
         self._ask(replace(asked, objective="fuel", tail_cells=tail), problem.planner.deadline)
         self.limited = np.any(np.abs(law.own.nu[: self.K]) > self.asked.u_limit, axis=1)
@@ -118,7 +119,7 @@ class Windows:
     def _fading(self) -> list[Array]:
         """U's own tube from the start along the facets of every unsafe set, (K, F) each."""
         safety, law, system = self.safety, self.law, self.safety.tracking.system
-        demand = np.abs(law.gain @ safety.start.G).sum(axis=-1) / system.u_max
+        demand = np.abs(law.gain @ safety.tracking.error(safety.start).G).sum(axis=-1) / system.u_max
         feedback, delta = safety.tracking.feedback, safety.problem.delta
         own, q = Tracking(system, law.gain, feedback, delta, float(demand.max())), feedback.nodes_per_cell
         rows = (-body.normals @ system.position for body in safety.clearance.unsafe)
@@ -262,7 +263,7 @@ class Windows:
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
                 tube = schedule.controllers[intended[k]].fly(reached, k)
-                margin = safety.recoverable.margin(k, tube.nodes, tube.bow)
+                margin = safety.recoverable.margin(k, tube.states, tube.bow)
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)
                     more = lacking[names.index(margin.limit), max(cell - 1, 0) : cell + 2]

@@ -187,7 +187,8 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
         for each in taken:
             bow = np.zeros((1, system.n)) if each.tube is None else at_nodes(each.tube.bow)
             for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
-                one = Zonotope(each.sets.c[i], each.sets.G[i]).inflate(bow[i])
+                one = Zonotope(each.sets.c[i], each.sets.G[i])
+                one = one.inflate(np.pad(bow[i], (0, one.dim - system.n)))
                 q, node = tracking.feedback.nodes_per_cell, each.first + i
                 parts.append(table.tube(one).over_cells(asked.K, q, node, node)[b:])
         most: Array = np.max(parts, axis=0) * (1 + SPARE)

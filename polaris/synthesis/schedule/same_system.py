@@ -94,7 +94,7 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     name, n, q = f"{controller.name}.fly", safety.problem.system.n, safety.tracking.feedback.nodes_per_cell
     if not isinstance(tube, TubeSegment):
         raise ScenarioError(name, type(tube).__name__, "must return a polaris.TubeSegment")
-    _same(f"{name}.nodes", tube.nodes.c.shape, (q + 1, n), "one set per node of the step")
+    _same(f"{name}.states", tube.states.c.shape, (q + 1, n), "one set per node of the step")
     _same(f"{name}.bow", np.shape(tube.bow), (q, n), "one row per part of the step")
     _same(f"{name}.end", tube.end.c.shape, (n,), "one set of states")
     if tube.refused:
@@ -102,11 +102,11 @@ def check_segment(controller: Controller, start: Zonotope, tube: Any, safety: Sa
     if not np.all(tube.bow >= 0):
         raise ScenarioError(f"{name}.bow", float(np.min(tube.bow)), "must not be negative")
     rows = np.vstack([np.eye(n), -np.eye(n)])
-    for told, inner, outer in (("nodes", start, tube.nodes[0]), ("end", tube.nodes[-1], tube.end)):
+    for told, inner, outer in (("states", start, tube.states[0]), ("end", tube.states[-1], tube.end)):
         size = inner.extent
         short = inner.support(rows) - outer.support(rows) - ROUNDING * np.concatenate([size, size])
         if not np.all(short <= 0):
-            rule = "must contain " + ("the set it starts from" if told == "nodes" else "its last node")
+            rule = "must contain " + ("the set it starts from" if told == "states" else "its last node")
             raise ScenarioError(f"{name}.{told}", f"{float(np.nanmax(short)):.3g} short", rule)
     return tube
 

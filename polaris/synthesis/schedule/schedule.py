@@ -56,7 +56,7 @@ class Step:
 
         Steps under S need no margin: from a recoverable set S stays safe to the end.
         """
-        return self.recoverable.margin(self.k, self.tube.nodes, self.tube.bow)
+        return self.recoverable.margin(self.k, self.tube.states, self.tube.bow)
 
 
 @brief

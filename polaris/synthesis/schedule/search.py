@@ -11,11 +11,12 @@ from reach.sets.zonotope import Zonotope
 from ...model.checks import of_kind
 from ...model.errors import ScenarioError
 from ..controllers.black_box import BlackBox
-from ..controllers.controllers import Controller, TubeSegment
+from ..controllers.controllers import AffineController, Controller, TubeSegment, beside_errors
 from ..safety.attempts import Clock
 from ..safety.get_safety import Safety
 from ..safety.passive import clear
 from ..safety.problem import Problem
+from ..tracker.affine_law import AffineLaw
 from .look_ahead import SAFETY, LookAhead
 from .rules import SwitchingRules
 from .same_system import check_controller, check_safety, check_segment
@@ -133,14 +134,17 @@ class Search:
 
     def tube(self, start: Zonotope, k: int, mode: int) -> TubeSegment | None:
         """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
-        controller = self.controllers[mode]
+        controller, tracking = self.controllers[mode], self.safety.tracking
         recalls = isinstance(controller, BlackBox) and controller.memory
-        flown = controller.fly(start, k, *([self._before(start)] if recalls else []))  # GetReach
-        tube = check_segment(controller, start, flown, self.safety)
+        known = start if isinstance(controller, AffineController) else tracking.error(start)
+        flown = controller.fly(known, k, *([self._before(start)] if recalls else []))  # GetReach
+        tube = check_segment(controller, known, flown, self.safety)
+        if tube.end.dim < start.dim:
+            tube = beside_errors(tube, start, self._idle)
         self.came[tube.end] = start, mode
         if mode == SAFETY:
             return tube  # S stays safe from where it took over
-        if tube.refused or not self.safety.recoverable.holds(k, tube.nodes, tube.bow):
+        if tube.refused or not self.safety.recoverable.holds(k, tube.states, tube.bow):
             return None
         abort = self.safety.problem.abort
         if abort is not None and abort.required and not clear(drift_of(self.safety, tube, k)):
@@ -152,8 +156,14 @@ class Search:
         found: list[tuple[Zonotope, Controller]] = []
         while reached in self.came:
             reached, mode = self.came[reached]
-            found.insert(0, (reached, self.controllers[mode]))
+            found.insert(0, (self.safety.tracking.error(reached), self.controllers[mode]))
         return found
+
+    @cached_property
+    def _idle(self) -> AffineLaw:
+        """A law that feeds nothing back: loop states beside the error move under any law as under this."""
+        tracking, path = self.safety.tracking, self.safety.reference
+        return AffineLaw("idle", tracking.system, 0 * tracking.gain, path, path, tracking)
 
     @cached_property
     def planned(self) -> tuple[int, ...]:
@@ -168,7 +178,7 @@ class Search:
             self.safety.start,
             self.safety.problem.K,
             prove,
-            lambda reached: float(reached.norm_bound(W)),
+            lambda reached: float(self.safety.tracking.error(reached).norm_bound(W)),
             self.rules.worths(len(self.controllers)),
             self.rules.beam,
         )

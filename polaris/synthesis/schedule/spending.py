@@ -1,18 +1,20 @@
 """Bounds on the velocity change, period by period or for all periods of a linear loop, and its price."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import expm
 
-from reach.numerics.linear import powers
+from reach.numerics.linear import discretize, growth, powers
 
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import AffineController, Controller, TubeSegment
 from ..controllers.neural import NeuralController
+from ..tracker.loop import Channel, ClosedLoop
 
 LONGEST = 4000  # periods of a loop that are looked at all at once, at most
 SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
@@ -26,32 +28,36 @@ class Spell:
     tube: TubeSegment
     middle: Array  # commanded along the middle of the tube [N], (q, m)
     most: Array  # bound on what is applied on average in every period [N], (q, m)
-    errors: tuple[Array, ...] = ()
-    """Bounds on those of estimates and of thrusters, as inputs [N], (q, m) each; none where the law is not
+    sizes: tuple[Array, ...] = ()
+    """Bounds on the values of the loop's channels in every period, (q, k) each; none where the law is not
     linear, or its commands may come early or late."""
 
     @classmethod
     def of(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
         """Of step k; a controller of which only the thrust limits are known is charged all of them."""
         q = len(tube.bow)
-        if not isinstance(law, (AffineController, NeuralController)):
+        if isinstance(law, NeuralController):  # it flies on exact states
+            centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
+            told = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), law.system.u_max)
+            middle = np.minimum(np.abs(centre), law.system.u_max)
+            return cls(law, tube, middle[:-1], law.system.spent(told)[:-1])
+        if not isinstance(law, AffineController):
             limit = getattr(law, "system", None)
             most = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
             return cls(law, tube, most, most)
-        system = law.system
-        centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
-        middle, known = np.minimum(np.abs(centre), system.u_max), 0 * spread
-        told, hidden, at = centre + 0.0, system.timing.hidden, system.at_step(k)
+        here, system, told, sizes = law.in_step(k), law.system, list[Array](), list[list[Array]]()
+        centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.bow, k)
+        lag = max((channel.lag for channel in here.closed.loop.channels), default=0)
         for i in range(q + 1):
-            if isinstance(law, AffineController):  # a network flies on exact states
-                before = told[i - hidden : i].max(axis=0) if i >= hidden > 0 else None  # Proposition 7 (b)
-                known[i] = at.command_error(law.gain, before)
-            top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
-            told[i] = np.minimum(top, system.u_max)
-        most = system.spent(told)
-        alone = isinstance(law, AffineController) and tube.slopes is None and not system.timing.jitter
-        errors = (known[:-1], system.thrusters.error(told[:-1])) if alone else ()
-        return cls(law, tube, middle[:-1], most[:-1], errors)
+            before = np.max(told[i - lag :], axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
+            top = (np.abs(centre[i]) + spread[i] + here.noise_after(before)) * (1 + ROUNDING)
+            told.append(np.minimum(top, system.u_max))
+            channels = here.closed.loop.channels
+            sizes.append([here.sizes(c, before if c.lag else told[-1]) for c in channels])
+        middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(np.array(told))
+        alone = tube.slopes is None and not system.timing.jitter
+        each = tuple(map(np.array, zip(*sizes[:-1], strict=True))) if alone else ()
+        return cls(law, tube, middle[:-1], most[:-1], each)
 
 
 def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
@@ -60,7 +66,7 @@ def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
     Where a loop is linear for several steps, the lesser of the sum of its periods' bounds and `together`.
     """
     total, left = 0.0, sum(len(spell.most) for spell in spells) if periods is None else periods
-    for (_, linear), parts in groupby(spells, lambda spell: (id(spell.law), len(spell.errors) > 0)):
+    for (_, linear), parts in groupby(spells, lambda spell: (id(spell.law), len(spell.sizes) > 0)):
         run = list(parts)
         most = np.concatenate([spell.most for spell in run])[:left]
         left, apart = left - len(most), float(most.sum())
@@ -70,30 +76,60 @@ def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
 
 def together(run: Sequence[Spell], count: int) -> float:
     """Bound on the thrust of the first periods of a run under one linear law [N] (Proposition 14 (c))."""
-    law, start = run[0].law, run[0].tube.nodes[0]
+    law = run[0].law
     assert isinstance(law, AffineController)
-    system, m = law.system, law.system.m
-    middle, known, made = (
-        np.concatenate(each)[:count] for each in zip(*((s.middle, *s.errors) for s in run), strict=True)
-    )
-    flow = law.feedback.flow(system, law.gain, law.reference.delta)  # but for errors of inputs
-    rows = law.gain @ powers(flow.phi, count - 1)
-    base = middle + np.abs(rows @ start.G).sum(axis=-1) + flow.disturbance_support(law.gain, count)[:-1]
-    answers = -rows @ flow.input_map(system.B)
-    within = flow.h**2 / 2 * np.abs(system.A) @ flow.growth @ np.abs(system.B)
-    commanded = np.abs(answers).sum(axis=0)
-    applied, axes = commanded + np.eye(m), np.arange(m)
-    for a in axes:
-        commanded[a, a] = min(commanded[a, a], peak(answers[:, a, a]))
-        applied[a, a] = min(applied[a, a], max(peak(np.append(1.0, answers[:, a, a])), 1.0))
-    rest = np.abs(rows).sum(axis=0) @ within
-    size, off = (np.sqrt(count * np.sum(each**2, axis=0)) for each in (known, made))
-    if system.timing.carried:  # what is commanded, and the errors of what is made of it
-        told, more = applied @ size + (commanded + rest) @ off, made.sum()
-    else:  # what is applied, but for errors that stand for pulses
-        told = (applied + rest) @ (size + off)
-        more = count * m * (system.thrusters.bit - system.prompt.thrusters.bit)
-    return float((base.sum() + told.sum() + more) * (1 + ROUNDING))
+    system, closed = law.system, law.in_step(0).closed
+    middle = np.concatenate([spell.middle for spell in run])[:count]
+    rows = closed.K @ powers(closed.F, count - 1)
+    base = middle + np.abs(rows @ run[0].tube.states[0].G).sum(axis=-1)
+    total, made = 0.0, not system.timing.carried  # whether bounds are on what is made, not on commands
+    for i, channel in enumerate(closed.loop.channels):
+        sizes = np.concatenate([spell.sizes[i] for spell in run])[:count]
+        if channel.rate is not None and channel.share is None:
+            base[1:] += np.cumsum(closed.gains(channel, rows[:-1]) @ channel.size, axis=0)
+            continue
+        energy = np.sqrt(count * np.sum(sizes**2, axis=0))
+        for answers, once, rest in _answers(closed, channel, rows, made):
+            total += float((_amplified(answers, once) + rest).sum(axis=0) @ energy)
+        if channel.rate is not None and not made:  # errors of what is made add to what is commanded
+            total += float(sizes.sum())
+    if made:
+        total += count * system.m * (system.thrusters.bit - system.prompt.thrusters.bit)
+    return float((base.sum() + total) * (1 + ROUNDING))
+
+
+def _answers(
+    closed: ClosedLoop, channel: Channel, rows: Array, made: bool
+) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield the commands by age that answer a unit of a channel's values, (count, m, k), and what is beside.
+
+    That is what they add in their own period, (m, k), and what measurable values differ from their means.
+    """
+    loop = closed.loop
+    if channel.rate is None:
+        push = closed.pushed(channel)
+        own = np.zeros((loop.m, len(channel.size))) if push is None or not made else push
+        if channel.noise is not None and not made:
+            own = -closed.gain @ channel.noise
+        yield -rows[:-1] @ closed.sampled(channel), own, 0 * own
+        return
+    A, rate = loop.A, channel.rate
+    once = np.linalg.lstsq(loop.B, rate, rcond=None)[0] * made  # errors of inputs, made at once
+    for start, end, enters in loop.enter:
+        length, carried = end - start, enters @ expm(loop.A * (loop.h - end))
+        within = length**2 / 2 * np.abs(A) @ growth(A, length) @ np.abs(rate)
+        seen = rows[:-1] @ carried
+        answers = -seen @ discretize(A, rate, length)[1]
+        yield answers, once, np.abs(seen).sum(axis=0) @ within
+        once = 0 * once
+
+
+def _amplified(answers: Array, once: Array) -> Array:
+    """Bound the amplification of every value into every command, in the 2-norm over time, shape (m, k)."""
+    found = np.abs(answers).sum(axis=0) + np.abs(once)
+    for a, j in np.ndindex(found.shape):
+        found[a, j] = min(found[a, j], peak(np.append(once[a, j], answers[:, a, j])))
+    return found
 
 
 def peak(response: Array) -> float:

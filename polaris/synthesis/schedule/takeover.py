@@ -42,7 +42,7 @@ class Takeover:
         found, since, start, until = [], 0, safety.start, np.cumsum(spent) * (1 + SPARE)
         for k, (mode, tube) in enumerate(flown):
             if mode:
-                found.append(cls(k, k * safety.clearance.q, tube.nodes, tube, until[k]))
+                found.append(cls(k, k * safety.clearance.q, tube.states, tube, until[k]))
                 since, start = (k + 1) * safety.clearance.q, tube.end
             else:
                 one = Zonotope(start.c[None], start.G[None])
@@ -56,7 +56,7 @@ class Takeover:
 
     @property
     def box(self) -> Zonotope:
-        """All errors there."""
+        """All loop states there."""
         size = self.sets.extent.max(axis=0) * (1 + ROUNDING)
         return Zonotope(np.zeros(len(size)), np.diag(size))
 
@@ -65,7 +65,7 @@ class Takeover:
         if self.tube is None:
             margin = sets.margin_at(self.first // q, Zonotope(self.sets.c[0], self.sets.G[0]))
         else:
-            margin = sets.margin(self.k, self.tube.nodes, self.tube.bow)
+            margin = sets.margin(self.k, self.sets, self.tube.bow)
         return None if margin.inside else margin
 
     def over_cells(self, tracking: Tracking, rows: Array, cells: int, periods: int | None = None) -> Array:

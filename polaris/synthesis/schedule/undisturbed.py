@@ -6,6 +6,7 @@ clear (docs/theory.md, Proposition 13).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,7 +45,9 @@ class Flights:
     def __init__(self, safety: Safety, laws: Sequence[AffineController]) -> None:
         problem, sets = safety.problem, safety.clearance.unsafe
         system, K = problem.system, problem.K
-        self.system, self.laws = system, laws
+        ideal = system.as_ideal()
+        seen = replace(safety.tracking, system=ideal)
+        self.system, self.laws = system, [replace(law, system=ideal, tracking=seen, _levels={}) for law in laws]
         flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
         moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]

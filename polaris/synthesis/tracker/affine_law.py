@@ -1,27 +1,34 @@
-"""An affine feedback law: its data, and a period of it clipped, as a set."""
+"""An affine feedback law: its data, and a period of its loop as a set, clipped or not."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from reach.numerics.linear import discretize, powers
+from reach.numerics.linear import powers
 from reach.numerics.relaxation import clip_relaxation
 from reach.sets.zonotope import Zonotope
-from reach.tubes.flow import LinearFlow
+from reach.tubes.flow import LinearFlow, merged
 
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...planning.reference import Reference
 from .feedback import Feedback
+from .loop import Channel, ClosedLoop
+from .period_sets import rates_added, sampled_added
 from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
+ORDER = 30.0  # generators per dimension of what channels add by a node of a step
 
 
 @dataclass(frozen=True, eq=False)
 class AffineLaw:
-    """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, clipped by the thrusters; fields as in `AffineController`."""
+    """``u = mu_U(t) + Lambda_U (xi_U(t) - x)``, clipped by the thrusters; fields as in `AffineController`.
+
+    Its loop state is S's: the error and whatever else the flight computer remembers. `most` (m,) bounds its
+    commands, `off` (n,) what estimates are off by beside the loop's own errors.
+    """
 
     name: str
     system: LinearSystem
@@ -31,6 +38,7 @@ class AffineLaw:
     tracking: Tracking
     clips: bool = False
     most: Array | None = None
+    off: Array | None = None
     _levels: dict[bytes, "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -47,9 +55,17 @@ class AffineLaw:
         return self.tracking.feedback
 
     @cached_property
+    def closed(self) -> ClosedLoop:
+        """Loop of the craft under the law, unsaturated, about the law's own reference."""
+        loop = self.tracking.loop
+        if self.off is not None and np.any(self.tracking.step_errors):
+            loop = loop.with_channels(Channel("steps", self.off, noise=np.eye(self.system.n)))
+        return loop.under(self.gain)
+
+    @cached_property
     def flow(self) -> LinearFlow:
-        """Error dynamics about the law's own reference, unsaturated."""
-        return self.feedback.flow(self.system, self.gain, self.reference.delta, self.error)
+        """Error dynamics about the law's own reference, unsaturated, on exact states."""
+        return self.feedback.flow(self.system, self.gain, self.reference.delta)
 
     @cached_property
     def error(self) -> Array:
@@ -58,27 +74,58 @@ class AffineLaw:
 
     @cached_property
     def powers(self) -> Array:
-        """Transitions from the start of a cell to its nodes, shape (q+1, n, n)."""
-        return powers(self.flow.phi, self.feedback.nodes_per_cell)
+        """Transitions of the loop state from the start of a cell to its nodes, shape (q+1, N, N)."""
+        return powers(self.closed.F, self.feedback.nodes_per_cell)
+
+    def sizes(self, channel: Channel, most: Array | None) -> Array:
+        """Bounds on the values of a channel under commands within a bound, or within the limits."""
+        if channel.share is None:
+            return channel.size
+        limit = self.system.u_max
+        return channel.size + channel.share(limit if most is None else np.minimum(most, limit))
+
+    def channels(self, before: Array | None = None) -> list[tuple[Channel, Array]]:
+        """The loop's channels with bounds on their values in any period of a cell.
+
+        Those that remember commands count ones within `before`, or within the limits of the thrusters.
+        """
+        return [(c, self.sizes(c, before if c.lag else self.most)) for c in self.closed.loop.channels]
+
+    @cached_property
+    def noise(self) -> Array:
+        """Bound on what errors of estimates add to a command in a cell, shape (m,)."""
+        return self.noise_after(None)
+
+    def noise_after(self, before: Array | None) -> Array:
+        """Return the same where commands that channels remember are within a bound, shape (m,)."""
+        each = (self.closed.noise(channel) @ size for channel, size in self.channels(before))
+        return np.asarray(sum(each, np.zeros(self.system.m)))
 
     @cached_property
     def disturbance(self) -> Zonotope:
-        """What the disturbance adds by every node of a cell.
+        """Loop states that the channels cause by every node of a cell, from rest.
 
-        Until the cell's own commands are all that is not measured yet, estimates may be off by more.
+        A channel that remembers commands counts those before the cell with the limits of the thrusters.
         """
-        q, system, hidden = self.feedback.nodes_per_cell, self.system, self.system.timing.hidden
-        least = 0 * self.error if self.most is None else system.command_error(self.gain, self.most)
-        more = system.command_error(self.gain) - least
-        together = 1 if system.ideal else min(TOGETHER, max(q // 2, 1))
-        if self.most is None or hidden >= q or not np.any(more > 0):
-            return self.flow.disturbance_nodes(q, together=together)
-        flow = self.feedback.flow(system, self.gain, self.reference.delta, self.error - more)
-        first, n = flow.input_map(system.B) * more, system.n
-        early = np.zeros((q + 1, n, hidden * system.m))
-        for j in range(hidden):
-            early[j + 1 :, :, j * system.m : (j + 1) * system.m] = self.powers[: q - j] @ first
-        return flow.disturbance_nodes(q, together=together) + Zonotope(np.zeros((q + 1, n)), early)
+        q, N = self.feedback.nodes_per_cell, len(self.closed.F)
+        channels = [(c, self.sizes(c, self.most)) for c in self.closed.loop.channels]
+        once = np.hstack([rates_added(self.closed.loop, channels), sampled_added(self.closed, channels)])
+        blocks = self.powers[:q] @ once
+        together = 1 if self.system.ideal else min(TOGETHER, max(q // 2, 1))
+        parts = [np.zeros((N, 0))]
+        for i in range(1, q + 1):
+            parts.append(np.hstack([merged(blocks[:i], together), *self._early(i)]))
+        sets = [Zonotope(np.zeros(N), G) for G in parts]
+        return Zonotope.stack([sets[0], *(z.reduce(ORDER) for z in sets[1:])])
+
+    def _early(self, i: int) -> list[Array]:
+        """What commands before the cell add by node i to channels that remember them, as generators."""
+        found = []
+        for c in self.closed.loop.channels if self.most is not None else ():
+            more = self.sizes(c, None) - self.sizes(c, self.most)
+            for j in range(min(c.lag, i)) if np.any(more > 0) else ():
+                found.append(self.powers[i - 1 - j] @ self.closed.sampled(c) * more)
+        return found
 
     @cached_property
     def offset(self) -> Array:
@@ -86,31 +133,40 @@ class AffineLaw:
         q, cells = self.feedback.nodes_per_cell, min(self.own.cells, self.reference.cells)
         return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
 
+    def whole_offset(self, k: int) -> Array:
+        """The same as loop states at the nodes of one cell, shape (q+1, N)."""
+        return np.pad(self.offset[k], ((0, 0), (0, self.tracking.loop.N - self.system.n)))
+
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command before clipping, shape (..., m)."""
         return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
 
 
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
-    """Enclose the next node of ``d' = A d + B (clip(mu - Lambda_U d) - mu) + D w``.
+    """Enclose the next loop state from states d about the law's own reference, whose input is mu (m,).
 
-    d is relative to the law's own reference, mu, shape (m,), that reference's input. Returned with the set
-    are the slopes of the band, shape (m,): what the set rests on, and a certificate repeats.
+    Returned with the set are the slopes of the band, shape (m,): what the set rests on, and a certificate
+    repeats. What estimates are off by comes after the clip, which is no steeper than one.
     """
     phi, known, push, slope = clipped_map(law, d, mu)
-    out = phi @ d + known + law.flow.period_zonotope
+    loop, channels = law.closed.loop, law.channels()
+    quiet = [(replace(c, noise=None), size) for c, size in channels]
+    added = [rates_added(loop, channels), sampled_added(law.closed, quiet)]
+    if np.any(law.noise):
+        added.append(loop.held * law.noise)
+    out = phi @ d + known + Zonotope(np.zeros(loop.N), np.hstack(added))
     return (out + push if np.any(push.G) else out).reduce(6), slope
 
 
 def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Zonotope, Array]:
-    """What `clipped_step` makes of d but for the disturbance, ``phi d + known + push``, and the slopes.
+    """What `clipped_step` makes of d but for the channels, ``phi d + known + push``, and the slopes.
 
     The clip is replaced by an affine band over the range of the command at the node, which is then held.
     """
-    system = law.system
-    image = law.gain @ d
+    loop, K = law.closed.loop, law.closed.K
+    image = K @ d
     lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
-    slope, offset, radius = clip_relaxation(lo, hi, system.u_max)
-    Ah, Bh = discretize(system.A, system.B, law.flow.h)
-    known = Bh @ (slope * mu + offset - mu)
-    return Ah - Bh @ (slope[:, None] * law.gain), known, Zonotope(np.zeros(system.n), Bh * radius), slope
+    slope, offset, radius = clip_relaxation(lo, hi, law.system.u_max)
+    known = loop.held @ (slope * mu + offset - mu)
+    phi = loop.free + loop.made @ loop.applied - loop.held @ (slope[:, None] * K)
+    return phi, known, Zonotope(np.zeros(loop.N), loop.held * radius), slope

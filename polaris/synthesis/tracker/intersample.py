@@ -6,36 +6,37 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.system import Array
 from .affine_law import AffineLaw
+from .period_sets import held_rates, within_period
 
 
 def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of an unclipped tube after each node, shape (q, n).
 
-    `start` is a stack of q sets, the states about the law's own reference at the nodes; k the planning step.
+    `start` is a stack of q sets, loop states about the law's own reference at the nodes; k the planning step.
     """
-    rate = (law.flow.A_c @ start).extent @ law.flow.growth.T
-    return _bow(law, k, rate)
+    return _bow(law, k, (law.closed.rates @ start).extent + held_rates(law.closed, law.channels()))
 
 
 def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     """Bow of a tube whose command may be clipped, shape (q, n); arguments as `affine_bow`."""
-    system, mu = law.system, law.own.nu[k]
-    command = (law.gain @ start).extent + np.maximum(np.abs(mu) - system.u_max, 0)
-    push = np.minimum(command, system.u_max + np.abs(mu))
-    rate = ((system.A @ start).extent + push @ np.abs(system.B).T) @ law.flow.growth.T
+    loop, mu, u_max, B = law.closed.loop, law.own.nu[k], law.system.u_max, np.abs(law.system.B)
+    command = (law.closed.K @ start).extent + np.maximum(np.abs(mu) - u_max, 0)
+    push = np.minimum(command, u_max + np.abs(mu))
+    rates = np.pad(loop.A, ((0, 0), (0, loop.N - loop.n))) + loop.B @ loop.applied
+    rate = (rates @ start).extent + push @ B.T + held_rates(law.closed, law.channels())
     return _bow(law, k, rate)
 
 
 def _bow(law: AffineLaw, k: int, rate: Array) -> Array:
     """``h^2/8`` times the curvature of the path and of zeta, and the disturbance of a period.
 
-    `rate`, shape (q, n), bounds the rate of the path about the law's own reference in every period.
+    `rate`, shape (q, n), bounds the rate of the path about the law's own reference at every node.
     """
-    system = law.system
+    system, (h, growth) = law.system, (law.flow.h, law.flow.growth)
     push = (law.own.nu[k] - law.reference.nu[k]) @ system.B.T
-    own = np.abs(law.offset[k][:-1] @ system.A.T + push) @ law.flow.growth.T  # |zeta'|
-    path, own = rate @ np.abs(system.A).T, own @ np.abs(system.A).T
-    return np.asarray(law.flow.h**2 / 8 * (path + own) + law.flow.period_box)
+    own = np.abs(law.offset[k][:-1] @ system.A.T + push)  # |zeta'|
+    path, own = rate @ growth.T @ np.abs(system.A).T, own @ growth.T @ np.abs(system.A).T
+    return np.asarray(h**2 / 8 * (path + own) + within_period(law.closed.loop, law.channels()))
 
 
 def at_nodes(parts: Array) -> Array:

@@ -9,17 +9,19 @@ import numpy as np
 from reach.brief import brief
 from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
+from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
+from ...model.timing import Observer
 from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
 from ..sources.late_faults import lost, misled, moved
 from ..sources.source import remembers
 from .feedback import Feedback
-from .loop import Channel
+from .loop import Channel, Loop
 from .profile import profile
 from .tightening import Response, Tightening
 
@@ -56,17 +58,26 @@ class Tracking:
     level: float | None = None
 
     @cached_property
+    def loop(self) -> Loop:
+        """Loop of the craft, of which the tracking error is the first part, under whatever law flies."""
+        return craft_loop(self.system, self.delta / self.feedback.nodes_per_cell)
+
+    @cached_property
     def tightening(self) -> Tightening:
-        """Bounds on the loop of which the tracking error is the first part."""
-        loop = craft_loop(self.system, self.delta / self.feedback.nodes_per_cell)
+        """Bounds on the loop under S."""
         size = np.linalg.norm(self.W_inverse, axis=1)
-        scale = np.resize(size, loop.N)
-        return Tightening(loop.under(self.gain), self.system.u_max, scale)
+        scale = np.resize(size, self.loop.N)
+        return Tightening(self.loop.under(self.gain), self.system.u_max, scale)
 
     @property
     def commands(self) -> Array:
         """Rows of the loop state that bound S's feedback on both sides, ``K`` and ``-K``, (2 m, N)."""
         return np.vstack([self.tightening.closed.K, -self.tightening.closed.K])
+
+    def error(self, sets: Zonotope) -> Zonotope:
+        """Return the tracking errors of sets of the loop state, or of errors."""
+        n = self.system.n
+        return sets if sets.dim == n else Zonotope(sets.c[..., :n], sets.G[..., :n, :])
 
     @cached_property
     def noise(self) -> Array:
@@ -86,22 +97,59 @@ class Tracking:
     @cached_property
     def remembered(self) -> Array:
         """Bounds on the loop states beside the tracking error, whatever law has flown, shape (N - n,)."""
-        others = np.eye(self.tightening.closed.loop.N)[self.system.n :]
+        return self._others(0.0 if (seen := self._observer) is None or seen.fading is None else seen.fading)
+
+    @cached_property
+    def at_start(self) -> Array:
+        """Bounds on the same at the start of a flight, where the first estimate is known, shape (N - n,)."""
+        if (seen := self._observer) is None or seen.initial is None:
+            return self.remembered
+        bounds = self.remembered.copy()
+        bounds[-self.system.n :] = seen.initial + self.system.carried_away  # it sees states with that
+        return bounds
+
+    @property
+    def _observer(self) -> Observer | None:
+        """Observer whose error is a state of the loop."""
+        return None if self.loop.settled is None else self.system.observer
+
+    def _others(self, more: Array | float) -> Array:
+        """Bounds on the loop states beside the error, first errors of an observer adding some more (..., n)."""
+        n, others = self.system.n, np.eye(self.loop.N)[self.system.n :]
         bounds = np.array(self.tightening.from_rest(others, self.system.u_max)[-1])
-        if (settled := self.tightening.closed.loop.settled) is not None:
-            bounds[-self.system.n :] = settled  # no source after the observer adds a state
+        if self.loop.settled is not None:
+            bounds[-n:] = self.loop.settled + np.max(np.atleast_2d(more), axis=0)  # no later source adds states
         return bounds
 
     @property
     def displaced(self) -> Array:
-        """Largest distance of the error that other laws hand over from that of the loop, shape (n,).
+        """Largest distance of a true state from that of the loop, shape (n,).
 
-        Sets of other laws leave out impulses that are carried; the loop holds them.
+        Sets of errors of true states leave out impulses that are carried; the loop holds them.
         """
         system = self.system
         along = system.thrusters.along * system.timing.carried * np.abs(system.B).sum(axis=1)
         away = (system.carried_away + along) * (1 + ROUNDING)
         return np.asarray(away if remembers(system) else 0 * away)
+
+    def whole_state(self, sets: Zonotope, others: Array | None = None) -> Zonotope:
+        """Return sets of the loop state that hold sets of the tracking error, all else within bounds.
+
+        Parameters
+        ----------
+        sets : Zonotope
+            Of dimension n, or N: these are returned as they are.
+        others : ndarray, shape (N - n,), optional
+            Bounds on the other loop states; those whatever law has flown without them.
+        """
+        n, N = self.system.n, self.loop.N
+        if sets.dim == N:
+            return sets
+        box = np.concatenate([self.displaced, self.remembered if others is None else others])
+        batch, g = sets.batch, sets.G.shape[-1]
+        c, G = np.zeros((*batch, N)), np.zeros((*batch, N, g + N))
+        c[..., :n], G[..., :n, :g], G[..., np.arange(N), g + np.arange(N)] = sets.c, sets.G, box
+        return Zonotope(c, G)
 
     @property
     def varies(self) -> bool:
@@ -122,7 +170,10 @@ class Tracking:
         )
         left = self.forgotten(self.gain, float(np.min(u_max / norms[0])))
         rows = self.commands[: len(u_max)]
-        return profile(norms, self.level * u_max, left, u_max, lambda P: self._needs(rows, P) + self.noise)
+        handed = (self.handed(rows) + self.handed_between(rows[:, : self.system.n])) @ self.remembered
+        return profile(
+            norms, self.level * u_max, left, u_max, lambda P: self._needs(rows, P) + handed + self.noise
+        )
 
     @property
     def most(self) -> Array:
@@ -257,7 +308,7 @@ class Tracking:
 
     def whole(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
-        return np.pad(rows, ((0, 0), (0, self.tightening.closed.loop.N - rows.shape[1])))
+        return np.pad(rows, ((0, 0), (0, self.loop.N - rows.shape[1])))
 
     def _since(self, profile: Array | None) -> Array:
         """Bound on S's commands for as many periods as the loop remembers; the last one holds for ever."""
@@ -266,22 +317,14 @@ class Tracking:
             return np.tile(self.system.u_max, (count, 1))
         return profile[np.minimum(np.arange(count), len(profile) - 1)]
 
-    def _handed(self, rows: Array) -> Array:
-        """Bound rows of the loop states beside the error at node L and ever after, shape (N + 3, r)."""
-        limits, box = self.tightening, np.concatenate([self.displaced, self.remembered])
-        within = np.abs(limits.carried(rows)) @ box
-        size = np.max(box / limits.v)
-        ever = limits.remainder(rows) * size
-        return np.vstack([within, ever])
-
     def _by_age(self, found: Array) -> Array:
-        """Needs by node and ever after, (N + 3, r), for the periods of the memory and ever after."""
+        """Needs by node and ever after, (N + 3, ...), for the periods of the memory and ever after."""
         count = min(self.memory + 2, len(found) - 1)
         ever = found[count:].max(axis=0)
-        return np.vstack([found[:count], np.tile(ever, (self.memory + 3 - count, 1))])
+        return np.concatenate([found[:count], np.tile(ever, (self.memory + 3 - count, *[1] * ever.ndim))])
 
     def responses(self, rows: Array, profile: Array | None) -> Array:
-        """Return what rows need at node L after a hand-over, the error then apart, and ever after.
+        """Return what rows need at node L after a hand-over, the state then apart, and ever after.
 
         Parameters
         ----------
@@ -294,33 +337,45 @@ class Tracking:
         -------
         ndarray, shape (memory + 3, r)
         """
-        rows = self.whole(rows)
-        return self._by_age(self.tightening.from_rest(rows, self._since(profile)) + self._handed(rows))
+        return self._by_age(self.tightening.from_rest(self.whole(rows), self._since(profile)))
 
     def settled(self, rows: Array) -> Array:
         """Return what rows need for ever once S has commanded no more than the end of its profile, (r,)."""
         rows, limits = self.whole(rows), self.tightening
         last = self._since(self.profile)[-1]
         older = np.abs(limits.carried(rows)[limits.horizon]) @ limits.reached(self._since(self.profile))
-        return np.asarray(limits.from_rest(rows, last)[-2] + older + self._handed(rows)[-1])
+        handed = limits.remainder(rows) * np.max(np.concatenate([self.displaced, self.remembered]) / limits.v)
+        return np.asarray(limits.from_rest(rows, last)[-2] + older + handed)
 
     @property
     def long(self) -> int:
         """Periods after a hand-over from which on `settled` bounds what disturbs."""
-        lag = max((channel.lag for channel in self.tightening.closed.loop.channels), default=0)
+        lag = max((channel.lag for channel in self.loop.channels), default=0)
         return self.memory + self.tightening.horizon + 2 + lag
 
-    def between(self, rows: Array, profile: Array | None) -> Array:
-        """Return how far rows of the tracking error leave the chord of what they need at nodes, shape (r,).
+    @cached_property
+    def whole_transitions(self) -> Array:
+        """``F^l`` for l = 0 ... memory + 1, shape (memory + 2, N, N)."""
+        if self.loop.N == self.system.n:
+            return self.transitions
+        return powers(self.tightening.closed.F, self.memory + 1)
 
-        What an error at the hand-over adds to that is `curvature`.
+    def handed(self, rows: Array) -> Array:
+        """Return what rows need at nodes per unit of every loop state beside the error that is handed over.
+
+        Shape (memory + 3, r, N - n), by age and ever after.
         """
-        limits = self.tightening
-        rates = self._handed(limits.closed.rates).max(axis=0)
-        return np.asarray(limits.between(rows, self._since(profile))[0] + limits.bend(rows) @ rates)
+        limits, n, rows = self.tightening, self.system.n, self.whole(rows)
+        ever = limits.remainder(rows)[:, None] / limits.v[n:]
+        return self._by_age(np.concatenate([np.abs(limits.carried(rows))[..., n:], ever[None]]))
+
+    def handed_between(self, rows: Array) -> Array:
+        """Return what `handed` leaves out over the periods next to a node, for rows of the error, (r, n)."""
+        rates = self.handed(self.tightening.closed.rates)
+        return self.tightening.bend(rows) @ np.maximum(rates, np.concatenate([rates[:1], rates[:-1]]))
 
     def disturbance(self, rows: Array, failing: bool = True) -> Array:
-        """Return what rows need besides an error at a hand-over, by age and ever after, (memory + 3, r).
+        """Return what rows need besides the state at a hand-over, by age and ever after, (memory + 3, r).
 
         Entry L belongs to node L after the hand-over. Between two nodes a row needs at most the chord of
         their entries; the last one holds for all later time. Rows of `commands`, shape (r, N), count
@@ -331,7 +386,7 @@ class Tracking:
     def _needs(self, rows: Array, profile: Array | None, failing: bool = True) -> Array:
         """Bound what rows need under commands within a profile, see `disturbance`."""
         plant = rows[:, : self.system.n]
-        found = self.responses(rows, profile) + self.between(plant, profile)
+        found = self.responses(rows, profile) + self.tightening.between(plant, self._since(profile))[0]
         if failing and self.system.transients:
             ages = np.minimum(np.arange(len(found)) + 2, self.memory + 1)
             found = found + self.upset(plant)[ages]

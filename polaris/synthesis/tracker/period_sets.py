@@ -1,0 +1,70 @@
+"""Sets of what the channels of a loop add in one period, as generators."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import expm
+
+from reach.numerics.linear import discretize
+from reach.sets.ellipsoid import ball_generators
+from reach.tubes.flow import LinearFlow
+
+from .loop import Array, Channel, ClosedLoop, Loop
+
+Sized = Sequence[tuple[Channel, Array]]
+"""Channels, each with the half-widths of its box, or the radius of its ball, in the period."""
+
+
+def spread(channel: Channel, size: Array, columns: int) -> Array:
+    """Return generators, shape (columns, g), of a set that holds the values of a channel."""
+    return ball_generators(columns, float(size[0])) if channel.ball else np.diag(size)
+
+
+def rates_added(loop: Loop, channels: Sized) -> Array:
+    """Return generators of what measurable values add to the next loop state by the plant's rate, (N, g).
+
+    What a part of the period adds to the plant enters all loop states at once, with the same generators.
+    """
+    found = [np.zeros((loop.N, 0))]
+    for start, end, enters in loop.enter:
+        flow = LinearFlow.continuous(loop.A, np.zeros((loop.n, 1)), 0.0, end - start)
+        parts, rest = [], np.zeros(loop.n)
+        for channel, size in channels:
+            if channel.rate is not None and np.any(size):
+                M = channel.rate
+                most = np.linalg.norm(M, axis=1) * size[0] if channel.ball else np.abs(M) @ size
+                G = flow.input_zonotope(M, spread(channel, size, M.shape[1]), most).G
+                parts.append(G[:, : -loop.n])
+                rest = rest + np.diag(G[:, -loop.n :])
+        if parts:
+            carried = enters @ expm(loop.A * (loop.h - end))
+            found.append(carried @ np.hstack([*parts, np.diag(rest)]))
+    return np.hstack(found)
+
+
+def sampled_added(closed: ClosedLoop, channels: Sized) -> Array:
+    """Return generators of what values that hold for a period add to the next loop state, (N, g)."""
+    found = [np.zeros((closed.loop.N, 0))]
+    for channel, size in channels:
+        if np.any(size) and (moved := closed.sampled(channel)).any():
+            found.append(moved @ spread(channel, size, moved.shape[1]))
+    return np.hstack(found)
+
+
+def within_period(loop: Loop, channels: Sized) -> Array:
+    """Bound what measurable values have added to the plant at any instant of the period, shape (n,)."""
+    total, size_A = np.zeros(loop.n), np.abs(loop.A)
+    for channel, size in channels:
+        if channel.rate is not None:
+            reached = discretize(size_A, np.abs(channel.rate), loop.h)[1]
+            total = total + (reached.sum(axis=1) * size[0] if channel.ball else reached @ size)
+    return total
+
+
+def held_rates(closed: ClosedLoop, channels: Sized) -> Array:
+    """Bound what values that hold for a period add to the rate of the plant's states, shape (n,)."""
+    B, total = np.abs(closed.loop.B), np.zeros(closed.loop.n)
+    for channel, size in channels:
+        if (push := closed.pushed(channel)) is not None:
+            total = total + B @ np.abs(push @ spread(channel, size, push.shape[1])).sum(axis=1)
+    return total
