@@ -157,8 +157,9 @@ def _needs(
         z = tracking.whole_state(z)
         lag = since + np.arange(nodes)
         near, gone, far = np.minimum(lag, last), (lag > last)[:, None], (lag > tracking.long)[:, None]
-        centre = np.where(gone, 0.0, (carried @ z.c)[near])
-        spread = np.abs(carried @ z.G).sum(axis=-1)[near]
+        here = carried[min(since, last) :]
+        centre = np.where(gone, 0.0, (here @ z.c)[near - min(since, last)])
+        spread = np.abs(here @ z.G).sum(axis=-1)[near - min(since, last)]
         others = z.extent[tracking.system.n :]
         once = left * float(tracking.error(z).norm_bound(tracking.W)) + handed @ others + pushed[-1]
         forgotten = np.where(far, long_after(tracking, rows, z), once)

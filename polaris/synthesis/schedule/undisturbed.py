@@ -106,7 +106,7 @@ class Flights:
         moved = np.eye(self.system.n)
         for _ in range(q):
             phi, known, push, _ = clipped_map(law, Zonotope(d.c, np.hstack([d.G, np.diag(error)])), mu)
-            d, moved = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, push.G])), phi @ moved
+            d, moved = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, push])), phi @ moved
         return d.c, d.G, np.abs(moved)
 
     def impossible(self, held: Held) -> bool:

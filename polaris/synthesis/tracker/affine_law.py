@@ -15,7 +15,7 @@ from ...model.system import Array, LinearSystem
 from ...planning.reference import Reference
 from .feedback import Feedback
 from .loop import Channel, ClosedLoop
-from .period_sets import rates_added, sampled_added
+from .period_sets import held_rates, rates_added, sampled_added, within_period
 from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
@@ -118,6 +118,28 @@ class AffineLaw:
         sets = [Zonotope(np.zeros(N), G) for G in parts]
         return Zonotope.stack([sets[0], *(z.reduce(ORDER) for z in sets[1:])])
 
+    @cached_property
+    def held_rates(self) -> Array:
+        """Bound on the rate of the plant's states by what holds for a period of a cell, shape (n,)."""
+        return held_rates(self.closed, self.channels())
+
+    @cached_property
+    def within_period(self) -> Array:
+        """Bound on what measurable values add to the plant within a period of a cell, shape (n,)."""
+        return within_period(self.closed.loop, self.channels())
+
+    @cached_property
+    def added_clipped(self) -> Array:
+        """What the channels add in a period in which commands may be clipped, as generators, shape (N, g).
+
+        What estimates are off by comes after the clip, which is no steeper than one.
+        """
+        channels, loop = self.channels(), self.closed.loop
+        quiet = [(replace(c, noise=None), size) for c, size in channels]
+        noise = loop.held * self.noise
+        added = rates_added(loop, channels), sampled_added(self.closed, quiet), noise[:, self.noise > 0]
+        return np.hstack(added)
+
     def _early(self, i: int) -> list[Array]:
         """What commands before the cell add by node i to channels that remember them, as generators."""
         found = []
@@ -146,27 +168,23 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
     """Enclose the next loop state from states d about the law's own reference, whose input is mu (m,).
 
     Returned with the set are the slopes of the band, shape (m,): what the set rests on, and a certificate
-    repeats. What estimates are off by comes after the clip, which is no steeper than one.
+    repeats.
     """
     phi, known, push, slope = clipped_map(law, d, mu)
-    loop, channels = law.closed.loop, law.channels()
-    quiet = [(replace(c, noise=None), size) for c, size in channels]
-    added = [rates_added(loop, channels), sampled_added(law.closed, quiet)]
-    if np.any(law.noise):
-        added.append(loop.held * law.noise)
-    out = phi @ d + known + Zonotope(np.zeros(loop.N), np.hstack(added))
-    return (out + push if np.any(push.G) else out).reduce(6), slope
+    out = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, law.added_clipped, push]))
+    return out.reduce(6), slope
 
 
-def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Zonotope, Array]:
-    """What `clipped_step` makes of d but for the channels, ``phi d + known + push``, and the slopes.
+def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array, Array]:
+    """What `clipped_step` makes of d but for the channels, ``phi d + known + push b``, and the slopes.
 
     The clip is replaced by an affine band over the range of the command at the node, which is then held.
     """
     loop, K = law.closed.loop, law.closed.K
-    image = K @ d
-    lo, hi = mu - image.c - image.half_widths, mu - image.c + image.half_widths
+    middle, width = mu - K @ d.c, np.abs(K @ d.G).sum(axis=1)
+    lo, hi = middle - width, middle + width
     slope, offset, radius = clip_relaxation(lo, hi, law.system.u_max)
     known = loop.held @ (slope * mu + offset - mu)
-    phi = loop.free + loop.made @ loop.applied - loop.held @ (slope[:, None] * K)
-    return phi, known, Zonotope(np.zeros(loop.N), loop.held * radius), slope
+    phi = law.closed.unfed - loop.held @ (slope[:, None] * K)
+    push = loop.held * radius
+    return phi, known, push[:, radius > 0], slope

@@ -6,7 +6,6 @@ from reach.sets.zonotope import Zonotope
 
 from ...model.system import Array
 from .affine_law import AffineLaw
-from .period_sets import held_rates, within_period
 
 
 def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
@@ -14,7 +13,7 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
 
     `start` is a stack of q sets, loop states about the law's own reference at the nodes; k the planning step.
     """
-    return _bow(law, k, (law.closed.rates @ start).extent + held_rates(law.closed, law.channels()))
+    return _bow(law, k, (law.closed.rates @ start).extent + law.held_rates)
 
 
 def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
@@ -23,7 +22,7 @@ def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
     command = (law.closed.K @ start).extent + np.maximum(np.abs(mu) - u_max, 0)
     push = np.minimum(command, u_max + np.abs(mu))
     rates = np.pad(loop.A, ((0, 0), (0, loop.N - loop.n))) + loop.B @ loop.applied
-    rate = (rates @ start).extent + push @ B.T + held_rates(law.closed, law.channels())
+    rate = (rates @ start).extent + push @ B.T + law.held_rates
     return _bow(law, k, rate)
 
 
@@ -36,7 +35,7 @@ def _bow(law: AffineLaw, k: int, rate: Array) -> Array:
     push = (law.own.nu[k] - law.reference.nu[k]) @ system.B.T
     own = np.abs(law.offset[k][:-1] @ system.A.T + push)  # |zeta'|
     path, own = rate @ growth.T @ np.abs(system.A).T, own @ growth.T @ np.abs(system.A).T
-    return np.asarray(h**2 / 8 * (path + own) + within_period(law.closed.loop, law.channels()))
+    return np.asarray(h**2 / 8 * (path + own) + law.within_period)
 
 
 def at_nodes(parts: Array) -> Array:

@@ -12,6 +12,7 @@ A law with gain Lambda commands ``u = -Lambda (known z + noise)`` beside the inp
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -159,6 +160,18 @@ class Loop:
         )
         return np.asarray(sum(each, np.zeros((self.N, self.m))))
 
+    @cached_property
+    def part_maps(self) -> tuple[tuple[Array, Array, Array], ...]:
+        """For each part of the period: how additions at its end enter, (N, n), means of rates, and the rest.
+
+        A rate whose mean over the part is v and that is at most s adds ``mean v`` up to ``apart s``, (n, n).
+        """
+        found = []
+        for a, b, E in self.enter:
+            mean, last = discretize(self.A, np.eye(self.n), b - a)[1], expm(self.A * (self.h - b))
+            found.append((E @ last, mean, (b - a) ** 2 / 3 * np.abs(self.A) @ growth(self.A, b - a)))
+        return tuple(found)
+
     @property
     def offset_measured(self) -> Array:
         """Offset at the instants of measurements, shape (n,)."""
@@ -237,18 +250,22 @@ class ClosedLoop:
     loop: Loop
     gain: Array
 
-    @property
+    @cached_property
     def K(self) -> Array:
         """Rows of the commands, shape (m, N); a command is ``-K z`` less what noise adds."""
         return np.asarray(self.gain @ self.loop.known)
 
-    @property
+    @cached_property
+    def unfed(self) -> Array:
+        """Transition without commands, of what is applied beside them too, shape (N, N)."""
+        return np.asarray(self.loop.free + self.loop.made @ self.loop.applied)
+
+    @cached_property
     def F(self) -> Array:
         """Transition from node to node, shape (N, N)."""
-        loop = self.loop
-        return np.asarray(loop.free + loop.made @ loop.applied - loop.held @ self.K)
+        return np.asarray(self.unfed - self.loop.held @ self.K)
 
-    @property
+    @cached_property
     def rates(self) -> Array:
         """Rows of the plant's rate at a node, ``A e + B (what is applied)``, shape (n, N)."""
         plant = np.zeros((self.loop.n, self.loop.N))

@@ -1,13 +1,12 @@
 """Sets of what the channels of a loop add in one period, as generators."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import expm
 
 from reach.numerics.linear import discretize
 from reach.sets.ellipsoid import ball_generators
-from reach.tubes.flow import LinearFlow
 
 from .loop import Array, Channel, ClosedLoop, Loop
 
@@ -15,30 +14,30 @@ Sized = Sequence[tuple[Channel, Array]]
 """Channels, each with the half-widths of its box, or the radius of its ball, in the period."""
 
 
+_ball = lru_cache(maxsize=64)(ball_generators)
+
+
 def spread(channel: Channel, size: Array, columns: int) -> Array:
     """Return generators, shape (columns, g), of a set that holds the values of a channel."""
-    return ball_generators(columns, float(size[0])) if channel.ball else np.diag(size)
+    return _ball(columns, float(size[0])) if channel.ball else np.diag(size)
 
 
 def rates_added(loop: Loop, channels: Sized) -> Array:
     """Return generators of what measurable values add to the next loop state by the plant's rate, (N, g).
 
-    What a part of the period adds to the plant enters all loop states at once, with the same generators.
+    What a part of the period adds to the plant enters all loop states at once, with the same generators: the
+    mean of the values lies in their set, the rest is bounded (docs/theory.md, Proposition 9 (c)).
     """
     found = [np.zeros((loop.N, 0))]
-    for start, end, enters in loop.enter:
-        flow = LinearFlow.continuous(loop.A, np.zeros((loop.n, 1)), 0.0, end - start)
-        parts, rest = [], np.zeros(loop.n)
+    for carried, mean, apart in loop.part_maps:
+        parts, most = [], np.zeros(loop.n)
         for channel, size in channels:
             if channel.rate is not None and np.any(size):
                 M = channel.rate
-                most = np.linalg.norm(M, axis=1) * size[0] if channel.ball else np.abs(M) @ size
-                G = flow.input_zonotope(M, spread(channel, size, M.shape[1]), most).G
-                parts.append(G[:, : -loop.n])
-                rest = rest + np.diag(G[:, -loop.n :])
+                parts.append(mean @ M @ spread(channel, size, M.shape[1]))
+                most = most + (np.linalg.norm(M, axis=1) * size[0] if channel.ball else np.abs(M) @ size)
         if parts:
-            carried = enters @ expm(loop.A * (loop.h - end))
-            found.append(carried @ np.hstack([*parts, np.diag(rest)]))
+            found.append(carried @ np.hstack([*parts, np.diag(apart @ most)]))
     return np.hstack(found)
 
 
