@@ -40,7 +40,7 @@ PAGE = Path(__file__).parents[1] / "guarantees.md"
 HEAD = {
     "Source": "",
     "Table": "",
-    "Loop of S": "polaris.synthesis.sources.craft.craft_loop",
+    "Loop": "polaris.synthesis.sources.craft.craft_loop",
     "Beside the loop": "polaris.scenario.schedule.ScheduleScenario.problem",
     "Checker": "polaris.certificate.model.craft.states.craft_of",
     "Simulation, `falsify`": "polaris.simulation.delayed.flies",
@@ -161,7 +161,9 @@ class Declared:
     def beside(self) -> dict[str, object]:
         """Return the parts of a problem that depend on errors and are not in the loop."""
         system, by_step = self.problem.system, step_errors(self.problem.system)
+        initial = None if system.observer is None or by_step.any() else system.observer.initial
         return {
+            "set at the start": pickle.dumps(initial) if initial is not None else b"",
             "errors by step": pickle.dumps(by_step) if np.any(by_step) else b"",
             "once in a flight": pickle.dumps(system.transients) if system.transients else b"",
             "limits of inputs": pickle.dumps(system.u_max),

@@ -86,7 +86,8 @@ class Recovery:
     def matrix(self) -> Array:
         """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
-        carried, booked = self.sets.table.carried, self.sets.table.bend.copy()
+        carried = self.sets.table.carried[..., : self.grid.system.n]
+        booked = self.sets.table.bend.copy()
         booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
         booked += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
         out = np.concatenate([carried, booked[..., None]], axis=-1)
@@ -95,7 +96,7 @@ class Recovery:
     @cached_property
     def booked(self) -> Array:
         """What S's disturbance, round-off and the path between nodes need of every row, shape (L r,)."""
-        out = self.sets.disturbance[: self.lags].copy()
+        out = self.sets.beside_errors[: self.lags].copy()
         out[:, : len(self.bow)] += self.bow + self._bent * self._radius
         return np.asarray(out.reshape(-1) * (1 + ROUNDING))
 
@@ -229,7 +230,7 @@ class Recovery:
         tracking, clearance = self.grid.tracking, self.grid.clearance
         tail, o = (clearance.cells - clearance.planned) * clearance.q, len(self.bow)
         ends = self.grid.clearance.limits.room
-        need = np.zeros_like(ends) + self.sets.disturbance[-1] * (1 + ROUNDING)
+        need = np.zeros_like(ends) + self.sets.beside_errors[-1] * (1 + ROUNDING)
         path = (self.bow + self._bent * self._radius) * (1 + ROUNDING)
         need[0, : self.grid.last + 1, :o] += path  # after T nobody but S flies
         need[1, : self.grid.last, :o] += path

@@ -24,10 +24,12 @@ from polaris.model.prediction import design, fading, predicting
 from polaris.model.system import LinearSystem
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
+from polaris.synthesis.safety.carried_rows import CarriedRows
 from polaris.synthesis.safety.demand import Scheduled
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking
 from reach.numerics.linear import powers
+from reach.sets.zonotope import Zonotope
 
 BEFORE, AFTER = 9, 14  # periods before the hand-over, and after it
 PARTS = 4  # of a period, in each of which errors are constant
@@ -196,6 +198,17 @@ def checked(s, rows):
     return *(np.array([[float(x) for x in need] for need in some]) for some in each), noise
 
 
+def handed(s, rows):
+    """Return what the exact error and all else that may be remembered need along rows at nodes, (., r)."""
+    z = s.whole_state(Zonotope.point(np.zeros(s.system.n)))
+    return np.abs(s.whole(rows) @ s.whole_transitions @ z.G).sum(axis=-1)
+
+
+def needed(s, rows, ages):
+    """Return the same with all that disturbs, between nodes too."""
+    return CarriedRows(s, rows).at(Zonotope.point(np.zeros(s.system.n)), ages)
+
+
 CASES = [
     {},
     {"delay": 1.0},
@@ -221,9 +234,9 @@ def test_no_flight_needs_more_after_a_hand_over_than_both_sides_say(case):
     states, commands = worst(s)
     rows, ages = np.eye(s.system.n), np.arange(AFTER + 1)
     K = s.commands[: s.system.m]
-    by_tracking = s.responses(rows, s.profile)[ages], s.disturbance(rows)[ages]
+    by_tracking = s.responses(rows, s.profile)[ages] + handed(s, rows)[ages], needed(s, rows, ages)
     by_checker = checked(s, rows)
-    asked = s.responses(K, s.profile)[:AFTER] + s.noise, checked(s, None)[0][:AFTER] + by_checker[2]
+    asked = (s.responses(K, s.profile)[:-1] + handed(s, K))[:AFTER] + s.noise, checked(s, None)[0][:AFTER] + by_checker[2]
     within = np.linspace(0, 1, PARTS, endpoint=False)[:, None]
     for nodes, disturbance in (by_tracking, by_checker[:2]):
         share = states[::PARTS] / np.maximum(nodes, 1e-12)
@@ -245,9 +258,8 @@ def test_what_is_older_than_the_horizon_counts(case):
     total = sum(closed.gains(each, carried).sum(axis=0) @ each.size for each in closed.loop.channels)
     ever = limits.from_rest(rows)
     assert np.all(total <= ever[-1] * (1 + 1e-12)) and np.all(total > ever[limits.horizon])
-    box = np.concatenate([s.displaced, s.remembered])
-    handed = s._handed(rows)[-1]
-    assert np.all((np.abs(carried) @ box)[limits.horizon + 2 :] <= handed)
+    n = s.system.n
+    assert np.all(np.abs(carried)[limits.horizon + 2 :, :, n:] <= s.handed(rows)[-1])
     needs = checker_needs(s, np.eye(s.system.n))
     last, N, more = needs.whole[-1], needs.memory.periods, np.zeros(s.system.n)
     late = needs.late(column(needs.craft.supports(identity(needs.craft.F.nrows()))))
@@ -349,10 +361,18 @@ def test_a_first_estimate_counts_beside_what_the_loop_remembers():
     system = predicting(replace(bare, observer=observer, timing=Timing()), Timing(delay=1.5 * H), H)
     s, document = replace(s, system=system), stated(replace(s, system=system))
     left = observer.rest @ expm(system.A * H)
-    over = np.abs(expm(system.A * 1.5 * H))
+    over = np.abs(expm(system.A * 1.5 * H))  # to the instant of the command
     exact = [over @ np.abs(np.linalg.matrix_power(left, k)) @ first for k in range(3 * K)]
-    np.testing.assert_allclose(s.step_errors[:K], exact[:K], rtol=1e-6)
-    assert np.all(s.step_errors[K] >= np.max(exact[K:], axis=0))
+    assert not np.any(s.step_errors)
+    z = s.whole_state(Zonotope.point(np.zeros(4)), s.at_start)
+    np.testing.assert_array_equal(z.half_widths[-4:], first)
+    assert np.all(s.remembered[-4:] >= np.max([np.abs(np.linalg.matrix_power(left, k)) @ first for k in range(9)]))
+    known, F = s.loop.known[:, -4:], s.tightening.closed.F
+    for k in range(K):  # a first error fades in the loop by itself
+        fades = known @ np.linalg.matrix_power(F, k)[-4:, -4:]
+        np.testing.assert_allclose(
+            fades, expm(system.A * 1.5 * H) @ np.linalg.matrix_power(left, k), rtol=1e-9, atol=1e-12
+        )
     document.error_by_step, document.steps = system.error_by_step.tolist(), K
     document.calmest = system.error_by_step.min(axis=0).tolist()
     document.known_to = lambda k: document.error_by_step[min(k, K)]
@@ -373,7 +393,8 @@ def test_bounds_between_nodes_hold_what_noise_pushes_in_its_own_period():
     first = PARTS * (s.system.p + s.system.m)
     rate = np.einsum("tri,r->i", np.abs(rates[:, first : first + 4]), np.array(s.system.timing.measured))
     bend = H**2 / 8 * np.abs(A) @ rate
-    assert np.all(bend <= s.between(np.eye(4), None)) and np.all(bend > 0)
+    between = s.disturbance(np.eye(4)) - s.responses(np.eye(4), None)
+    assert np.all(bend <= between[0]) and np.all(bend > 0)
     nodes, disturbed, _ = checked(s, np.eye(4))
     assert np.all(bend <= disturbed[0] - nodes[0])
 

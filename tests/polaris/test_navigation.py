@@ -166,7 +166,7 @@ def test_an_observer_is_attacked_by_its_noise(more):
         noise = other[..., flight.columns[1]]
         other[..., flight.columns[1]] = noise * rng.choice([-1.0, 1.0], (*noise.shape[:2], 1))
         more_far = far(flight.run(x0, other).states) - far(flown.states)
-        assert more_far.max() < 0.01 and more_far.mean() < -0.005  # some commands clip, and some are early
+        assert more_far.max() < 0.02 and more_far.mean() < -0.005  # some commands clip, and some are early
 
 
 def test_bounds_hold_within_a_range_that_is_kept():

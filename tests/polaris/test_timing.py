@@ -249,9 +249,12 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     calm = replace(tracking, system=replace(system, thrusters=Thrusters(bit=system.thrusters.bit)))
     last = min(last, calm.memory)
     booked = tracking.responses(rows, profile)[: last + 1] - calm.responses(rows, None)[: last + 1]
+    others = np.abs(tracking.whole_transitions[: last + 1, : system.n, system.n :])
+    booked += others @ (tracking.remembered - calm.remembered)
     reached = np.zeros((last + 1, system.n))
     for first in range(-hidden, last):
-        size = part(system.u_max if first < 0 else profile[min(first, len(profile) - 1)])
+        told = system.u_max if first < 0 else np.minimum(profile[min(first, len(profile) - 1)], system.u_max)
+        size = part(told)
         e, wrong = np.zeros((system.n, system.m)), np.zeros((system.n, system.m))
         for node in range(-hidden, last):
             pushed = Bd * (size if node == first else 0.0)

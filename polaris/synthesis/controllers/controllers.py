@@ -134,12 +134,12 @@ class AffineController(AffineLaw):
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
         more = self.tracking.step_errors
-        return self._like(off=more[min(k, len(more) - 1)])
+        return self._like(off=more[min(k, len(more) - 1)]) if np.any(more) else self
 
     def _like(self, **known: Array) -> "AffineController":
         """The same law while it commands no more than so much, or knows its state so well."""
         ((name, value),) = known.items()
-        key = name.encode() + value.tobytes()
+        key = name, value.tobytes()
         law = self._levels.get(key) or replace(self, **known, _levels={})  # type: ignore[arg-type]
         self._levels[key] = law
         assert isinstance(law, AffineController)

@@ -55,6 +55,14 @@ class CarriedRows:
         return np.stack([self.tracking.handed(self.rows) + between, between])
 
     @cached_property
+    def beside_errors(self) -> Array:
+        """Need of what may be handed over beside a true error, whatever law has flown, (memory + 3, r)."""
+        tracking = self.tracking
+        size = float(np.linalg.norm(np.abs(tracking.W) @ tracking.displaced))
+        own = np.abs(self.carried[..., : tracking.system.n]) @ tracking.displaced + self.bend * size
+        return np.asarray(np.vstack([own, self.beyond * size]) + self.handed[0] @ tracking.remembered)
+
+    @cached_property
     def disturbance(self) -> Array:
         """Need of everything but the state handed over, by age and ever after, shape (memory + 3, r)."""
         return self.tracking.disturbance(self.rows, self.failing)
@@ -140,8 +148,10 @@ class Tube:
 
     def left_over(self, tracking: Tracking, radius: float) -> Array:
         """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
-        handed = self.table.handed[0, -1] @ tracking.remembered
-        return np.asarray(tracking.forgotten(self.table.plant, radius) + handed + self.table.disturbance[-1])
+        table = self.table
+        return np.asarray(
+            tracking.forgotten(table.plant, radius) + table.beside_errors[-1] + table.disturbance[-1]
+        )
 
 
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:

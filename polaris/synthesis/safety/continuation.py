@@ -48,6 +48,11 @@ class Continuation(RecoverableSet):
         return need
 
     @cached_property
+    def beside_errors(self) -> Array:
+        """Need besides a true error, whatever law has flown, by age, shape (memory + 3, r)."""
+        return self.disturbance + self.table.beside_errors
+
+    @cached_property
     def _per_size(self) -> Array:
         """Bound on the need per unit of ``norm(W e)``, by lag, shape (memory + 2, r)."""
         sizes = self.table.sizes * (1 + ROUNDING)
@@ -61,8 +66,7 @@ class Continuation(RecoverableSet):
 
     def _allowed(self, node: int) -> float:
         """Largest ``norm(W e)`` at a node that all limits beyond the memory allow, whatever law has flown."""
-        handed = self.table.handed[0, -1] @ self.clearance.tracking.remembered
-        spare = self.clearance.limits.ahead[self._later(node)] - self.disturbance[-1] - handed
+        spare = self.clearance.limits.ahead[self._later(node)] - self.beside_errors[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
     def _shares(
@@ -147,9 +151,8 @@ class Continuation(RecoverableSet):
     def radius(self, node: int) -> float:
         """Return the radius of the largest ball ``norm(W e) <= r`` inside the set at a node."""
         allowed, per_size = self._allowed(node), self.table.sizes + self.table.bend
-        pushed = self.disturbance + self.table.handed[0] @ self.clearance.tracking.remembered
         for end in (0, 1):  # of the periods that begin and that end at a node
             room = self.clearance.limits.room[end, node : node + len(per_size) - end]
             lags = slice(end, end + len(room))
-            allowed = float(np.min((room - pushed[lags]) / per_size[lags], initial=allowed))
+            allowed = float(np.min((room - self.beside_errors[lags]) / per_size[lags], initial=allowed))
         return max(0.0, allowed)  # also where it is no number

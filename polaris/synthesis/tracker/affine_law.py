@@ -19,7 +19,9 @@ from .period_sets import held_rates, rates_added, sampled_added, within_period
 from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
-ORDER = 30.0  # generators per dimension of what channels add by a node of a step
+ORDER, CLIPPED = 30.0, 6.0
+"""Generators per dimension of what channels add by a node of a step; of sets at nodes where commands may be
+clipped, twice as many with errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class AffineLaw:
     clips: bool = False
     most: Array | None = None
     off: Array | None = None
-    _levels: dict[bytes, "AffineLaw"] = field(default_factory=dict, repr=False)
+    _levels: dict[tuple[str, bytes], "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         shape = (self.system.m, self.system.n)
@@ -172,7 +174,7 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
     """
     phi, known, push, slope = clipped_map(law, d, mu)
     out = Zonotope(phi @ d.c + known, np.hstack([phi @ d.G, law.added_clipped, push]))
-    return out.reduce(6), slope
+    return out.reduce(CLIPPED if law.system.ideal else 2 * CLIPPED), slope
 
 
 def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array, Array]:
