@@ -85,13 +85,17 @@ def together(run: Sequence[Spell], count: int) -> float:
     total, made = 0.0, not system.timing.carried  # whether bounds are on what is made, not on commands
     for i, channel in enumerate(closed.loop.channels):
         sizes = np.concatenate([spell.sizes[i] for spell in run])[:count]
-        if channel.rate is not None and channel.share is None:
+        of_inputs = not channel.ball and np.array_equal(channel.rate, closed.loop.B)
+        if channel.rate is not None and not of_inputs:
             base[1:] += np.cumsum(closed.gains(channel, rows[:-1]) @ channel.size, axis=0)
             continue
         energy = np.sqrt(count * np.sum(sizes**2, axis=0))
         for answers, once, rest in _answers(closed, channel, rows, made):
-            total += float((_amplified(answers, once) + rest).sum(axis=0) @ energy)
-        if channel.rate is not None and not made:  # errors of what is made add to what is commanded
+            most = _amplified(answers, once)
+            if of_inputs:  # what they differ from their means in a part is made besides
+                most = np.sqrt(most**2 + once * (1 - once))
+            total += float((most + rest).sum(axis=0) @ energy)
+        if of_inputs and not made:  # errors of what is made add to what is commanded
             total += float(sizes.sum())
     if made:
         total += count * system.m * (system.thrusters.bit - system.prompt.thrusters.bit)
@@ -103,32 +107,33 @@ def _answers(
 ) -> Iterator[tuple[Array, Array, Array]]:
     """Yield the commands by age that answer a unit of a channel's values, (count, m, k), and what is beside.
 
-    That is what they add in their own period, (m, k), and what measurable values differ from their means.
+    That is what they add in their own period, (m, k), and what measurable values add that differ from their
+    means, each part of a period for itself.
     """
     loop = closed.loop
     if channel.rate is None:
-        push = closed.pushed(channel)
-        own = np.zeros((loop.m, len(channel.size))) if push is None or not made else push
-        if channel.noise is not None and not made:
-            own = -closed.gain @ channel.noise
+        own = np.zeros((loop.m, len(channel.size)))
+        if channel.noise is not None:
+            own = own - closed.gain @ channel.noise
+        if channel.push is not None and made:
+            own = own + channel.push
         yield -rows[:-1] @ closed.sampled(channel), own, 0 * own
         return
     A, rate = loop.A, channel.rate
-    once = np.linalg.lstsq(loop.B, rate, rcond=None)[0] * made  # errors of inputs, made at once
     for start, end, enters in loop.enter:
         length, carried = end - start, enters @ expm(loop.A * (loop.h - end))
         within = length**2 / 2 * np.abs(A) @ growth(A, length) @ np.abs(rate)
         seen = rows[:-1] @ carried
         answers = -seen @ discretize(A, rate, length)[1]
-        yield answers, once, np.abs(seen).sum(axis=0) @ within
-        once = 0 * once
+        yield answers, np.eye(loop.m) * (length / loop.h * made), np.abs(seen).sum(axis=0) @ within
 
 
 def _amplified(answers: Array, once: Array) -> Array:
     """Bound the amplification of every value into every command, in the 2-norm over time, shape (m, k)."""
     found = np.abs(answers).sum(axis=0) + np.abs(once)
     for a, j in np.ndindex(found.shape):
-        found[a, j] = min(found[a, j], peak(np.append(once[a, j], answers[:, a, j])))
+        most = max(peak(np.append(once[a, j], answers[:, a, j])), abs(once[a, j]))
+        found[a, j] = min(found[a, j], most)
     return found
 
 
