@@ -233,9 +233,9 @@ class LinearSystem:
         spare = self.thrusters.part(self.u_max) - self.thrusters.part(np.minimum(most, self.u_max))
         return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
 
-    def command_error(self, gain: Array, most: Array | None = None) -> Array:
+    def command_error(self, gain: Array) -> Array:
         """By how much a command may differ from what it would be on the exact state, shape (..., m)."""
-        return np.asarray(self.estimate_off(most) @ np.abs(gain).T)
+        return np.asarray(np.abs(gain) @ self.navigation)
 
     def input_error(self, gain: Array, most: Array) -> Array:
         """By how much what is applied may differ from what a law, clipped, would command on the exact state.

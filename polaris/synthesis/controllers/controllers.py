@@ -7,7 +7,7 @@ the whole loop state, whose first part is the error.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -25,8 +25,7 @@ from ..tracker.tracking import Tracking
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
 ORDER, WIDE = 25.0, 200.0
-"""Generators per dimension of the error kept at the end of a step, without errors and with: what is merged has
-decayed."""
+"""Generators per dimension of the error kept at the end of a step, without errors and with."""
 
 
 @brief

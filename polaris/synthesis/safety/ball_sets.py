@@ -67,7 +67,9 @@ class BallSets(RecoverableSet):
     def tightest(self, first: int, sets: Zonotope, bow: Array) -> Margin:
         """Margin of errors at nodes that follow one another from `first` on (`RecoverableSet.tightest`)."""
         W, last = self.bounds.W, len(self.allowed) - 1
-        norms = (self.clearance.tracking.error(sets).norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)) * (1 + ROUNDING)
+        norms = (
+            self.clearance.tracking.error(sets).norm_bound(W) + np.linalg.norm(bow @ np.abs(W).T, axis=-1)
+        ) * (1 + ROUNDING)
         # A node belongs to the period before it too, as far as that lies in the cell.
         own = np.minimum(np.maximum(first + np.arange(len(norms)) - (len(norms) > 1), first), last)
         found = [self._tightest(int(period), float(norm)) for period, norm in zip(own, norms, strict=True)]

@@ -47,7 +47,7 @@ class CarriedRows:
 
     @cached_property
     def handed(self) -> Array:
-        """Need, and that between nodes alone, per unit of loop states beside the error, by age and ever after.
+        """Need, and that between nodes alone, per unit of loop states beside the error, by age.
 
         Shape (2, memory + 3, r, N - n).
         """
@@ -92,7 +92,7 @@ class CarriedRows:
         return np.asarray(support + self.bend[ages] * radius + between + self.disturbance[:-1][ages])
 
     def sizes_of(self, sets: Zonotope) -> tuple[Array, Array]:
-        """Return bounds on ``norm(W e)`` over sets, shape (...), and on the other loop states, (..., N - n)."""
+        """Return bounds over sets on ``norm(W e)``, shape (...), and on other loop states, (..., N - n)."""
         whole, n = self.tracking.whole_state(sets), self.tracking.system.n
         others = np.abs(whole.c[..., n:]) + np.abs(whole.G[..., n:, :]).sum(axis=-1)
         return self.tracking.error(whole).norm_bound(self.tracking.W), others

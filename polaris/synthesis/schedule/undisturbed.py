@@ -47,7 +47,10 @@ class Flights:
         system, K = problem.system, problem.K
         ideal = system.as_ideal()
         seen = replace(safety.tracking, system=ideal)
-        self.system, self.laws = system, [replace(law, system=ideal, tracking=seen, _levels={}) for law in laws]
+        self.system, self.laws = (
+            system,
+            [replace(law, system=ideal, tracking=seen, _levels={}) for law in laws],
+        )
         flow = LinearFlow.continuous(system.A, system.D, 0.0, problem.delta / PARTS)
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
         moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]

@@ -118,7 +118,9 @@ class Tracking:
         n, others = self.system.n, np.eye(self.loop.N)[self.system.n :]
         bounds = np.array(self.tightening.from_rest(others, self.system.u_max)[-1])
         if self.loop.settled is not None:
-            bounds[-n:] = self.loop.settled + np.max(np.atleast_2d(more), axis=0)  # no later source adds states
+            bounds[-n:] = self.loop.settled + np.max(
+                np.atleast_2d(more), axis=0
+            )  # no later source adds states
         return bounds
 
     @property
@@ -356,7 +358,7 @@ class Tracking:
     @cached_property
     def whole_transitions(self) -> Array:
         """``F^l`` for l = 0 ... memory + 1, shape (memory + 2, N, N)."""
-        if self.loop.N == self.system.n:
+        if self.system.n == self.loop.N:
             return self.transitions
         return powers(self.tightening.closed.F, self.memory + 1)
 
