@@ -202,7 +202,7 @@ def test_a_tube_that_is_too_thin_is_caught():
         replace(
             step,
             tube=replace(
-                step.tube, nodes=replace(step.tube.nodes, G=0.3 * step.tube.nodes.G), bow=0 * step.tube.bow
+                step.tube, states=replace(step.tube.states, G=0.3 * step.tube.states.G), bow=0 * step.tube.bow
             ),
         )
         for step in schedule.steps
@@ -232,7 +232,7 @@ def springy(**more):
         tube = law.fly(start, k)
         start = tube.end
         nodes = replace(tube.nodes, G=(THIN if k > 6 else 1) * tube.nodes.G)
-        steps.append(replace(step, mode=1, tube=replace(tube, nodes=nodes)))
+        steps.append(replace(step, mode=1, tube=replace(tube, states=nodes)))
     safety = replace(made.safety, end=replace(made.safety.end, horizon="none"))
     return replace(made, steps=tuple(steps), safety=safety)
 

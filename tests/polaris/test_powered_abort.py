@@ -163,7 +163,7 @@ def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
 def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
     start, size = Zonotope(np.zeros(1), np.eye(1)), SPARE + 1
     safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2))
-    tube = SimpleNamespace(nodes=Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1))), end=start)
+    tube = SimpleNamespace(states=Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1))), end=start)
     taken = Takeover.each(
         safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
     )

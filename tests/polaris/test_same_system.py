@@ -222,13 +222,13 @@ class Tube:
     ("change", "told"),
     [
         (lambda f: None, "must return"),
-        (lambda f: replace(f, nodes=f.nodes[:-1]), "nodes"),
+        (lambda f: replace(f, states=f.states[:-1]), "states"),
         (lambda f: replace(f, bow=f.bow[:, :3]), "bow"),
         (lambda f: replace(f, bow=-f.bow), "must not be negative"),
         (lambda f: replace(f, bow=np.nan * f.bow), "must not be negative"),
         (lambda f: replace(f, end=Zonotope.point(np.zeros(3))), "end"),
         (lambda f: replace(f, end=Zonotope.point(f.end.c)), "must contain its last node"),
-        (lambda f: replace(f, nodes=0.5 * np.eye(6) @ f.nodes), "must contain the set it starts from"),
+        (lambda f: replace(f, states=0.5 * np.eye(6) @ f.states), "must contain the set it starts from"),
     ],
 )
 def test_a_tube_that_is_none_is_refused(change, told):

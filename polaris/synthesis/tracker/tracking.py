@@ -14,7 +14,6 @@ from reach.tubes.flow import LinearFlow
 
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
-from ...model.timing import Observer
 from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
@@ -97,30 +96,18 @@ class Tracking:
     @cached_property
     def remembered(self) -> Array:
         """Bounds on the loop states beside the tracking error, whatever law has flown, shape (N - n,)."""
-        return self._others(0.0 if (seen := self._observer) is None or seen.fading is None else seen.fading)
+        n, seen = self.system.n, self.system.observer
+        bounds = np.array(self.tightening.from_rest(np.eye(self.loop.N)[n:], self.system.u_max)[-1])
+        if seen is not None and self.loop.settled is not None:  # no source after the observer adds states
+            bounds[-n:] = self.loop.settled + (0.0 if seen.fading is None else seen.fading.max(axis=0))
+        return bounds
 
     @cached_property
     def at_start(self) -> Array:
         """Bounds on the same at the start of a flight, where the first estimate is known, shape (N - n,)."""
-        if (seen := self._observer) is None or seen.initial is None:
-            return self.remembered
-        bounds = self.remembered.copy()
-        bounds[-self.system.n :] = seen.initial + self.system.carried_away  # it sees states with that
-        return bounds
-
-    @property
-    def _observer(self) -> Observer | None:
-        """Observer whose error is a state of the loop."""
-        return None if self.loop.settled is None else self.system.observer
-
-    def _others(self, more: Array | float) -> Array:
-        """Bounds on the loop states beside the error, first errors of an observer adding some more (..., n)."""
-        n, others = self.system.n, np.eye(self.loop.N)[self.system.n :]
-        bounds = np.array(self.tightening.from_rest(others, self.system.u_max)[-1])
-        if self.loop.settled is not None:
-            bounds[-n:] = self.loop.settled + np.max(
-                np.atleast_2d(more), axis=0
-            )  # no later source adds states
+        seen, bounds = self.system.observer, self.remembered.copy()
+        if seen is not None and self.loop.settled is not None and seen.initial is not None:
+            bounds[-self.system.n :] = seen.initial + self.system.carried_away  # it sees states with that
         return bounds
 
     @property
