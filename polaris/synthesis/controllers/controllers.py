@@ -24,8 +24,9 @@ from ..tracker.tracking import Tracking
 
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER, WIDE = 25.0, 200.0
-"""Generators per dimension of the error kept at the end of a step, without errors and with."""
+ORDER, WIDE, WHOLE = 25.0, 200.0, 100.0
+"""Generators per dimension of the error kept at the end of a step: without errors, with, and of the whole loop
+state."""
 
 
 @brief
@@ -168,7 +169,7 @@ class AffineController(AffineLaw):
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         states = nodes + zeta
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
-        order = ORDER if self.system.ideal else WIDE * n / states.dim
+        order = ORDER if self.system.ideal else WIDE if states.dim == n else WHOLE * n / states.dim
         segment = TubeSegment(states, bow + rounding, end.reduce(order), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
@@ -266,7 +267,7 @@ def beside_errors(tube: TubeSegment, start: Zonotope, idle: AffineLaw) -> TubeSe
         G[..., :n, : errors.order_count], G[..., n:, errors.order_count :] = errors.G, others.G
         return Zonotope(np.concatenate([errors.c, others.c], axis=-1), G)
 
-    end = joined(tube.end, others[-1]).reduce(WIDE * n / start.dim)
+    end = joined(tube.end, others[-1]).reduce(WHOLE * n / start.dim)
     return replace(tube, states=joined(tube.states, others), end=end)
 
 

@@ -20,7 +20,7 @@ from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 ORDER, CLIPPED = 30.0, 6.0
-"""Generators per dimension of what channels add by a node of a step; of sets at nodes where commands may be
+"""Generators per dimension of the error of what channels add by a node of a step; of sets where commands may be
 clipped, twice as many with errors."""
 
 
@@ -118,7 +118,8 @@ class AffineLaw:
         for i in range(1, q + 1):
             parts.append(np.hstack([merged(blocks[:i], together), *self._early(i)]))
         sets = [Zonotope(np.zeros(N), G) for G in parts]
-        return Zonotope.stack([sets[0], *(z.reduce(ORDER) for z in sets[1:])])
+        order = ORDER * self.system.n / N
+        return Zonotope.stack([sets[0], *(z.reduce(order) for z in sets[1:])])
 
     @cached_property
     def held_rates(self) -> Array:
