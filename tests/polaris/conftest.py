@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from polaris.certificate.claims.argument import ORDERS
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.scene.obstacles import BoxObstacle
 from polaris.planning.goals import EllipticalNMT
@@ -77,12 +76,6 @@ def small_controllers(period=None, w_max=1e-5):
         "clipped": affine("clipped", away, True),
         "any": AnyThrust("any", system, safety.reference, safety.tracking),
     }
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """With few generators alone: the checker tries again with many what fails, in several times the time."""
-    monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
 
 
 @pytest.fixture(params=[None, 2.0], ids=["chosen", "given"])

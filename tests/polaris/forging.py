@@ -15,19 +15,16 @@ import shutil
 import tomllib
 from collections import defaultdict
 from fnmatch import fnmatchcase
-from unittest.mock import patch
 
 import numpy as np
 
 from polaris.certificate.checker import verify
-from polaris.certificate.claims import argument
 from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.file_keys import REPEATED
 from polaris.certificate.files.parts import last_instant
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
 
-from ..sizes import CAMPAIGN
 from .corruptions import restate
 from .tiny import TINY
 
@@ -53,14 +50,10 @@ def make(assignments, folder):
 
 
 class Forger:
-    """A run folder and a copy of it to forge in.
-
-    The checker tries again with more generators what fails with few. Forgeries are judged with as many as the
-    honest run needs, which has to be found out once; in a campaign with all that the checker tries.
-    """
+    """A run folder and a copy of it to forge in."""
 
     def __init__(self, run, scratch):
-        self.run, self.folder, self.needed = run, scratch / "forged", ()
+        self.run, self.folder = run, scratch / "forged"
         shutil.copytree(run, self.folder, ignore=shutil.ignore_patterns("figures"))
         self.honest = json.loads((run / CERTIFICATE).read_text(encoding="utf-8"))
 
@@ -86,27 +79,10 @@ class Forger:
                     data["digest"] = digest(data)
                 text = canonical(data)
             (self.folder / CERTIFICATE).write_text(text.replace("\x00", ""), encoding="utf-8")
-            return self._verify(files)
+            return verify(self.folder)
         finally:
             for name in (*files, CERTIFICATE):
                 shutil.copyfile(self.run / name, self.folder / name)
-
-    def _verify(self, files):
-        """Verdict on the forged folder."""
-        if files and not self.needed and len(argument.ORDERS) > 1 and not CAMPAIGN:
-            self._honest(self.run)
-        with patch.object(argument, "ORDERS", self.needed or argument.ORDERS):
-            return verify(self.folder) if files or CAMPAIGN else self._honest(self.folder)
-
-    def _honest(self, folder):
-        """Verdict on a folder that nothing was changed in."""
-        for order in argument.ORDERS:
-            with patch.object(argument, "ORDERS", (order,)):
-                verdict = verify(folder)
-            if verdict.outcome in ("VERIFIED", "STATISTICAL"):
-                self.needed = (order,)
-                break
-        return verdict
 
     def tree(self, name):
         """Data of a JSON or TOML file."""

@@ -33,10 +33,8 @@ def test_there_are_more_than_a_hundred_of_them(forger):
     assert len({label for label, _ in forged(forger)}) > 100
 
 
-@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("part", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(1, PARTS))])
 def test_forged_choices_and_bold_claims_are_refused(forger, part):
-    """A part of them with few generators: more of them only take longer to refuse the same."""
     passed = []
     for i, (label, files) in enumerate(forged(forger)):
         if i % PARTS == part and (verdict := forger.judge(files)).outcome == "VERIFIED":

@@ -7,13 +7,11 @@ import pytest
 pytest.importorskip("flint")
 
 from polaris.certificate.checker import verify_document
-from polaris.certificate.claims.argument import ORDERS
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
-from ..sizes import CAMPAIGN
 from .corruptions import Corruptor, against_files, inner, malformed
 from .tiny import TINY
 
@@ -67,9 +65,7 @@ def part_of_inner(part):
     return [case for i, case in enumerate(inner(alone())) if i % 9 == part]
 
 
-def test_the_argument_notices(monkeypatch):
-    # With few generators: the long part tries again with many, as the checker does, in four times the time.
-    monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
+def test_the_argument_notices():
     count, wrong = judge(part_of_inner(0))
     assert not wrong
     assert count >= 19
@@ -77,10 +73,7 @@ def test_the_argument_notices(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(9))
-def test_the_argument_notices_the_rest(part, monkeypatch):
-    """One part in three with as many generators as the checker tries, all parts in a campaign."""
-    if part % 3 and not CAMPAIGN:
-        monkeypatch.setattr("polaris.certificate.claims.argument.ORDERS", ORDERS[:1])
+def test_the_argument_notices_the_rest(part):
     count, wrong = judge(part_of_inner(part))
     assert not wrong
     assert count >= 19

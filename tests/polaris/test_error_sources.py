@@ -464,7 +464,6 @@ def test_the_checker_has_as_many_states_as_the_loop(row):
     assert declared.craft.F.nrows() == craft_loop(system, h).N
 
 
-@pytest.mark.usefixtures("few")
 def test_forged_errors_are_refused(tmp_path):
     """The scenario's bounds are the certificate's: no smaller ones pass, wherever they are written."""
     forger = Forger(make([COARSE.replace("0.5", "0.25"), *ERRORS], tmp_path), tmp_path)

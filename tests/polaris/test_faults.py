@@ -75,7 +75,6 @@ def test_bad_tables_are_refused_by_name(assignments, field):
     assert error.value.field.startswith(field)
 
 
-@pytest.mark.usefixtures("few")
 def test_forged_faults_are_refused(tmp_path):
     forger = Forger(make([*FIVE, 'faults=[{kind="stuck_off"}]'], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"

@@ -296,7 +296,7 @@ def test_keys_that_nobody_reads_are_refused(forgers, table, key, value):
         (("seed",), 7),
     ],
 )
-def test_a_summary_that_claims_more_is_refused(forgers, few, path, value):
+def test_a_summary_that_claims_more_is_refused(forgers, path, value):
     forger = forgers("unaware")
     files = {"summary.json": json.dumps(replaced(forger.tree("summary.json"), path, value))}
     verdict = forger.judge(files)
@@ -317,7 +317,7 @@ def report(wrong):
     return f"{len(wrong)} forgeries are verified:\n" + "\n".join(wrong)
 
 
-def test_fields_forged_one_at_a_time_are_refused(forgers, few):
+def test_fields_forged_one_at_a_time_are_refused(forgers):
     forger = forgers("unaware")
     cases = list(one_at_a_time(forger, 0, 1, 0.5))
     claims = [case for case in cases if not excused(case[0], EXCUSED)]

@@ -292,7 +292,6 @@ def test_observers_go_with_missed_periods(more):
 FORGED = SMALL, FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.25"
 
 
-@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("more", [(), FORGED, pytest.param((SMALL, MISSED, NEAR), marks=pytest.mark.slow)])
 def test_forged_observers_are_refused(more, tmp_path):
     """Neither another gain, nor less noise, nor smaller bounds than they give."""
@@ -338,7 +337,6 @@ def test_forged_observers_are_refused(more, tmp_path):
     assert forger.judge({"scenario.toml": write_toml(scenario)}).outcome == "REJECTED"
 
 
-@pytest.mark.usefixtures("few")
 def test_forged_ranges_are_refused(tmp_path):
     """The certificate keeps every box of the scenario, no larger, for as long as its phase lasts."""
     forger = Forger(make([*SAMPLED[:2], *RANGED], tmp_path), tmp_path)

@@ -402,7 +402,6 @@ def test_a_run_that_forgets_the_rounding_of_its_network_is_rejected(tmp_path, mo
     assert verdict.outcome == "REJECTED" and verdict.claim in SETS, verdict.text()
 
 
-@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("forgotten", [pytest.param("navigation", marks=pytest.mark.slow), "thrusters"])
 def test_tubes_of_a_network_that_forget_an_error_are_rejected(forgotten, tmp_path, monkeypatch):
     pytest.importorskip("onnx")

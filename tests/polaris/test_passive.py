@@ -17,6 +17,7 @@ from polaris.simulation.falsification.drifting import drifted, stopped
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.safety.passive import PassiveSafety
+from polaris.synthesis.schedule.rules import CHECKED
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..sizes import fewer
@@ -262,7 +263,7 @@ def test_the_tank_lasts_as_long_as_the_bounds_say():
 
     plenty, none = lasts(8.0), lasts(0.1)
     scarce = lasts(0.99 * plenty.spent)  # enough until T, not until S has settled
-    assert plenty.lasts == pytest.approx(plenty.settled + (8 - plenty.spent) / plenty.rate)
+    assert plenty.lasts == pytest.approx(plenty.settled + (8 / (1 + CHECKED) - plenty.spent) / plenty.rate)
     assert scarce.lasts == 12.0 and none.lasts == 0.0
 
 

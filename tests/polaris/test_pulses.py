@@ -165,7 +165,6 @@ def test_too_few_inputs_are_refused():
         pulse_error(replace(system, B=system.B[:, :1], u_max=system.u_max[:1]), np.ones(1), 0.25)
 
 
-@pytest.mark.usefixtures("few")
 def test_forged_pulses_are_refused(tmp_path):
     """Neither weaker pulses, nor held inputs in their place, nor less than what pulses add."""
     forger = Forger(make([*PULSED, *ERRORS, "thrusters.remainder=carried"], tmp_path), tmp_path)

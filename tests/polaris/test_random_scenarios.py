@@ -15,7 +15,7 @@ pytest.importorskip("flint")
 import flint
 
 from polaris.certificate.checker import verify, verify_document
-from polaris.certificate.claims.argument import ORDERS, Argument
+from polaris.certificate.claims.argument import ORDER, Argument
 from polaris.certificate.claims.coasting import check_end
 from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.files.document import Document, digest
@@ -188,7 +188,7 @@ def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     margins[k] = float(claimed)
     argument = Argument(Document(data), Record(), Stated(margins=margins))
     with pytest.raises(Rejected) as refused:
-        argument.flights(argument.reference(), Merging(ORDERS[0]))
+        argument.flights(argument.reference(), Merging(ORDER))
     assert 0 < claimed < 1 and refused.value.claim == "margins"
 
 

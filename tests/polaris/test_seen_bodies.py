@@ -386,7 +386,6 @@ def test_bodies_that_are_altered_in_certificate_and_scenario_alike_are_refused(m
     assert verdict.outcome == "REJECTED" and verdict.claim == "unsafe_sets", verdict.text()
 
 
-@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("forgotten", [pytest.param("middle", marks=pytest.mark.slow), "half-widths"])
 def test_tubes_that_forget_where_bodies_may_be_are_rejected(forgotten, tmp_path, monkeypatch):
     pytest.importorskip("onnx")

@@ -196,7 +196,6 @@ def test_the_smallest_errors_are_confirmed(tmp_path):
     assert verify(run(TINY, tmp_path / "run", overrides=[*few, *tiny]).path).outcome == "VERIFIED"
 
 
-@pytest.mark.usefixtures("few")
 def test_forged_timing_is_refused(tmp_path):
     """Neither a smaller delay, nor smaller bounds than it gives, nor a displacement that shrinks sets."""
     forger = Forger(make([*SAMPLED, *ERRORS], tmp_path), tmp_path)

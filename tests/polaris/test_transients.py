@@ -353,7 +353,6 @@ WRONG = {"step": 12, "short": 0.0, "limit": "nothing", "controller": "S", "limit
 """Of a step that S flies because of a fault."""
 
 
-@pytest.mark.usefixtures("few")
 def test_forged_transients_are_refused(tmp_path):
     forger = Forger(make([*SOFT, LATE, "simulation.runs=2"], tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"

@@ -8,7 +8,7 @@ from ..files.artefacts import Stated
 from ..files.document import Document
 from ..kernel.arcs import Path
 from ..kernel.balls import largest, magnitude, matrix, plain, require
-from ..kernel.verdict import Record, Rejected, Undecided
+from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import Directions, Merging, Zonotope
 from ..model.bodies import Whereabouts
 from ..model.craft.states import craft_of
@@ -24,11 +24,7 @@ from .powered import check_aborts
 from .spending import spent
 from .upkeep import check_upkeep
 
-ORDERS = 24, 96, 384, 1536
-"""Generators per dimension that sets keep, as many as it takes."""
-
-NARROWER = "controllers", "separation", "recoverable", "margins", "goal", "passive", "powered_abort"
-"""Claims that may fail because sets are wider than they need to be."""
+ORDER, MORE = 96, 768  # generators per dimension that sets keep, and where a claim fails with those
 
 SAMPLES_SLACK = 1e-9
 """By how much the bound of black boxes may be off its exact value, relative to it: rounding."""
@@ -52,26 +48,17 @@ class Argument:
         self.upsets = moved(document, self.plant, networks)
 
     def run(self) -> None:
-        """Check everything; returns only if every claim holds.
-
-        Where a claim about sets fails, and generators had to be merged, they are made anew from more of them.
-        """
+        """Check everything; returns only if every claim holds."""
         path = self.reference()
         self.record.holds("end", check_end(self.document, path))
-        confirmed = len(self.record.checked)
-        # Where errors grow with commands less is left to spare.
-        orders = ORDERS[-3:] if self.document.profile else ORDERS
-        for order in orders:
-            merging = Merging(order)
-            try:
-                self.flights(path, merging)
-                break
-            except Rejected as error:
-                if order == orders[-1] or not merging.lossy or error.claim not in NARROWER:
-                    raise
-                del self.record.checked[confirmed:]
-        else:
-            raise Undecided("separation", "no number of generators is given")
+        confirmed, merging = len(self.record.checked), Merging(ORDER)
+        try:
+            self.flights(path, merging)
+        except Rejected:
+            if not merging.lossy:
+                raise
+            del self.record.checked[confirmed:]
+            self.flights(path, Merging(MORE))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
         if self.document.statement:

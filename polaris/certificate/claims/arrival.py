@@ -16,13 +16,14 @@ from ..model.craft.needs import Bows, Needs
 from .continuation import Continuation
 from .flights import Flown, Pilot, fly
 from .goal_rows import Weighted
+from .recovery import TOLD_SLACK
 from .spending import spent
 
 SHARE, SOON = 0.05, 0.25
 """Share of the goal's size that counts as reached; of the horizon, in which a velocity is a length."""
 HELD = 2
 """Largest tolerance, as a multiple of what S needs for ever, where the scenario gives none."""
-SLACK = 1e-6  # by how much a claim may fall short of what is derived, relative to it
+SAME = 1e-9  # relative difference by which numbers that two programs derive alike may differ: rounding
 MOST = 300  # nodes at which a distance is looked for that is claimed of none in particular
 
 
@@ -59,43 +60,42 @@ class Arrival:
         """
         reached, by = claim["reached"] is True, claim["by_s"]
         if reached == (by is None):
-            raise Rejected(
-                "goal", "an instant belongs to a goal that is claimed to be reached, and to no other"
-            )
+            raise Rejected("goal", "an instant belongs to a goal that is claimed to be reached, to no other")
         rows = Weighted.of(spec, self.soon, self.document)
         needs = Needs(self.flight.tracker.craft, self.flight.tracker.memory, rows.rows)
-        self.tolerated(claim, spec, rows.scale, self.holding(needs))
+        self.tolerated(claim["tolerance_m"], spec, rows.scale, self.holding(needs))
         seconds = claim["velocity_time_s"]
         if (seconds is None) != (rows.seconds is None):
             raise Rejected("goal", "velocities count as a length exactly where the goal asks for some")
         if rows.seconds is not None:
-            off = rows.seconds * SLACK - abs(rows.seconds - seconds)
-            require(
-                "goal", off, f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
-            )
+            off = rows.seconds * SAME - abs(rows.seconds - seconds)
+            told = f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
+            require("goal", off, told)
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
-                self.no_less("distance from the goal", claim["distance_m"], self._distance(rows, needs, node))
+                distance = self._distance(rows, needs, node)
+                self.no_less("distance from the goal", claim["distance_m"], distance)
+                if reached:
+                    spare = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
+                    require("goal", spare, f"{plain(distance)} m off, more than is tolerated")
                 self._drift(claim["drift_m_per_orbit"], node)
                 spent = self.spent + self.correcting(node)
                 self.no_less("velocity change", claim["delta_v_max_m_s"], spent)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
             else:
-                within = f"within {claim['distance_m']:.4g} m"
-                return (
-                    f"reached by {by:.6g} s, {within}" if reached else f"not claimed to be reached, {within}"
-                )
+                told = f"reached by {by:.6g} s" if reached else "not claimed to be reached"
+                return f"{told}, within {claim['distance_m']:.4g} m"
         raise refusals[0]
 
     def keeps(self, claim: dict[str, Any], budget: float) -> str:
         """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
         if claim["reached"] is True:
-            spent, until = arb(claim["delta_v_max_m_s"]), "the goal"
+            spent, until = self.spent + self.correcting(self.node_at(claim["by_s"])), "the goal"
         else:
-            spent, until = self.spent / (1 + arb(SLACK)), "T: the goal is not claimed to be reached"
+            spent, until = self.spent, "T: the goal is not claimed to be reached"
         told = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
         require("schedule", budget - spent, told)
         return f"at most {told}"
@@ -111,15 +111,11 @@ class Arrival:
         most = sums(needs.settled, off, *needs.upset[-1:])
         return largest(sums(most, self.from_thrust(needs, self._last)) if self.flight.scheduled else most)
 
-    def tolerated(self, claim: dict[str, Any], spec: dict[str, Any], scale: float, settled: arb) -> None:
-        """What counts as reached is no more than the scenario says, and what is reached is within it."""
+    def tolerated(self, tolerance: float, spec: dict[str, Any], scale: float, settled: arb) -> None:
+        """Refuse a tolerance of more than the scenario gives; or more than its default may be."""
         given = spec.get("tolerance_m")
-        allowed = largest((arb(SHARE) * scale, settled * HELD)) if given is None else arb(given)
-        told = "the tolerance is more than the scenario's"
-        require("goal", allowed * (1 + SLACK) - claim["tolerance_m"], told)
-        if claim["reached"] is True:
-            spare = arb(claim["tolerance_m"]) - claim["distance_m"]
-            require("goal", spare, "the distance is more than tolerated")
+        allowed = largest((arb(SHARE) * scale * (1 + SAME), settled * HELD)) if given is None else arb(given)
+        require("goal", allowed - tolerance, "the tolerance is more than the scenario's")
 
     def node_at(self, by: float) -> int:
         """The node of the tail at an instant [s]."""
@@ -139,7 +135,7 @@ class Arrival:
     def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
         """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
         final, claimed = self.held[-1][0], claim["distance_m"]
-        most = arb(claim["delta_v_max_m_s"]) * (1 + SLACK)
+        most = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK)
         size, found = final.size(), list[tuple[float, int]]()
         far = 1
         while far < self._last and not self.spent + self.correcting(far) > most:
@@ -151,7 +147,7 @@ class Arrival:
             middle = rows.over(self._state(node))
             if node <= self.flight.tracker.memory.periods:
                 middle = sums(middle, (needs.carried[lag] * final.c).entries())
-            if not rows.distance(middle) > arb(claimed) * (1 + SLACK):
+            if not rows.distance(middle) > arb(claimed) * (1 + TOLD_SLACK):
                 reach = (magnitude(needs.carried[lag]) * size).entries()
                 found.append((float(rows.distance(sums(middle, reach, needs.responses[lag])).mid()), node))
         if not found:
@@ -159,8 +155,8 @@ class Arrival:
         return [node for _, node in sorted(found)[:MOST]]
 
     def no_less(self, what: str, claimed: float, derived: arb) -> None:
-        """What is claimed is no less than what is derived, up to rounding."""
-        spare = arb(claimed) * (1 + SLACK) - derived
+        """Refuse a bound that is told as less than what is derived, by more than figures are exact to."""
+        spare = arb(claimed) * (1 + TOLD_SLACK) - derived
         require("goal", spare, f"{what}: {claimed:.6g} claimed, {plain(derived)} derived")
 
     def after(self, nodes: int) -> list[Flown]:
@@ -214,9 +210,8 @@ class Arrival:
         """What errors of scheduled commands add along rows from a node of the tail on."""
         if needs not in self._caused:
             assert self.flight.scheduled is not None
-            tail = self.flight.scheduled.along(needs.given)[
-                min(self.document.steps, self.document.cells - 1) :
-            ]
+            first = min(self.document.steps, self.document.cells - 1)
+            tail = self.flight.scheduled.along(needs.given)[first:]
             q = self.document.q
             later = [tail[-1][-1]] * (len(tail) * q + 1)
             most = later[-1]
@@ -238,13 +233,10 @@ class Arrival:
         return rows.distance(sums(rows.over(self._state(node)), self._at(needs, node)))
 
     def _drift(self, claimed: float | None, node: int) -> None:
-        doc = self.document
-        if doc.system_kind != "clohessy_wiltshire":
-            if claimed is not None:
-                raise Rejected("goal", "a drift per orbit needs Hill's frame")
-            return
         if claimed is None:
             return
+        if self.document.system_kind != "clohessy_wiltshire":
+            raise Rejected("goal", "a drift per orbit needs Hill's frame")
         both = self._drifting.rows
         most = largest(sums((both * self._state(node)).entries(), self._at(self._drifting, node)))
         self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
@@ -252,9 +244,8 @@ class Arrival:
     @cached_property
     def _drifting(self) -> Needs:
         row = [arb(2), *[arb(0)] * 3, 1 / arb(self.document.mean_motion or 0.0), arb(0)]
-        return Needs(
-            self.flight.tracker.craft, self.flight.tracker.memory, above(matrix([row]), -matrix([row]))
-        )
+        tracker = self.flight.tracker
+        return Needs(tracker.craft, tracker.memory, above(matrix([row]), -matrix([row])))
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""

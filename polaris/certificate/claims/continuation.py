@@ -83,9 +83,8 @@ class Continuation:
         chosen = [*chosen, *self.facets]
         limits = Limits.of(self.document, path, self.tracker.craft, chosen)
         asked = frozenset(pair for row in chosen for pair in enumerate(row))
-        return Recovery.of(
-            self.document, path, limits, self.tracker.needs(asked, limits.rows), self.scheduled
-        )
+        needs = self.tracker.needs(asked, limits.rows)
+        return Recovery.of(self.document, path, limits, needs, self.scheduled)
 
     def keeps(self, reached: dict[int, Zonotope], margins: dict[int, float] | None = None) -> float:
         """Check that every limit is kept to the end from sets at nodes, by a share of its room.

@@ -220,7 +220,7 @@ def fly(
             for place, z, more in zip((i, i + 1), (d, end), period.extra(barrier.rows, d), strict=True):
                 _separate(barrier, z, more, room[place], where)
         d = merging.after(period.after(end))
-        nodes.append(Zonotope(d.c + base.nodes[i + 1] - path.arcs[k].nodes[i + 1], d.G))
+        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
     leave = d.moved(base.nodes[-1] - path.starts[k + 1])
     return Flown(pilot, start, leave, spells, nodes[:-1])
 

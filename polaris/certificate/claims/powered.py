@@ -20,11 +20,12 @@ from ..kernel.zonotopes import Zonotope
 from ..model.craft.needs import Needs
 from ..model.plants import within_limits
 from ..model.timing import owed
-from .arrival import SLACK, Arrival
+from .arrival import Arrival
 from .coasting import JUMP_SLACK, check_end, flown_path
 from .continuation import Continuation, Tracker
 from .flights import Flown
 from .goal_rows import Weighted
+from .recovery import TOLD_SLACK
 
 CLAIM = "powered_abort"
 
@@ -32,32 +33,29 @@ CLAIM = "powered_abort"
 def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], stated: Stated) -> str:
     """S keeps to all limits in every abort that is claimed, and reaches the orbit, if known, as is claimed.
 
-    So for the tank, of which the scenario tells besides. The sets are those that the schedule reaches.
-    Returned is what is confirmed.
+    It keeps to the budget and to the scenario's tank. The sets are those that the schedule reaches.
     """
-    document, tank, before = tracker.document, stated.tank, arb(0)
+    document, before = tracker.document, arb(0)
     powered = document.powered
     assert powered is not None
-    most = stated.aborts or [powered.budget] * document.steps
     takeovers, since = dict[int, Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
-        spent, step = before, sum((spell.spent for spell in flown[k].spells), arb(0))
-        before += step / document.mass
-        if way is not None and tank is not None and (needed := most[k]) is not None:
-            left = arb(tank) * (1 + SLACK) - (before if mode else spent) - needed
-            require(CLAIM, left, f"abort in step {k}: the tank of {tank:.6g} m/s")
+        step = sum((spell.spent for spell in flown[k].spells), arb(0)) / document.mass
         if way is not None:
-            takeovers[k] = Takeover(way, k, (k if mode else since) * document.q, reached)
+            first = (k if mode else since) * document.q
+            takeovers[k] = Takeover(way, k, first, reached, before + step if mode else before)
+        before += step
         since = k + 1 if mode else since
     facets = [row for branch in powered.branches for row in branch.facets]
     for place, branch in enumerate(powered.branches):
         served = [taken for taken in takeovers.values() if taken.way.branch == place]
         if served:
-            along = Along.of(branched(document, branch), branch, tracker, facets, stated.orbit)
+            along = Along.of(branched(document, branch), branch, tracker, facets, stated)
             along.flight.keeps({taken.first + i: z for taken in served for i, z in enumerate(taken.sets)})
-            for taken in served if stated.orbit is not None else ():
-                along.arrives(taken, most[taken.k])
+            for taken in served:
+                along.arrives(taken)
+                along.affords(taken, powered.budget, stated)
     return f"{len(takeovers)} of {document.steps} steps, along {len(powered.branches)} branches"
 
 
@@ -69,6 +67,7 @@ class Takeover:
     k: int
     first: int
     sets: list[Zonotope]
+    before: arb  # bound on the velocity change until then [m/s]
 
     @cached_property
     def size(self) -> arb_mat:
@@ -91,12 +90,7 @@ class Along:
 
     @classmethod
     def of(
-        cls,
-        doc: Document,
-        branch: Branch,
-        tracker: Tracker,
-        facets: list[list[int]],
-        orbit: dict[str, Any] | None,
+        cls, doc: Document, branch: Branch, tracker: Tracker, facets: list[list[int]], stated: Stated
     ) -> "Along":
         """The exact motion under the inputs, which are within the limits, and it may coast."""
         path = flown_path(doc, tracker.craft.plant, branch.tail)
@@ -105,7 +99,7 @@ class Along:
         require(CLAIM, JUMP_SLACK * max(1.0, *size) - off, "the tail of a branch starts elsewhere")
         within_limits(doc, doc.inputs, CLAIM, "a branch")
         check_end(doc, path)
-        return cls(Continuation(doc, path, tracker, facets), branch, orbit)
+        return cls(Continuation(doc, path, tracker, facets), branch, stated.orbit)
 
     @cached_property
     def _commands(self) -> tuple[Needs, list[arb]]:
@@ -130,20 +124,26 @@ class Along:
         arrival = Arrival(self.flight, (), arb(0))
         rows = Weighted.of(spec, arrival.soon, doc)
         needs = self.flight.tracker.needs(("orbit", doc.steps), rows.rows)
-        claim = {"tolerance_m": self.branch.tolerance, "reached": False}
-        arrival.tolerated(claim, spec, rows.scale, arrival.holding(needs))
+        arrival.tolerated(self.branch.tolerance, spec, rows.scale, arrival.holding(needs))
         away = (absolute(rows.rows) * column(doc.at_nodes)).entries()
         return rows, needs, sums(needs.ever(self.flight.jump), away), arrival
 
-    def arrives(self, taken: Takeover, most: float | None) -> None:
-        """The orbit is reached when it is claimed to be, for no more than is claimed, or allowed."""
-        way, told = taken.way, f"abort in step {taken.k}"
-        off = self.distance(taken, way.cell)
-        require(CLAIM, self.branch.tolerance * (1 + SLACK) - off, f"{told}: {plain(off)} m off the orbit")
-        if most is not None:
-            spent = self.spent(taken, way.cell)
-            short = f"{told}: {most:.6g} m/s claimed, {plain(spent)} derived"
-            require(CLAIM, arb(most) * (1 + SLACK) - spent, short)
+    def arrives(self, taken: Takeover) -> None:
+        """Check that the orbit, if it is known, is reached when it is claimed to be."""
+        if self.orbit is not None:
+            off, told = self.distance(taken, taken.way.cell), f"abort in step {taken.k}"
+            require(CLAIM, self.branch.tolerance - off, f"{told}: {plain(off)} m off the orbit")
+
+    def affords(self, taken: Takeover, budget: float | None, stated: Stated) -> None:
+        """Check what S spends against the budget, the tank, and the figure that is told."""
+        spent, told = self.spent(taken, taken.way.cell), stated.aborts[taken.k] if stated.aborts else None
+        limits = {"claimed": told, "the budget of": budget, "the tank of": stated.tank}
+        for limit, most in limits.items():
+            if most is not None:
+                left = arb(most) * (1 + TOLD_SLACK) if limit == "claimed" else arb(most)
+                left -= spent + taken.before if limit == "the tank of" else spent
+                short = f"abort in step {taken.k}: {plain(spent)} m/s, {limit} {most:.6g} m/s"
+                require(CLAIM, left, short)
 
     def distance(self, taken: Takeover, cell: int) -> arb:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""

@@ -17,6 +17,9 @@ from ..model.craft.needs import Bows, Needs
 from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits, Target, levels_of
 
+TOLD_SLACK = 1e-2
+"""Exactness of told figures, as a share of the room or of themselves; demands have no such slack."""
+
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
@@ -121,7 +124,7 @@ class Recovery:
     def _leaves(self, share: float, target: Target, need: arb, where: str) -> None:
         """Check that a need, that of a jump included, leaves a share of the room as it is told."""
         room, whole = target.room, target.whole
-        if not room - need >= (share - MARGIN_SLACK) * whole:
+        if not room - need >= (share - TOLD_SLACK) * whole:
             left = float(((room - need) / whole).mid()) if room > 0 else 0.0
             told = f"share {left:.6g} left, {share:.6g} claimed, for {where}"
             raise Rejected("margins", f"{told}: needs {plain(need)} of {plain(room)}", share - left)
@@ -160,7 +163,3 @@ class Recovery:
                     where = f"errors forgotten by the loop, {t.name} at t = {at}"
                     told = f"{where}: needs {plain(need[t.row])} of {plain(t.room)}"
                     require("recoverable", t.room - need[t.row], told)
-
-
-MARGIN_SLACK = 1e-2
-"""Exactness of told margins, as a share of the room: whatever sets each program merges."""

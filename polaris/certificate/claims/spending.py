@@ -8,7 +8,7 @@ from itertools import accumulate, groupby, islice
 
 from flint import arb, arb_poly
 
-from ..kernel.balls import above, column, identity, magnitude, row_sums, smallest
+from ..kernel.balls import above, column, identity, magnitude, smallest
 from ..kernel.periods import Spell
 from .flights import Flown
 
@@ -41,7 +41,7 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
     pushes = loop.gains_over(stacked, loop.disturbances, 1)[0]
     since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
     base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
-    base = sum([*row_sums(stacked * first.start.G), *since], base)
+    base = sum([*first.start.image(stacked).widths, *since], base)
     push = -(loop.gamma * plant.B)
     answers = [row * push for row in rows]
     size = sum(map(magnitude, answers[1:]), magnitude(answers[0]))

@@ -8,7 +8,7 @@ from flint import arb
 from ..kernel.balls import largest, require
 from ..kernel.verdict import Rejected
 from ..model.timing import owed
-from .arrival import SLACK, Arrival
+from .arrival import Arrival
 
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
@@ -52,4 +52,4 @@ def _lasts(arrival: Arrival, claim: dict[str, Any], tank: float, until: arb, rat
     elif lasts > T:
         spent += (arb(lasts) - claim["settled_s"]) * rate
     if beyond > 0:
-        require("upkeep", arb(tank) * (1 + SLACK) - spent, f"the tank until {beyond:.6g} s")
+        require("upkeep", tank - spent, f"the tank until {beyond:.6g} s")

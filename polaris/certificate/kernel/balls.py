@@ -76,9 +76,7 @@ def plain(x: arb) -> str:
 
 def beside(*blocks: arb_mat) -> arb_mat:
     """Blocks with the same number of rows, side by side."""
-    rows = zip(*(block.tolist() for block in blocks), strict=True)
-    entries = [x for parts in rows for part in parts for x in part]
-    return arb_mat(blocks[0].nrows(), sum(block.ncols() for block in blocks), entries)
+    return above(*(block.transpose() for block in blocks)).transpose()
 
 
 def above(*blocks: arb_mat) -> arb_mat:

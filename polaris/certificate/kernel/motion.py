@@ -213,14 +213,15 @@ class Motion:
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 
-    def pushed(self, push: Push) -> arb_mat:
-        """Generators that enclose ``int_0^h e^{A s} V v(s) ds`` for measurable v.
+    def pushed(self, *pushes: Push) -> arb_mat:
+        """Generators that enclose the sum of ``int_0^h e^{A s} V v(s) ds`` for measurable v of each push.
 
-        The mean of v lies in its (convex) set; the rest is at most ``(h^2/3) |A| sup|e^{A s}| |V v|``.
+        The mean of v lies in its (convex) set; rests are at most a box, ``(h^2/3) |A| sup|e^{A s}| |V v|``.
         """
-        size = column(push.along(push.V))
+        size = column(sums(*(push.along(push.V) for push in pushes)))
         rest = magnitude(self.A) * magnitude(self.over) * size * (self.plant.h**2 / 3)
-        return beside(self.gamma * push.V * push.cover, diagonal(rest.entries()))
+        means = (self.gamma * push.V * push.cover for push in pushes)
+        return beside(*means, diagonal(rest.entries()))
 
     def push_gain(self, rows: arb_mat, push: Push) -> list[arb]:
         """Bound on ``int_0^s |row e^{A r} V v| dr`` for every row, and any s of the period.
@@ -266,7 +267,7 @@ class Motion:
         """Generators that enclose what the disturbance adds over one period."""
         if self.held is not None and not self.error:
             return self.plant.open.disturbance_set
-        return beside(*(self.pushed(push) for push in self.disturbances))
+        return self.pushed(*self.disturbances)
 
     @cached_property
     def disturbance_box(self) -> arb_mat:

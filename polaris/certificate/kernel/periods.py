@@ -26,13 +26,11 @@ class Period:
 
     def after(self, end: Zonotope) -> Zonotope:
         """The set at the next node, from `ends`: what is known of one along rows serves the other."""
-        pushed, push = [], self.push
-        if push is not None:
-            held = self.motion.held is not None
-            pushed = [self.motion.gamma * push.V * push.cover if held else self.motion.pushed(push)]
-        if self.error is not None:
-            pushed.append(self.motion.pushed(self.error))
-        return end.grown(*pushed, self.motion.disturbance_set)
+        motion, push = self.motion, self.push
+        if push is not None and motion.held is not None:  # its mean is all of it
+            end, push = end.grown(motion.gamma * push.V * push.cover), None
+        pushes = [each for each in (push, self.error) if each is not None]
+        return end.grown(motion.pushed(*pushes, *motion.disturbances) if pushes else motion.disturbance_set)
 
     def extra(self, rows: Directions, d: Zonotope) -> tuple[list[arb], list[arb]]:
         """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 
-from flint import arb, arb_mat
+from flint import arb, arb_mat, ctx
 
 from .balls import (
     beside,
@@ -26,6 +26,15 @@ from .balls import (
 
 NOTHING = 1e-8  # share of a set's extent that generators may come to which are merged whatever their number
 
+BITS = 64  # precision of products with generators, a word: more would not show beside what merging adds
+PARTS = 8  # most parts in which generators are mapped; with fewer, more are copied in every period
+
+
+def times(M: arb_mat, G: arb_mat) -> arb_mat:
+    """Enclosure of a matrix times generators, to no more bits than sets need."""
+    with ctx.workprec(BITS):
+        return (M * 1) * G
+
 
 class Directions:
     """Rows along which many sets and motions are bounded; what they find is kept under this object."""
@@ -42,10 +51,20 @@ class Generators:
         self._images: dict[Directions, Generators] = {}
 
     @cached_property
+    def matrices(self) -> list[arb_mat]:
+        """Matrices that hold them side by side."""
+        parts = (part.matrices if isinstance(part, Generators) else [part] for part in self._parts)
+        return [each for part in parts for each in part]
+
+    @cached_property
     def G(self) -> arb_mat:
         """All of them."""
-        blocks = [part.G if isinstance(part, Generators) else part for part in self._parts]
-        return blocks[0] if len(blocks) == 1 else beside(*blocks)
+        return self.matrices[0] if len(self.matrices) == 1 else beside(*self.matrices)
+
+    def mapped(self, M: arb_mat) -> Generators:
+        """Of the set mapped by a matrix."""
+        few = self.matrices if len(self.matrices) <= PARTS else [self.G]
+        return Generators(*(times(M, each) for each in few))
 
     @cached_property
     def widths(self) -> list[arb]:
@@ -56,7 +75,8 @@ class Generators:
         """Of the set mapped by rows."""
         if rows not in self._images:
             parts = (
-                part.image(rows) if isinstance(part, Generators) else rows.M * part for part in self._parts
+                part.image(rows) if isinstance(part, Generators) else times(rows.M, part)
+                for part in self._parts
             )
             self._images[rows] = Generators(*parts)
         return self._images[rows]
@@ -74,9 +94,14 @@ class Zonotope:
         """Its generators, shape (n, g)."""
         return self._made.G
 
+    @property
+    def parts(self) -> list[arb_mat]:
+        """Its generators as they are kept, matrices side by side."""
+        return self._made.matrices
+
     def image(self, M: arb_mat) -> Zonotope:
         """The set mapped by a matrix."""
-        return Zonotope(M * self.c, M * self.G)
+        return Zonotope(M * self.c, self._made.mapped(M))
 
     def through(self, rows: Directions) -> Zonotope:
         """The set mapped by rows; the image is kept for this set, moved or grown."""
@@ -100,16 +125,12 @@ class Zonotope:
 
     def support(self, rows: arb_mat) -> list[arb]:
         """``max row x`` over the set, for every row, from above."""
-        return sums((rows * self.c).entries(), widths(rows * self.G))
+        return sums((rows * self.c).entries(), self._made.mapped(rows).widths)
 
     @property
     def widths(self) -> list[arb]:
         """How far every coordinate may be from the centre's."""
         return self._made.widths
-
-    def tops(self) -> list[arb]:
-        """``max x_i`` over the set."""
-        return sums(self.c.entries(), self.widths)
 
     def size(self) -> arb_mat:
         """Exact upper bound on ``|x_i|`` over the set, shape (n, 1)."""
@@ -153,18 +174,18 @@ class Merging:
     """Number of generators per dimension that sets keep, and whether any had to be merged for that."""
 
     order: int
-    lossy: bool = False  # with more generators sets would be smaller
+    lossy: bool = False
 
     def reduced(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators, see `Zonotope.reduced`."""
-        most = self.order * z.G.nrows()
-        found = z.reduced(most)
-        self.lossy |= found.G.ncols() >= most
-        return found
+        most = self.order * z.c.nrows()
+        self.lossy |= sum(part.ncols() for part in z.parts) > most
+        return z.reduced(most)
 
     def after(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators of one that has more than twice as many; else that one."""
-        return self.reduced(z) if z.G.ncols() > 2 * self.order * z.G.nrows() else z
+        count = sum(part.ncols() for part in z.parts)
+        return self.reduced(z) if count > 2 * self.order * z.c.nrows() else z
 
 
 def inner_radius(G: arb_mat) -> arb:

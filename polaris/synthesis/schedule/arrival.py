@@ -14,11 +14,10 @@ from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows, velocity_times
 from ..tracker.tracking import Tracking
+from .rules import CHECKED
 from .spending import Spell, spent
 
 GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached, where no length is given
-
-
 SPARE = 0.02
 """Share by which claims are loosened where errors of thrusters grow with commands: a checker merges sets, and
 bounds what falls with time, in its own way."""
@@ -34,8 +33,8 @@ class Arrival:
     """
 
     reached: bool | str
-    """Whether every admissible flight meets the goal's conditions, within the tolerance, at `by`, or
-    ``"not_proven"``; False if not even the middle of the tube ever does."""
+    """Whether every admissible flight meets the goal's conditions, within the tolerance less `CHECKED`, at
+    `by`, or ``"not_proven"``; False if not even the middle of the tube ever does."""
     by: float | None  # when [s]
     distance: float  # bound on how far a flight may be from the goal then, or at its best if not proven [m]
     tolerance: float
@@ -113,7 +112,7 @@ def arrival(safety: Safety, held: Held, taken: float) -> Arrival:
     size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
     most = distance(goal, beyond + need + size)
     tolerance = tolerated(safety, rows)
-    within = np.flatnonzero(most <= tolerance)
+    within = np.flatnonzero(most * (1 + CHECKED) <= tolerance)
     best = int(within[0]) if len(within) else int(np.argmin(most))
     near = bool(np.min(distance(goal, beyond + centre)) <= tolerance)
     return Arrival(
@@ -224,14 +223,14 @@ def upkeep(safety: Safety, held: Held, taken: float) -> Upkeep | None:
     rate = float(system.spent(most).sum()) / system.mass * (1 + spare(tracking))
     settled = T + nodes * tracking.flow.h
     ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
-    until = (taken * (1 + spare(tracking)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))) * (
-        1 + ROUNDING
-    ) + ahead
+    until = taken * (1 + spare(tracking)) + _correcting(safety, held, nodes, After(safety, held[-1][0]))
+    until = until * (1 + ROUNDING) + ahead
     before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
     orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
     tank, lasts = problem.tank, None
     if tank is not None and rate > 0:
-        lasts = settled + (tank - until) / rate if tank >= until else T if tank >= taken else 0.0
+        usable = tank / (1 + CHECKED)
+        lasts = settled + (usable - until) / rate if usable >= until else T if usable >= taken else 0.0
     return Upkeep(settled, until, rate, orbit, tank, lasts)
 
 

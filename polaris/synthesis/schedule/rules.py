@@ -9,6 +9,7 @@ from pydantic import Field
 from ...model.checks import MAX_STEPS, positive
 from ...model.keys import Key, NonNegative, Positive, Whole, check_fields
 
+CHECKED = 1e-2  # share by which a bound keeps below a demand: a checker finds the bound within this share
 Steps = Annotated[Whole, Field(ge=1, le=MAX_STEPS)]
 
 
@@ -58,8 +59,8 @@ class SwitchingRules:
         Share of the horizon under an experimental controller that is given up for one switch less.
     delta_v_max : float [m/s], optional
         Budget of velocity change until the goal, or until the end if the goal is not proven reached.
-        What is returned is proven to keep it; where no such schedule is found, exit code 4, and how little
-        was. None without it.
+        What is returned is proven to keep it, with 1 % left; where no such schedule is found, exit code 4,
+        and how little was. None without it.
     """
 
     strategy: Annotated[str, Key("strategy", "-", Literal["greedy", "look_ahead"])] = "greedy"
@@ -87,4 +88,4 @@ class SwitchingRules:
 
     def affords(self, spent: float) -> bool:
         """Return True if the budget allows a velocity change [m/s]."""
-        return self.delta_v_max is None or spent <= self.delta_v_max
+        return self.delta_v_max is None or spent * (1 + CHECKED) <= self.delta_v_max

@@ -15,7 +15,7 @@ from ..safety.get_safety import LESSER, SHARES, Safety, find_safety, get_safety
 from ..safety.recoverable import directed
 from .in_view import views
 from .look_ahead import SAFETY
-from .rules import SwitchingRules
+from .rules import CHECKED, SwitchingRules
 from .schedule import Schedule
 from .search import Branch, Search
 from .worth import Worth, as_good
@@ -133,7 +133,7 @@ def arriving(search: Search, first: Schedule) -> tuple[Search, Schedule]:
     Its reference ends inside the goal, by all that the first one's flights may be off, or by what they lack.
     """
     safety, arrival = first.safety, first.arrival
-    goal, lack = safety.problem.goal.conditions, arrival.distance - arrival.tolerance
+    goal, lack = safety.problem.goal.conditions, arrival.distance * (1 + CHECKED) - arrival.tolerance
     if arrival.reached is True or not goal.inequalities or not turns(search):
         return search, first
     for length in (arrival.distance, lack):
@@ -224,10 +224,10 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
     if not kept and witness is not None:
         raise not_clear(witness)
     if not kept:
-        told = directed(least, ".4g", up=True)
+        told = directed(least * (1 + CHECKED), ".4g", up=True)
         raise NotCertified(
-            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least that one"
-            f" is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
+            f"none found within schedule.delta_v_max_m_s = {search.rules.delta_v_max:g}: the least budget"
+            f" that one is proven to keep is {told} m/s; raise the budget, or give more time or a wider goal"
         )
     return max(kept, key=Worth.beside(over[0], search.rules, search.safety))
 

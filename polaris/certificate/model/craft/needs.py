@@ -14,6 +14,8 @@ from ...kernel.zonotopes import Zonotope
 from .craft import Craft
 from .memory import Gains, Memory
 
+FEW = 8  # generators per dimension of sets whose intersample bounds are made: with more, hardly smaller ones
+
 
 @dataclass(frozen=True, eq=False)
 class Needs:
@@ -223,6 +225,10 @@ class Bows:
     start: Zonotope
     _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
 
+    @cached_property
+    def _start(self) -> Zonotope:
+        return self.start.reduced(FEW * self.start.c.nrows())
+
     def next_to(self, lag: int) -> list[arb]:
         """Bounds for the periods next to node l: no more than `Needs.bend` says."""
         bows = [self._within(at) for at in {lag, max(lag - 1, 0)}]
@@ -231,7 +237,7 @@ class Bows:
     def _within(self, lag: int) -> list[arb]:
         """Bounds within the period after node l."""
         if lag not in self._known:
-            rate = self.start.image(self.needs.rates[0].carried[lag])
+            rate = self._start.image(self.needs.rates[0].carried[lag])
             self._known[lag] = self.needs.along.closer_bow(rate)
         return self._known[lag]
 
