@@ -29,7 +29,7 @@ ROUNDS, SPARE = 100, 1e-3
 LEFT_OVER, LONGEST = 1e-2, 4096
 """What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
 
-SHARES, CALM = (1.0, 0.3, 0.1, 0.03), 0.02
+SHARES, CALM = (1.0, 0.3, 0.1, 0.05, 0.03), 0.02
 """Shares of the thrust for whose errors gains are designed, and the one at which S flies once settled."""
 
 UNSEEN = 1e-6  # share of the thrust limits that is taken for unknown, so that every gain forgets
@@ -144,11 +144,14 @@ def observing(system: LinearSystem, observer: Observer, h: float, moved: Array |
     return replace(system, observer=replace(observer, settled=found), error_by_step=found + left)
 
 
-def design(system: LinearSystem, measures: Array, noise: Array, h: float, missed: int = 0) -> Observer:
+def design(
+    system: LinearSystem, measures: Array, noise: Array, h: float, missed: int = 0, boxed: bool = False
+) -> Observer:
     """Design the observer of measurements (r, n) off by `noise` (r,) at most, with a steady Kalman gain.
 
-    Of gains made for shares of the thrust it takes the one whose errors, at full thrust and nearly without
-    thrust, are the least beside those of the best. After some of up to `missed` periods without any
+    Of gains made for shares of the thrust it takes the one whose errors nearly without thrust are the least
+    beside those of the best; if `boxed`, those at full thrust count too, as a box for all that may be
+    commanded stands for the estimate then. After some of up to `missed` periods without any
     measurement, either the gain that does at once what it would have done in each of them, or the Kalman
     gain of then: whichever leaves smaller errors.
 
@@ -164,8 +167,8 @@ def design(system: LinearSystem, measures: Array, noise: Array, h: float, missed
             found.append(_designed(system, measures, noise, h, missed, share))
     if len(found) == 1:
         return found[0]
-    calm = replace(system, u_max=CALM * system.u_max)
-    sizes = np.array([[filtered(each, one, h) for each in (system, calm)] for one in found])
+    known = [replace(system, u_max=CALM * system.u_max), *[system] * boxed]
+    sizes = np.array([[filtered(each, one, h) for each in known] for one in found])
     worse = (sizes / np.maximum(sizes.min(axis=0), 1e-300)).sum(axis=(1, 2))
     return found[int(np.argmin(worse))]
 

@@ -113,7 +113,8 @@ class ScheduleScenario(Scenario):
             return system
         period, timing = self.period(), (model.timing or Timing()).make("timing")
         if model.navigation is not None:
-            system = model.navigation.known(system, (self.steps, self.step), period, timing)
+            late = any(fault.build().isolation > 0 for fault in model.faults)
+            system = model.navigation.known(system, (self.steps, self.step), period, timing, late)
         return timed(system, timing, period, model.thrusters, limits)
 
     @kept

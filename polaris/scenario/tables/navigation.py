@@ -83,13 +83,13 @@ class Measurement(ScenarioPart):
         return np.eye(6)[: len(noise)], noise
 
     def known(
-        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing
+        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> LinearSystem:
         """The system whose estimates are an observer's; see `Navigation.known`."""
         if timing.missed > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
             raise ScenarioError("timing.missed_periods", timing.missed, rule)
-        observer = design(system, *self.build(system), period, timing.missed)
+        observer = design(system, *self.build(system), period, timing.missed, late or timing.missed > 0)
         first = np.zeros(system.n)
         if self.initial is not None:
             first = self.initial.build(system, "navigation.measurement.initial")
@@ -114,18 +114,19 @@ class Navigation(Estimate):
     """What an observer measures, in the place of bounds on what it estimates."""
 
     def known(
-        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing
+        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> LinearSystem:
         """The system with these errors of estimates.
 
-        `horizon` is the number of steps and their length [s], `period` a control period [s].
+        `horizon` is the number of steps and their length [s], `period` a control period [s]; `late` says that
+        faults are isolated late.
         """
         declared = self.build(system)
         if self.measurement is not None:
             if np.any(declared) or self.phases:
                 rule = "must be left out where an observer's estimates are declared"
                 raise ScenarioError("navigation.measurement", None, rule)
-            return self.measurement.known(system, horizon, period, timing)
+            return self.measurement.known(system, horizon, period, timing, late)
         if not self.phases:
             return replace(system, estimate_error=declared)
         begin = [0.0, *(phase.from_s for phase in self.phases)]
