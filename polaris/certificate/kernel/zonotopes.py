@@ -150,21 +150,22 @@ class Zonotope:
 
 @dataclass
 class Merging:
-    """Number of generators per dimension that sets keep, and whether any had to be merged for that."""
+    """Number of generators that sets keep per state of the plant, and whether any had to be merged for that."""
 
     order: int
+    states: int
     lossy: bool = False  # with more generators sets would be smaller
 
     def reduced(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators, see `Zonotope.reduced`."""
-        most = self.order * z.G.nrows()
+        most = self.order * self.states
         found = z.reduced(most)
         self.lossy |= found.G.ncols() >= most
         return found
 
     def after(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators of one that has more than twice as many; else that one."""
-        return self.reduced(z) if z.G.ncols() > 2 * self.order * z.G.nrows() else z
+        return self.reduced(z) if z.G.ncols() > 2 * self.order * self.states else z
 
 
 def inner_radius(G: arb_mat) -> arb:
