@@ -1,7 +1,7 @@
 """Reachable sets of the schedule: what each controller may do in a step, enclosed over whole intervals.
 
-They are sets of the loop state z of the craft, which begins with the error: what the flight computer remembers
-moves by itself, whatever law flies. A law answers to what it sees of z.
+They are sets of the loop state z of the craft, which begins with the error. What the flight computer
+remembers besides moves by itself, whatever law flies. A law answers to what it sees of z.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,19 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..files.parts import Law
 from ..kernel.arcs import Arc, Path
-from ..kernel.balls import beside, column, diagonal, largest, magnitude, matrix, plain, require, scaled, smallest, sums
+from ..kernel.balls import (
+    beside,
+    column,
+    diagonal,
+    largest,
+    magnitude,
+    matrix,
+    plain,
+    require,
+    scaled,
+    smallest,
+    sums,
+)
 from ..kernel.motion import Plant, Push
 from ..kernel.periods import Period, Spell, around, clip, command_ranges, secant
 from ..kernel.verdict import Rejected
@@ -27,11 +39,11 @@ from .drift import Departures
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a law commands in a period about a base arc: its input and ``c + K z + v``, v of a push, and held."""
+    """What a law commands in a period about a base arc: its input and ``c + K z + v``, v held."""
 
     K: arb_mat
     c: arb_mat
-    v: list[Push]
+    v: list[Push]  # of the inputs
     most: list[arb]  # bounds on |u|, of a law that does not clip at the limits too
     linear: bool = False  # neither clipped nor enclosed
 
@@ -94,7 +106,7 @@ class Pilot:
         craft, plant, u, more = self.craft, self.plant, base.u, self.unseen(k, before)
         answer = self.answer(z, base, k, i, more)
         g = plant.B * answer.c
-        error, bits = plant.thruster_part(answer.most), plant.thruster_error(answer.most)
+        error = plant.thruster_error(answer.most)
         if self.law.kind == "any_thrust":  # which need not be held
             held = [craft.lifted(craft.motion.pushed(*answer.v))]
         else:
@@ -108,9 +120,11 @@ class Pilot:
             [*answer.v, *plant.push(error)],
             answer.most,
         )
-        joint = answer.linear and not plant.jitter and (self.law.kind == "safety" or not self.document.slopes[k])
+        joint = (
+            answer.linear and not plant.jitter and (self.law.kind == "safety" or not self.document.slopes[k])
+        )
         middle = u + answer.c + answer.K * z.c
-        return period, Spell(plant.spent(answer.most), middle, (craft.noise(more), bits) if joint else ())
+        return period, Spell(plant.spent(answer.most), middle, (craft.noise(more), error) if joint else ())
 
     def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:
         """What it commands from a set, estimates being off by some more than in the loop."""
@@ -129,8 +143,8 @@ class Pilot:
         if fit is not None:
             K, c = craft.whole(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
             bands = [arb(row[n + 1]) for row in fit[i]]
-            ranges = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
-            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
+            met = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
+            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in met]
             return Answer(K, c - u, [Push.in_box(plant.B, bands)], most)
         ranges, noise = command_ranges(u, self.fed, z), craft.noise(more)
         sizes = list(zip(ranges, tops, noise, strict=True))
@@ -174,7 +188,7 @@ def fly(
 ) -> Flown:
     """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
-    `start` are the loop states about the safe reference at its start. There is no barrier of separating facets
+    `start` are loop states about the safe reference at its start. There is no barrier of separating facets
     under the safety controller, whose separation follows from recoverability. Departures, if any, are
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """

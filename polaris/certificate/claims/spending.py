@@ -8,7 +8,7 @@ from itertools import accumulate, groupby, islice
 
 from flint import arb, arb_mat, arb_poly
 
-from ..kernel.balls import above, column, identity, magnitude, row_sums, smallest
+from ..kernel.balls import above, column, identity, largest, magnitude, row_sums, smallest
 from ..kernel.periods import Spell
 from .flights import Flown
 
@@ -42,31 +42,29 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
     since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
     base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
     base = sum([*row_sums(stacked * first.start.G), *since], base)
-    ways = [[-(row * way) for row in rows] for way in (craft.held, craft.turned)]
-    commanded, applied = zip(*map(_amplified, ways), strict=True)
+    known_of, made_of = ([-(row * way) for row in rows] for way in (craft.held, craft.turned))
     rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * craft.uneven
     known, made = (
         column([_long(each, count) for each in zip(*part, strict=True)])
         for part in zip(*(spell.errors for spell in spells), strict=True)
     )
     if plant.carried:  # what is commanded, and the errors of what is made of it
-        most, more = applied[0] * known + (commanded[1] + rest) * made, arb(0)
+        most, more = _amplified(known_of, arb(1)) * known + (_amplified(made_of) + rest) * made, arb(0)
         more += sum((x for spell in spells for x in spell.errors[1]), more)
     else:  # what is applied, but for errors that stand for pulses
         more = arb(count * m) * (plant.bit - replace(plant, thrusters=plant.prompt).bit)
-        most = applied[0] * known + (applied[1] + rest) * made
+        most = _amplified(known_of, arb(1)) * known + (_amplified(made_of, arb(1)) + rest) * made
     return (base + sum(most.entries(), more)) * plant.h
 
 
-def _amplified(answers: Sequence[arb_mat]) -> tuple[arb_mat, arb_mat]:
-    """How much larger, in the 2-norm over all periods, answers to inputs are; and with the inputs themselves."""
+def _amplified(answers: Sequence[arb_mat], *own: arb) -> arb_mat:
+    """Bound the 2-norm over all periods of answers to inputs, per unit of theirs, with their `own` share."""
     size = sum(map(magnitude, answers[1:]), magnitude(answers[0]))
-    commanded, applied = size, size + identity(size.nrows())
+    size = size + identity(size.nrows()) if own else size
     for a in range(size.nrows()):
-        own = [answer[a, a] for answer in answers]
-        commanded[a, a] = smallest([commanded[a, a], peak(own)])
-        applied[a, a] = smallest([applied[a, a], peak([arb(1), *own]).max(arb(1))])
-    return commanded, applied
+        most = peak([*own, *(answer[a, a] for answer in answers)])
+        size[a, a] = smallest([size[a, a], largest([most, *own])])
+    return size
 
 
 def _long(sizes: Iterable[arb], count: int) -> arb:

@@ -13,7 +13,6 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import (
-    absolute,
     beside,
     column,
     diagonal,
@@ -24,7 +23,6 @@ from .balls import (
     lengths,
     magnitude,
     root,
-    row_sums,
     sums,
     widths,
 )

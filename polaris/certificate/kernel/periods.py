@@ -11,9 +11,9 @@ from .zonotopes import Directions, Zonotope
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """Motion of a loop state z over one period: ``z+ = F z + moved + ...``, ``e' = rates z + g`` at its start.
+    """Motion of a loop state z over one period: ``z+ = F z + moved``, and ``e' = rates z + g`` at its start.
 
-    The rest are generators of what uncertain inputs add by its end; within it they push the error.
+    Generators enclose what uncertain inputs have `added` by its end; within it they push the error.
     """
 
     F: arb_mat

@@ -150,7 +150,7 @@ class Zonotope:
 
 @dataclass
 class Merging:
-    """Number of generators that sets keep per state of the plant, and whether any had to be merged for that."""
+    """Number of generators that sets keep per state of the plant, and whether any had to be merged for it."""
 
     order: int
     states: int

@@ -6,18 +6,7 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import ROUNDED, Document
-from ..kernel.balls import (
-    above,
-    absolute,
-    beside,
-    column,
-    identity,
-    largest,
-    matrix,
-    require,
-    row_sums,
-    sums,
-)
+from ..kernel.balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
 from ..kernel.motion import PARTS, Plant
 from ..kernel.verdict import Rejected
 from .allocation import per_axis

@@ -38,7 +38,6 @@ class Craft:
     drifts: arb_mat  # rate of the error at a node without commands, shape (n, N)
     parts: list[tuple[arb, arb, arb_mat]]  # of a period, and how what is added in them enters, (N, n)
     steady: list[Push]  # what pushes at every instant, errors of the inputs apart
-    bits: list[Push]  # errors of the inputs, commands apart
     samples: list[Sample]
     box: list[arb]  # bounds on the states beside the error at the start of a flight, (N - n)
     carry: arb_mat  # from errors of estimates to what the law sees, shape (n, k)
@@ -55,6 +54,11 @@ class Craft:
     def motion(self) -> Motion:
         """Motion of the error alone, without commands."""
         return self.plant.open
+
+    @cached_property
+    def bits(self) -> list[Push]:
+        """Errors of the inputs, commands apart."""
+        return self.plant.push([arb(self.plant.bit)] * self.plant.B.ncols())
 
     @cached_property
     def commands(self) -> arb_mat:
@@ -119,7 +123,7 @@ class Craft:
 
     @cached_property
     def spans(self) -> list[tuple[arb_mat, Motion]]:
-        """How what is added in each part of the period enters the loop state, and the motion over the part."""
+        """Matrices by which what is added in each part of the period enters the state, and its motions."""
         if len(self.parts) == 1:
             return [(self.parts[0][2], self.motion)]
         plant = self.plant
@@ -130,7 +134,7 @@ class Craft:
 
     def added(self, error: list[arb]) -> list[arb_mat]:
         """Generators of what a period adds, errors of inputs up to some sizes included, noise apart."""
-        pushes = [*self.plant.push(error), *self.bits, *self.steady]
+        pushes = [*self.plant.push(error), *self.steady]
         sampled = [sample.adds * diagonal(sample.size) for sample in self.samples]
         return [*sampled, *(enters * motion.pushed(*pushes) for enters, motion in self.spans)]
 
@@ -138,7 +142,7 @@ class Craft:
         """Intersample bounds along rows of the error, and these as rows of the loop state; made once."""
         if rows not in self._along:
             sampled = [Push.in_box(self.plant.B * each.push, each.size) for each in self.samples]
-            along = Along(self.motion, rows.M, [*self.steady, *self.bits, *sampled])
+            along = Along(self.motion, rows.M, [*self.steady, *sampled])
             self._along[rows] = along, Directions(self.whole(rows.M))
         return self._along[rows]
 
@@ -157,8 +161,8 @@ class Craft:
     def uneven(self) -> arb_mat:
         """What a unit of each input's error adds at most by being uneven over a period, shape (N, m).
 
-        Of mean zero and a root mean square of one it moves the plant by no more than ``(h^2/2) |A| E |B|``, and
-        by ``h E |B|`` in the first part of the period, which enters in another way than the rest.
+        Of mean zero and a root mean square of one it moves the plant by at most ``(h^2/2) |A| E |B|``, and by
+        ``h E |B|`` in the first part of the period, which enters in another way than the rest.
         """
         plant, ways = self.plant, [enters for _, _, enters in self.parts]
         moved = magnitude(self.motion.over) * magnitude(plant.B) * plant.h

@@ -122,7 +122,7 @@ class States:
         self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), noise))
 
     def closed(
-        self, gain: arb_mat, pushes: tuple[list[Push], list[Push]], noise: Noise, lag: int, base: list[arb] | None
+        self, gain: arb_mat, steady: list[Push], noise: Noise, lag: int, base: list[arb] | None
     ) -> Craft:
         """Close the loop by a law."""
         plant, n, m = self.plant, self.sizes[0], self.plant.B.ncols()
@@ -136,7 +136,7 @@ class States:
         drifts = self.beside({0: plant.A}, n) + plant.B * self.beside(unit, m)
         parts = [(a, b, self.laid_out(enters, n)) for a, b, enters in self.parts]
         samples = [Sample(self.laid_out(adds, len(size)), push, size) for adds, push, size in self.samples]
-        sees, given = self.beside(self.known, n), (*pushes, samples, self.box, *noise)
+        sees, given = self.beside(self.known, n), (steady, samples, self.box, *noise)
         return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, lag, base)
 
 
@@ -152,15 +152,13 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
         document.timing.get("delay", 0.0),
         document.observer,
     )
-    bits = [Push.in_box(plant.B, [arb(plant.bit)] * m)] if plant.bit else []
     phases = bool(document.error_by_step) and delay > 0 and stated is None
     if document.timing.get("missed", 0) or document.transients or phases:
         most = plant.unseen * column(plant.thruster_part(plant.u_max)) if plant.hidden else arb_mat(n, 1)
         known = list(map(arb, document.calmest or [0.0] * n))
         off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
         noise = identity(n), off if document.estimate else [arb(0)] * n
-        pushes = [plant.disturbance, *plant.carry], bits
-        return States.of(plant).closed(gain, pushes, noise, plant.hidden, known)
+        return States.of(plant).closed(gain, [plant.disturbance, *plant.carry], noise, plant.hidden, known)
     along = arb(plant.thrusters[0] if plant.thrusters else 0.0) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     moved = carried_away(plant)
@@ -168,8 +166,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
     states = States.of(plant)
     steady = [plant.disturbance, *([Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else [])]
     if delay:
-        full = Push.in_box(plant.B, plant.thruster_part(plant.u_max))
-        states.delay(delay, [*steady, *bits, full])
+        states.delay(delay, [*steady, *plant.push(plant.thruster_error(plant.u_max))])
     if plant.carried:
         states.impulses()
     measured = list(map(arb, document.measured or document.estimate or [0.0] * n))
@@ -184,7 +181,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
         off = sums(measured, away)
     elif document.estimate:
         off = [_positive(arb(x) - y) + z for x, y, z in zip(document.calmest, moved, offset, strict=True)]
-    return states.closed(gain, (steady, bits), (carry, off), 0, base)
+    return states.closed(gain, steady, (carry, off), 0, base)
 
 
 def _positive(x: arb) -> arb:
