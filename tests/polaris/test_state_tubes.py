@@ -267,7 +267,7 @@ def test_sets_of_a_linear_law_are_reached(number):
     tubes, rng, tight = made.tubes(under_way=False), np.random.default_rng(9), []
     scale = np.array([float(x) for x in tubes[-1].size().entries()])
     N = len(scale)
-    rows = np.vstack([np.eye(N), rng.normal(size=(40, N)) / np.maximum(scale, 1e-9)])
+    rows = np.vstack([np.eye(N), rng.normal(size=(40, N)) / np.maximum(scale, SMALL)])
     for z, reached in zip(tubes, attained(made, rows), strict=True):
         bound = np.array([float(x) for x in z.support(matrix(rows.tolist()))])
         assert np.all(reached <= bound + 1e-9)
