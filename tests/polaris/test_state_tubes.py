@@ -263,7 +263,7 @@ def attained(made, rows):
 
 @pytest.mark.parametrize("number", range(5), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate")
 def test_sets_of_a_linear_law_are_reached(number):
-    made = scene(False, w_max=1e-7, **CASES[number])
+    made = scene(False, w_max=1e-10, **CASES[number])
     tubes, rng, tight = made.tubes(under_way=False), np.random.default_rng(9), []
     scale = np.array([float(x) for x in tubes[-1].size().entries()])
     N = len(scale)
