@@ -152,8 +152,10 @@ class Declared:
         grows = any(craft.plant.thrusters[:2])
         return {
             f"{states} states": str(states or ""),
-            "values per period": "".join(str(sample.size) for sample in craft.samples),
-            "pushes": "".join(str(push.cover) for push in craft.steady),
+            "values per period": "".join(
+                str(size) for size in (*(each.size for each in craft.samples), craft.off)
+            ),
+            "pushes": "".join(str(push.cover) for push in (*craft.steady, *craft.bits)),
             "shares of commands": str((craft.plant.thrusters, craft.lag)) if grows else "",
         }
 

@@ -6,9 +6,8 @@ from polaris.certificate.kernel.balls import identity
 from polaris.certificate.model.craft.states import States
 
 
-def loop_of_errors(motion):
+def loop_of_errors(plant, gain):
     """Build the loop of a law that sees its error exactly and at once, under a disturbance alone."""
-    n = motion.A.nrows()
+    n = plant.A.nrows()
     nothing = [arb(0)] * n
-    states = States.of(motion.plant, nothing)
-    return states.closed(motion.held, [motion.plant.disturbance], (identity(n), []), 0, nothing)
+    return States.of(plant).closed(gain, [plant.disturbance], (identity(n), nothing), 0, nothing)

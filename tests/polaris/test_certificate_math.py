@@ -3,7 +3,6 @@
 import math
 from contextlib import nullcontext
 from copy import copy
-from dataclasses import replace
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
@@ -100,7 +99,7 @@ def values(M):
 def test_reachable_sets_contain_what_is_flown(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(12))
+    sets, flown = argument.tubes(path, Merging(12, 4))
     runs = simulate(schedule, 200, 3)
     q, K = argument.document.q, argument.K
     fullest = 0.0
@@ -121,14 +120,14 @@ def test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated():
     for size, kept in ((1e-9, True), (100.0, False)):
         argument.upsets = [column([arb(0)] * 4), column([arb(size)] * 4)]
         with nullcontext() if kept else pytest.raises(Rejected, match="separation"):
-            argument.tubes(argument.reference(), Merging(12))
+            argument.tubes(argument.reference(), Merging(12, 4))
 
 
 @pytest.mark.parametrize("name", ["clipped", "clipped, given period"])
 def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, _ = argument.tubes(path, Merging(12))
+    sets, _ = argument.tubes(path, Merging(12, 4))
     memory = Memory.of(argument.craft, widest(sets), argument.document.q)
     needs = Needs(argument.craft, memory, argument.gain)
     disturbed = needs.disturbed
@@ -155,7 +154,7 @@ def test_exponentials_over_an_interval_contain_all_of_them():
 def test_gains_along_rows_are_upper_bounds_and_tight():
     A, B = matrix([[0, 1], [0, 0]]), matrix([[0], [1]])
     plant = Plant(A, B, B, matrix([[1, 0]]), [arb(1)], arb(0.5), arb(0.2))
-    motion, row = plant.loop(matrix([[4, 3]])), np.array([1.0, 0.3])
+    motion, row = plant.open, np.array([1.0, 0.3])
     X = values(motion.A)
     fine = np.linspace(0, 0.2, 1001)
     exact = 0.5 * trapezoid([abs(row @ expm(X * s) @ [0, 1]) for s in fine], fine)
@@ -172,7 +171,7 @@ def test_gains_over_a_part_of_a_period_are_that_part_of_the_gain_and_a_bend():
         A, B, row = rng.normal(size=(3, 3)), rng.normal(size=(3, 1)), rng.normal(size=3)
         BB, R = matrix(B.tolist()), matrix([row.tolist()])
         plant = Plant(matrix(A.tolist()), BB, BB, R, [arb(1)], arb(0.5), arb(0.4))
-        motion = plant.loop(matrix(rng.normal(size=(1, 3)).tolist()))
+        motion = plant.open
         X = values(motion.A)
         rates = 0.5 * np.abs([row @ expm(X * s) @ B[:, 0] for s in fine])
         done = cumulative_trapezoid(rates, fine, initial=0)
@@ -198,7 +197,7 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
             laws.clear()
         argument.document.unsafe.clear()
         path = argument.reference()
-        sets, _ = argument.tubes(path, Merging(12))
+        sets, _ = argument.tubes(path, Merging(12, 4))
         runs, q = simulate(schedule, 100, 3), argument.document.q
         for k, z in enumerate(sets):
             errors = runs.states[:, k * q] - values(path.starts[k])[:, 0]
@@ -211,7 +210,7 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
 def test_with_the_slopes_stored_and_enough_generators_sets_lie_within_those_of_the_synthesis(name):
     schedule, argument = scene(name)
     assert any(step.tube.slopes is not None for step in schedule.steps)
-    sets, _ = argument.tubes(argument.reference(), Merging(160))
+    sets, _ = argument.tubes(argument.reference(), Merging(160, 4))
     for z, step in zip(sets[1:], schedule.steps, strict=True):
         off = np.abs(values(z.c)[:, 0] - step.tube.end.c) + [float(x) for x in z.widths]
         assert np.all(off <= step.tube.end.half_widths * (1 + 1e-6))
@@ -224,9 +223,9 @@ def test_motion_leaves_its_chord_by_no_more_than_its_bow():
         *map(matrix, (A.tolist(), B.tolist(), B.tolist())), matrix([[1, 0, 0, 0]]), [], arb(0), arb(0.2)
     )
     K, rows = rng.normal(size=(2, 4)), rng.normal(size=(5, 4))
-    motion = plant.loop(matrix(K.tolist()))
+    closed = matrix((A - B @ K).tolist())
     start = Zonotope(column(rng.normal(size=4).tolist()), matrix((0.1 * rng.normal(size=(4, 3))).tolist()))
-    along, rate = Along(motion, matrix(rows.tolist())), start.image(motion.closed)
+    along, rate = Along(plant.open, matrix(rows.tolist())), start.image(closed)
     boxed, bound = (np.array([float(x) for x in bow(rate)]) for bow in (along.bow, along.closer_bow))
     assert np.all(bound <= boxed) and np.any(bound < 0.9 * boxed), "a set is less than its box"
     furthest = np.zeros(5)
@@ -246,9 +245,9 @@ def test_what_a_set_needs_between_nodes_is_covered():
     A, B, K, h = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[1.5, 1.8]]), 0.4
     b = matrix(B.tolist())
     plant = Plant(matrix(A.tolist()), b, b, matrix([[1, 0]]), [arb(1)], arb(0.0), arb(h))
-    motion, rows = plant.loop(matrix(K.tolist())), np.vstack([np.eye(2), -np.eye(2), K, -K])
+    rows = np.vstack([np.eye(2), -np.eye(2), K, -K])
     start = Zonotope(column([0.3, -0.2]), matrix([[0.5, 0.1], [0.2, -0.4]]))
-    loop = loop_of_errors(motion)
+    loop = loop_of_errors(plant, matrix(K.tolist()))
     needs = Needs(loop, Memory.of(loop, start.size(), 1), matrix(rows.tolist()))
     bows = Bows(needs, start)
     parts = [(start.support(needs.carried[lag]), bows.next_to(lag)) for lag in range(13)]
@@ -259,7 +258,7 @@ def test_what_a_set_needs_between_nodes_is_covered():
         Ad, Bd = discretize(A, B, s)
         within.append(rows @ (Ad - Bd @ K))
     for lag in range(12):
-        moved = np.linalg.matrix_power(values(motion.phi), lag)
+        moved = np.linalg.matrix_power(values(loop.F), lag)
         reached = np.array([M @ moved @ c + np.abs(M @ moved @ G).sum(axis=1) for M in within])
         covered = np.maximum(tube[lag], tube[lag + 1])
         assert np.all(reached <= covered + 1e-12)
@@ -289,7 +288,7 @@ def test_where_precision_is_lost_more_bits_are_taken(monkeypatch):
     def swinging():
         A, B = matrix([[0, 1], [-1, -1 / 32]]), matrix([[0], [1]])
         plant = Plant(A, B, B, matrix([[1, 0]]), [arb(1)], arb(0), arb(0.25))
-        return loop_of_errors(plant.loop(matrix([[0, 0]])))
+        return loop_of_errors(plant, matrix([[0, 0]]))
 
     with pytest.raises(Imprecise, match="precision is lost"):
         Memory.of(swinging(), column([1, 1]), 4)
@@ -399,13 +398,15 @@ def test_a_jump_of_the_reference_takes_its_part_of_a_claimed_share():
     assert told.value.claim == "margins"
 
 
-@pytest.mark.parametrize("place", ["push", "error"])
-def test_a_period_counts_every_push_at_its_end_and_on_the_way(place):
+@pytest.mark.parametrize("steady", [False, True])
+def test_a_period_counts_every_push_at_its_end_and_on_the_way(steady):
     """A constant push e moves a mass by e t^2 / 2, which is below the chord to what is booked at the end."""
     h, e, one = 0.5, 0.2, identity(2)
     plant = Plant(matrix([[0.0, 1], [0, -1]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
-    period = replace(Period(plant.open, arb_mat(2, 1)), **{place: plant.push([arb(e)])})
-    first, last = period.extra(Directions(one), Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
+    zero, pushes = arb_mat(2, 1), plant.push([arb(e)])
+    period = Period(one, zero, Directions(arb_mat(2, 2)), zero, [], [] if steady else pushes, [])
+    along = Along(plant.open, one, [plant.disturbance, *(pushes if steady else [])])
+    first, last = period.extra(along, Zonotope(zero, arb_mat(2, 0)))
     for t in np.linspace(0, h, 11):
         for moved, a, b in zip((e * (t + math.expm1(-t)), -e * math.expm1(-t)), first, last, strict=True):
             assert float(a) * (1 - t / h) + float(b) * t / h >= moved * (1 - 1e-12)
@@ -428,7 +429,7 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
     h, k, e = 2 * math.pi, 0.5, 0.01
     A, one = matrix([[0.0, 1], [-1, 0]]), identity(2)
     plant = Plant(A, matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
-    pilot = SimpleNamespace(plant=plant, gain=matrix([[0.0, k]]))
+    pilot = SimpleNamespace(craft=loop_of_errors(plant, matrix([[0.0, k]])))
     flight = SimpleNamespace(pilot=pilot, start=Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
     spell = Spell(arb(0), arb_mat(1, 1), ([arb(0)], [arb(e)]))
     most = together(flight, [spell, spell])
@@ -476,9 +477,9 @@ def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_i
     k = argument.document.modes.index(1)
     pilot, start = argument.pilots[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
     spy = SimpleNamespace(check=lambda i, base, d, moved, end, bow: seen.append((base, d, bow)))
-    fly(pilot, start, k, path, None, Merging(12), spy)
+    fly(pilot, start, k, path, None, Merging(12, 4), spy)
     base, d, bow = seen[0]
-    own = pilot.period(d, base, k, 0).extra(pilot.plant.unit, d)
+    own = pilot.period(d, base, k, 0)[0].extra(pilot.craft.along(pilot.craft.unit)[0], d)
     below = [each[0] for each in base.bows(identity(4))]
     assert len(seen) == argument.document.q and any(x > 0 for x in below)
     least = [float(max(a, b) + more) for a, b, more in zip(*own, below, strict=True)]

@@ -20,7 +20,7 @@ from polaris.certificate.assumptions import ARITHMETIC
 from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.parts import Law, Layer
-from polaris.certificate.kernel.balls import matrix
+from polaris.certificate.kernel.balls import diagonal, matrix
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.kernel.zonotopes import Zonotope as CheckedZonotope
 from polaris.certificate.model.bodies import Whereabouts
@@ -183,7 +183,7 @@ def test_bands_of_the_checker_hold_the_activation(kind):
                 assert abs(value(layer, arb(y)) - slope * arb(y) - middle) <= radius + 1e-12
 
 
-def checked_policy(controller, error=0.0):
+def checked_policy(controller):
     """The checker's own account of a network, in a system that stands still."""
     policy, limit = controller.policy, controller.system.u_max
     law = Law(
@@ -192,7 +192,7 @@ def checked_policy(controller, error=0.0):
         precision=policy.network.precision,
     )
     plant = {"A": arb_mat(4, 4), "B": arb_mat(4, 2), "u_max": list(map(arb, limit))}
-    plant = type("Plant", (), plant | {"estimate": (error,) * 4 if error else ()})
+    plant = type("Plant", (), plant)
     return CheckedPolicy(law, plant, Whereabouts(plant, {}, arb(0), {}))
 
 
@@ -222,10 +222,11 @@ def test_the_checker_encloses_what_a_network_commands(error):
         controller, rng = random_controller(seed)
         controller = in_precision(controller, "real")
         policy, limit = controller.policy, controller.system.u_max
-        checked, known = checked_policy(controller, error), policy.stack(PARTS)
+        checked, known = checked_policy(controller), policy.stack(PARTS)
         G = 0.1 * rng.normal(size=(4, 5))
         d = CheckedZonotope(arb_mat(4, 1), matrix(G.tolist()))
-        found = checked.command(d, matrix([[x] for x in known]), arb_mat(len(known), 0))
+        seen = checked.reads * diagonal([error] * 4)
+        found = checked.command(d, matrix([[x] for x in known]), seen)
         for signs in rng.choice([-1.0, 1.0], (60, 5)):
             e = G @ signs
             told = e + rng.choice([-error, error], 4)

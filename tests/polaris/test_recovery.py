@@ -32,7 +32,7 @@ def recovery(bad=None):
     """A loop that forgets quickly, wide limits at every node, and one that nothing meets."""
     one = matrix([[1.0]])
     plant = Plant(one, one, one, one, [arb(10)], arb(0.01), arb(H))
-    loop = loop_of_errors(plant.loop(matrix([[GAIN]])))
+    loop = loop_of_errors(plant, matrix([[GAIN]]))
     memory = Memory.of(loop, column([arb(1)]), Q)
     wide, none = Target(0, arb(100), "wall", arb(100)), Target(0, arb(-1), "wall", arb(100))
     targets = [[[none if (cell, i) == bad else wide] for i in range(Q + 1)] for cell in range(CELLS)]
@@ -97,7 +97,7 @@ def test_from_rest_a_push_leaves_the_chord_of_its_nodes_by_no_more_than_is_booke
     """A constant push e moves ``x' = -x + e`` by ``e (1 - exp(-t))``; no rate is known at a node at rest."""
     push, one, rest = 0.01, matrix([[1.0]]), column([arb(0)])
     plant = Plant(-one, one, one, one, [arb(10)], arb(push), arb(H))
-    craft = loop_of_errors(plant.loop(matrix([[0.1]])))
+    craft = loop_of_errors(plant, matrix([[0.1]]))
     ways = [-push * math.expm1(-t * H / 20) for t in range(21)]
     excess = max(way - t / 20 * ways[-1] for t, way in enumerate(ways))
     (steady,) = craft.always_bent(one, (rest, rest))

@@ -10,7 +10,6 @@ from ..kernel.arcs import Path
 from ..kernel.balls import largest, magnitude, matrix, plain, require
 from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import Directions, Merging, Zonotope
-from ..model.bodies import Whereabouts
 from ..model.craft.states import craft_of
 from ..model.limits import Barrier
 from ..model.plants import plant_of, within_limits
@@ -40,10 +39,10 @@ class Argument:
         self.document, self.record, self.stated = document, record, stated or Stated()
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
-        given = self.plant, document.slopes, document.fits
-        self.pilots = [Pilot(law, *given, Whereabouts.of(document, law, self.plant)) for law in document.laws]
-        self.gain = self.pilots[0].gain
+        assert document.laws[0].gain is not None  # as of every safety controller
+        self.gain = matrix(document.laws[0].gain)
         self.craft = craft_of(document, self.plant, self.gain)
+        self.pilots = [Pilot.of(law, self.craft, document) for law in document.laws]
         networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
         self.upsets = moved(document, self.plant, networks)
 
@@ -51,14 +50,14 @@ class Argument:
         """Check everything; returns only if every claim holds."""
         path = self.reference()
         self.record.holds("end", check_end(self.document, path))
-        confirmed, merging = len(self.record.checked), Merging(ORDER)
+        confirmed, merging = len(self.record.checked), Merging(ORDER, self.n)
         try:
             self.flights(path, merging)
         except Rejected:
             if not merging.lossy:
                 raise
             del self.record.checked[confirmed:]
-            self.flights(path, Merging(MORE))
+            self.flights(path, Merging(MORE, self.n))
         if self.document.drift is not None:
             self.record.holds("passive", Drifts(self.document, self.plant).check(self.stated.least))
         if self.document.statement:
@@ -113,14 +112,13 @@ class Argument:
     def tubes(self, path: Path, merging: Merging) -> tuple[list[Zonotope], list[Flown]]:
         """Reachable sets of the schedule; every step of an experimental controller is separate."""
         doc = self.document
-        start = Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose())
+        start = self.craft.start(Zonotope(arb_mat(self.n, 1), matrix(doc.generators, self.n).transpose()))
         sets, flown, known = [start], [], dict[Any, Directions]()
         for k, mode in enumerate(doc.modes):
             barrier = Barrier.of(doc, self.plant.C, k, doc.facets[k], known) if mode else None
             parts = doc.drift.steps[k] if doc.drift is not None else None
             departures = None if parts is None else Departures(self.plant, k, parts, doc.displaced)
-            pilot = self.pilots[mode].knowing(doc.known_to(k))
-            flown.append(fly(pilot, sets[-1], k, path, barrier, merging, departures, self.upsets))
+            flown.append(fly(self.pilots[mode], sets[-1], k, path, barrier, merging, departures, self.upsets))
             sets.append(flown[-1].end)
         share = sum(mode > 0 for mode in doc.modes) / self.K
         self.record.holds("separation", f"{self.K} steps, {share:.1%} of them experimental, whole intervals")

@@ -162,12 +162,12 @@ class Arrival:
     def after(self, nodes: int) -> list[Flown]:
         """S from T on, for at least so many periods."""
         doc = self.document
-        reached = self.held[-1][0].grown(diagonal(self.flight.jump.entries()))
+        jump = diagonal(self.flight.jump.entries())
+        reached = self.held[-1][0].grown(self.flight.tracker.craft.lifted(jump))
         assert self.pilot is not None and self.merging is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
-            pilot = self.pilot.knowing(doc.known_to(k))
-            self._flown.append(fly(pilot, start, k, self.flight.path, None, self.merging))
+            self._flown.append(fly(self.pilot, start, k, self.flight.path, None, self.merging))
         return self._flown
 
     def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
@@ -185,11 +185,11 @@ class Arrival:
         least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
         least = sums(least, self.from_thrust(needs, node)) if self.flight.scheduled else least
         if not around:  # commands do not answer to what is displaced
-            least = sums(least, (magnitude(needs.carried[0]) * column(self.document.at_nodes)).entries())
+            least = sums(least, (magnitude(needs.rows) * column(self.document.at_nodes)).entries())
         if node > periods:
             return sums(least, needs.still(jump))
-        carried = magnitude(needs.carried[node])
-        least = sums(least, ((carried + needs.bend[node] if around else carried) * jump).entries())
+        at_node = magnitude(needs.carried[node]) * needs.craft.lifted(jump)
+        least = sums(least, needs.boxed(jump, node) if around else at_node.entries())
         if around or not self.document.profile or node == self._last:
             return least
         pairs = zip(least, self._flown_at(needs.rows, node), strict=True)
@@ -204,7 +204,8 @@ class Arrival:
         cell, place = divmod(node, self.document.q)
         step = self.after(node + 1)[cell]
         z = step.nodes[place - 1] if place else step.start
-        return sums(z.support(rows), (magnitude(rows) * column(self.document.at_nodes)).entries())
+        whole = self.flight.tracker.craft.whole(rows)
+        return sums(z.support(whole), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
     def from_thrust(self, needs: Needs, node: int) -> list[arb]:
         """What errors of scheduled commands add along rows from a node of the tail on."""

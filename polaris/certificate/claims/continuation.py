@@ -72,7 +72,8 @@ class Continuation:
     @cached_property
     def scheduled(self) -> Scheduled | None:
         """Errors by the time of the flight, if there are any."""
-        if not (self.document.profile or self.document.error_by_step):
+        by_step = self.document.error_by_step and self.tracker.craft.base is not None
+        if not (self.document.profile or by_step):
             return None
         return Scheduled(self.document, self.tracker.craft, self.tracker.memory, self.further[0])
 

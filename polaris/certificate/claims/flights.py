@@ -1,27 +1,51 @@
-"""Reachable sets of the schedule: what each controller may do in a step, enclosed over whole intervals."""
+"""Reachable sets of the schedule: what each controller may do in a step, enclosed over whole intervals.
+
+They are sets of the loop state z of the craft, which begins with the error. What the flight computer
+remembers besides moves by itself, whatever law flies. A law answers to what it sees of z.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from flint import arb, arb_mat
 
-from ..files.parts import Law, Matrix
+from ..files.document import Document
+from ..files.parts import Law
 from ..kernel.arcs import Arc, Path
-from ..kernel.balls import column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
-from ..kernel.motion import Motion, Plant, Push
+from ..kernel.balls import (
+    beside,
+    column,
+    diagonal,
+    largest,
+    magnitude,
+    matrix,
+    plain,
+    require,
+    scaled,
+    smallest,
+    sums,
+)
+from ..kernel.motion import Plant, Push
 from ..kernel.periods import Period, Spell, around, clip, command_ranges, secant
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Directions, Merging, Zonotope
 from ..model.bodies import Whereabouts
+from ..model.craft.craft import Craft
 from ..model.limits import Barrier
 from ..model.networks import Policy
-from ..model.timing import late, measured_error
 from .drift import Departures
 
-GUESSES = 1e-3, 4e-3, 2e-2
-"""How much more than found is guessed of commands of a period, in turn."""
-GUESSED = "safety", "affine", "saturated_affine"  # kinds of laws of which they are
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a law commands in a period about a base arc: its input and ``c + K z + v``, v held."""
+
+    K: arb_mat
+    c: arb_mat
+    v: list[Push]  # of the inputs
+    most: list[arb]  # bounds on |u|, of a law that does not clip at the limits too
+    linear: bool = False  # neither clipped nor enclosed
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,39 +53,21 @@ class Pilot:
     """A controller as reachability sees it."""
 
     law: Law
-    plant: Plant
-    slopes: list[Matrix | None]
-    """By step and period, slopes from 0 to 1 of the lines about which a clipped command is enclosed.
-
-    Any are sound; None for those of the checker's own.
-    """
-    fits: list[list[Matrix] | None] = field(default_factory=list)
-    """By step and period, the affine functions that samples of a black box say its commands are near."""
+    craft: Craft  # the loop under its gain; unused of laws without one
+    document: Document
     told: Whereabouts | None = None
     """Of the bodies that a network reads."""
-    before: list[arb] | None = None
-    """Bounds on the commands whose errors are not measured yet, if they are known."""
-    _loops: dict[tuple[float, ...], Motion] = field(default_factory=dict, repr=False)
 
-    @cached_property
-    def gain(self) -> arb_mat:
-        """Of any law but ``any_thrust``."""
-        assert self.law.gain is not None
-        return matrix(self.law.gain)
+    @classmethod
+    def of(cls, law: Law, craft: Craft, document: Document) -> "Pilot":
+        """From the loop under any law."""
+        loop = craft if law.gain is None else craft.under(matrix(law.gain))
+        return cls(law, loop, document, Whereabouts.of(document, law, craft.plant))
 
-    def loop(self, slopes: Sequence[float] = ()) -> Motion:
-        """Its loop with the gain of every input times a slope; unchanged without slopes."""
-        key = tuple(slopes)
-        if key not in self._loops:
-            self._loops[key] = self.plant.loop(diagonal(key) * self.gain if key else self.gain)
-        return self._loops[key]
-
-    def knowing(self, estimate: list[float]) -> "Pilot":
-        """The same where estimates are off by no more than that."""
-        known = tuple(estimate)
-        return (
-            self if known == self.plant.estimate else replace(self, plant=replace(self.plant, estimate=known))
-        )
+    @property
+    def plant(self) -> Plant:
+        """The craft."""
+        return self.craft.plant
 
     @cached_property
     def policy(self) -> Policy:
@@ -70,23 +76,9 @@ class Pilot:
         return Policy(self.law, self.plant, self.told)
 
     @cached_property
-    def noise(self) -> list[arb]:
-        """Bounds on what errors of the estimate add to its command."""
-        if self.before is None:
-            return self.plant.command_error(self.gain)
-        return sums(measured_error(self.plant, self.gain), late(self.plant, self.gain, self.before))
-
-    def after(self, told: Sequence[Sequence[arb]]) -> "Pilot":
-        """The same after periods of a step with bounds on their commands, those of the last one last."""
-        hidden = self.plant.hidden
-        if not 0 < hidden <= len(told) or self.law.kind not in GUESSED:
-            return self
-        return replace(self, before=[largest(each) for each in zip(*told[-hidden:], strict=True)])
-
-    @cached_property
     def fed(self) -> Directions:
         """Rows of what it feeds back."""
-        return Directions(self.gain)
+        return Directions(self.craft.commands)
 
     def base(self, k: int, path: Path) -> Arc:
         """The arc of a step about which its motion is described."""
@@ -96,76 +88,81 @@ class Pilot:
             return path.arcs[k]
         return Arc.of(self.plant, column(self.law.states[k]), column(self.law.inputs[k]))
 
-    def spell(self, period: Period, d: Zonotope, u: arb_mat, k: int) -> Spell:
-        """The thrust over a period of step k from a set about the base arc."""
-        plant, tops = self.plant, self.plant.u_max
-        if period.most is not None:
-            tops = [smallest(pair) for pair in zip(tops, period.most, strict=True)]
-        elif self.law.kind not in ("any_thrust", "black_box"):
-            tops = self.clipped(command_ranges(u, self.fed, d))
-        linear = self.law.kind == "safety" or (self.law.kind in GUESSED and self.slopes[k] is None)
-        linear = linear and period.push is None and not plant.jitter
-        errors = (self.noise, plant.thruster_error(tops)) if linear else ()
-        return Spell(plant.spent(tops), u - self.gain * d.c if linear else u, errors)
+    def unseen(self, k: int, before: Sequence[list[arb]]) -> list[arb]:
+        """Bounds on errors of estimates in step k beyond those of the loop, from commands earlier in it."""
+        lag, most = self.craft.lag, self.plant.u_max
+        if 0 < lag <= len(before):
+            most = [largest(each) for each in zip(*before[-lag:], strict=True)]
+        return sums(self.craft.extra(self.document, k), self.craft.lagged(most))
 
-    def clipped(self, ranges: list[tuple[arb, arb]]) -> list[arb]:
-        """Bounds on its commands after the clip, on any estimate, from their ranges on the exact state."""
-        parts = zip(ranges, self.plant.u_max, self.noise, strict=True)
-        return [smallest((top, (largest((-lo, hi)) + noise).upper())) for (lo, hi), top, noise in parts]
+    def period(
+        self, z: Zonotope, base: Arc, k: int, i: int, before: Sequence[list[arb]] = ()
+    ) -> tuple[Period, Spell]:
+        """Motion and thrust over a period of a step from a set about the base arc.
 
-    def period(self, d: Zonotope, base: Arc, k: int, i: int) -> Period:
-        """Motion over a period of a step from a set about the base arc.
-
-        Errors of the thrusters are those of commands up to a guess, which is one if what is found keeps below
-        it: no flight can be the first to exceed it.
+        `before` bounds the commands of the periods of this step before it. Errors that grow with commands are
+        those of the commands of the period itself, which were made at its start.
         """
-        plant, u = self.plant, base.u
-        if self.law.kind == "any_thrust":
-            tops = sums(plant.u_max, plant.thruster_error(plant.u_max))
-            return Period(plant.open, arb_mat(d.c.nrows(), 1), Push.in_box(plant.B, tops))
-        if self.law.kind == "neural":
-            command = self.policy.command(d, *self.policy.known(base, k, i))
-            push = Push.in_zonotope(plant.B, command.V)
-            error = plant.push(plant.thruster_error(command.most))
-            return Period(plant.loop(-command.K), plant.B * (command.c - u), push, error, command.most)
-        fit = self.fits[k] if self.law.kind == "black_box" else None
-        if fit is not None:
-            n, rows = d.c.nrows(), fit[i]
-            K, c = matrix([row[:n] for row in rows]), column([row[n] for row in rows])
-            bands = [arb(row[n + 1]) for row in rows]
-            ranges = zip(plant.u_max, command_ranges(c, Directions(-K), d), bands, strict=True)
-            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in ranges]
-            error, push = plant.push(plant.thruster_error(most)), Push.in_box(plant.B, bands)
-            return Period(plant.loop(-K), plant.B * (c - u), push, error, most)
-        found = self.clipped(command_ranges(u, self.fed, d))
-        for more in GUESSES if plant.thrusters else ():
-            guess = [
-                smallest((top, x.upper() * (1 + more) + top * more / 20))
-                for top, x in zip(plant.u_max, found, strict=True)
-            ]
-            period, found = self._under(guess, d, u, k, i)
-            if all(x < y or y == top for x, y, top in zip(found, guess, plant.u_max, strict=True)):
-                return replace(period, commands=guess)
-        return replace(self._under(plant.u_max, d, u, k, i)[0], commands=plant.u_max)
+        craft, plant, u, more = self.craft, self.plant, base.u, self.unseen(k, before)
+        answer = self.answer(z, base, k, i, more)
+        g = plant.B * answer.c
+        error = plant.thruster_error(answer.most)
+        if self.law.kind == "any_thrust":  # which need not be held
+            held = [craft.lifted(craft.motion.pushed(*answer.v))]
+        else:
+            held = [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in answer.v]
+        period = Period(
+            craft.free + craft.held * answer.K,
+            craft.lifted(craft.motion.gamma * g),
+            Directions(craft.drifts + plant.B * answer.K),
+            g,
+            [*held, *craft.added(error)],
+            [*answer.v, *plant.push(error)],
+            answer.most,
+        )
+        joint = (
+            answer.linear and not plant.jitter and (self.law.kind == "safety" or not self.document.slopes[k])
+        )
+        middle = u + answer.c + answer.K * z.c
+        return period, Spell(plant.spent(answer.most), middle, (craft.noise(more), error) if joint else ())
 
-    def _under(self, most: list[arb], d: Zonotope, u: arb_mat, k: int, i: int) -> tuple[Period, list[arb]]:
-        """Motion over a period under errors of the thrusters for commands up to `most`, and its commands."""
-        kind, plant = self.law.kind, self.plant
-        error = plant.push(sums(self.noise, plant.thruster_error(most)))
-        linear = Period(self.loop(), arb_mat(d.c.nrows(), 1), None, error)
-        ranges = command_ranges(u, self.fed, d)
-        # What an error of the estimate adds to a command comes after the clip; without one, it counts.
-        noise = self.noise if kind == "affine" else [arb(0)] * len(most)
-        room = [top - x for top, x in zip(plant.u_max, noise, strict=True)]
-        # Within the limits nothing clips; the safety controller keeps to them, as is shown of it elsewhere.
-        if kind == "safety" or all(max(-lo, hi) <= top for (lo, hi), top in zip(ranges, room, strict=True)):
-            return linear, self.clipped(ranges)
+    def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:
+        """What it commands from a set, estimates being off by some more than in the loop."""
+        craft, plant, u, kind = self.craft, self.plant, base.u, self.law.kind
+        n, states, tops = plant.A.nrows(), craft.free.nrows(), plant.u_max
+        if kind == "any_thrust":
+            return Answer(arb_mat(len(tops), states), 0 * u, [Push.in_box(plant.B, tops)], tops)
+        missed = craft.missed(more)
+        spread = craft.carry * diagonal(missed) if any(x > 0 for x in missed) else arb_mat(n, 0)
+        if kind == "neural":
+            read, rest = self.policy.known(base, k, i)
+            command = self.policy.command(z.image(craft.sees), read, beside(rest, self.policy.reads * spread))
+            most = [smallest(pair) for pair in zip(tops, command.most, strict=True)]
+            return Answer(command.K * craft.sees, command.c - u, [Push.in_zonotope(plant.B, command.V)], most)
+        fit = self.document.fits[k] if kind == "black_box" else None
+        if fit is not None:
+            K, c = craft.whole(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
+            bands = [arb(row[n + 1]) for row in fit[i]]
+            met = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
+            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in met]
+            return Answer(K, c - u, [Push.in_box(plant.B, bands)], most)
+        ranges, noise = command_ranges(u, self.fed, z), craft.noise(more)
+        sizes = list(zip(ranges, tops, noise, strict=True))
+        most = [smallest((top, (largest((-lo, hi)) + off).upper())) for (lo, hi), top, off in sizes]
+        inside = kind == "safety" or all(max(-lo, hi) <= top - off for (lo, hi), top, off in sizes)
+        # What errors of estimates add to a command comes after the clip, which lets less of it through. The
+        # safety controller keeps to the limits, as is shown of it elsewhere.
+        if inside or (kind != "affine" and all(max(-lo, hi) <= top for (lo, hi), top, _ in sizes)):
+            seen = -(craft.gain * spread)
+            v = [Push.in_zonotope(plant.B, seen) if inside else Push.in_box(plant.B, noise)]
+            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], most, linear=True)
         if kind == "affine":
-            raise Rejected(
-                "controllers", f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
-            )
-        step = self.slopes[k]
-        return _clipped(self, d, u, None if step is None else step[i], error)
+            told = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
+            raise Rejected("controllers", told)
+        step = self.document.slopes[k]
+        slopes, known, bands = _clipped(ranges, tops, u, None if step is None else step[i])
+        v = [Push.in_box(plant.B, sums(bands, noise))]
+        return Answer(-scaled(slopes, craft.commands), known, v, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,10 +170,10 @@ class Flown:
     """One step flown."""
 
     pilot: Pilot
-    start: Zonotope  # errors at its start
-    end: Zonotope  # errors at its end
+    start: Zonotope  # loop states at its start
+    end: Zonotope  # loop states at its end
     spells: list[Spell]
-    nodes: list[Zonotope]  # errors at the nodes within it
+    nodes: list[Zonotope]  # loop states at the nodes within it
 
 
 def fly(
@@ -191,70 +188,69 @@ def fly(
 ) -> Flown:
     """Enclose step k of one controller, and check that it stays separate from every unsafe set.
 
-    `start` are the errors about the safe reference at its start. There is no barrier of separating facets
+    `start` are loop states about the safe reference at its start. There is no barrier of separating facets
     under the safety controller, whose separation follows from recoverability. Departures, if any, are
     shown to hold where thrust may stop. One of the boxes `upsets` holds what a fault adds until isolated.
     """
-    base = pilot.base(k, path)
-    room, unit = list[list[arb]](), pilot.plant.unit
-    bows = base.bows(unit.M) if departures is not None else []
+    base, craft = pilot.base(k, path), pilot.craft
+    room, (unit, whole) = list[list[arb]](), craft.along(craft.unit)
+    bows = base.bows(unit.rows) if departures is not None else []
     if barrier is not None:
         rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
         added = [[arb(0)] * rows.nrows(), *((magnitude(rows) * x).entries() for x in upsets)]
         most = [largest(each) for each in zip(*added, strict=True)]
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
-    d = merging.reduced(start).moved(path.arcs[k].nodes[0] - base.nodes[0])
+    z = merging.reduced(start).moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
-        knowing = pilot.after(since)
-        period = knowing.period(d, base, k, i)
-        since.append(period.commands or pilot.plant.u_max)
-        spells.append(knowing.spell(period, d, base.u, k))
-        end = period.ends(d)
+        period, spell = pilot.period(z, base, k, i, since)
+        since.append(period.most)
+        spells.append(spell)
+        end = period.ends(z)
         if departures is not None:
-            moved = d.image(period.motion.phi - unit.M).moved(period.motion.gamma * period.g)
-            extra = zip(*period.extra(unit, d), bows, strict=True)
-            departures.check(i, base, d, moved, end, [largest((a, b)) + bow[i] for a, b, bow in extra])
+            moved = z.image(whole.M * period.F - whole.M).moved(whole.M * period.moved)
+            extra = zip(*period.extra(unit, z), bows, strict=True)
+            ends = z.through(whole), moved, end.through(whole)
+            departures.check(i, base, *ends, [largest((a, b)) + bow[i] for a, b, bow in extra])
         if barrier is not None:
             where = f"step {k}, part {i}, under {pilot.law.name}"
-            for place, z, more in zip((i, i + 1), (d, end), period.extra(barrier.rows, d), strict=True):
-                _separate(barrier, z, more, room[place], where)
-        d = merging.after(period.after(end))
-        nodes.append(d.moved(base.nodes[i + 1] - path.arcs[k].nodes[i + 1]))
-    leave = d.moved(base.nodes[-1] - path.starts[k + 1])
+            along, rows_of = craft.along(barrier.rows)
+            for place, x, more in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
+                _separate(barrier, rows_of, x, more, room[place], where)
+        z = merging.after(period.after(end))
+        nodes.append(z.moved(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
+    leave = z.moved(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
     return Flown(pilot, start, leave, spells, nodes[:-1])
 
 
-def _separate(barrier: Barrier, z: Zonotope, more: list[arb], room: list[arb], where: str) -> None:
+def _separate(
+    barrier: Barrier, rows: Directions, z: Zonotope, more: list[arb], room: list[arb], where: str
+) -> None:
     """Check that a set, and more along each facet, is within the room there."""
-    along = z.through(barrier.rows)
+    along = z.through(rows)
     needs = sums(along.c.entries(), along.widths, more)
     if not all(need <= there for need, there in zip(needs, room, strict=True)):
-        needs = sums(along.c.entries(), z.spread(barrier.rows.M), more)  # to the last digits
+        needs = sums(along.c.entries(), z.spread(rows.M), more)  # to the last digits
     for name, need, there in zip(barrier.names, needs, room, strict=True):
         if not need <= there:
             require("separation", there - need, f"{where}: {name}, needs {plain(need)} of {plain(there)} m")
 
 
 def _clipped(
-    pilot: Pilot, d: Zonotope, u: arb_mat, stored: list[float] | None, error: Push | None
-) -> tuple[Period, list[arb]]:
-    """A clipped law over a period, as a linear one and an input within a band; and its commands at most.
+    ranges: list[tuple[arb, arb]], tops: list[arb], u: arb_mat, stored: list[float] | None
+) -> tuple[list[float], arb_mat, list[arb]]:
+    """Slopes of a clipped law within some ranges, what it commands besides, and how far off it may be.
 
     With the slopes of whoever stored them, and a range that is no wider, the motion found here lies within
     the one found there. With other slopes neither need contain the other.
     """
-    plant = pilot.plant
-    commands = list(zip(plant.u_max, u.entries(), strict=True))
-    ranges = command_ranges(u, pilot.fed, d)
-    slopes = stored or [secant(*ends, top) for ends, top in zip(ranges, plant.u_max, strict=True)]
+    slopes = stored or [secant(*ends, top) for ends, top in zip(ranges, tops, strict=True)]
     known, bands = [], []
-    for slope, (lo, hi), (top, x) in zip(slopes, ranges, commands, strict=True):
+    for slope, (lo, hi), top, x in zip(slopes, ranges, tops, u.entries(), strict=True):
         # The clip less a line is piecewise affine: its extremes are at the ends and at the limits.
         places = [lo, hi, *(y for y in (-top, top) if lo < y < hi)]
         rests = [clip(y, top) - slope * y for y in places]
         middle_rest, band = around(smallest(rests), largest(rests))
         known.append(slope * x + middle_rest - x)
         bands.append(band)
-    period = Period(pilot.loop(slopes), plant.B * column(known), Push.in_box(plant.B, bands), error)
-    return period, pilot.clipped(ranges)
+    return slopes, column(known), bands

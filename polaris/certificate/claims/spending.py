@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import accumulate, groupby, islice
 
-from flint import arb, arb_poly
+from flint import arb, arb_mat, arb_poly
 
-from ..kernel.balls import above, column, identity, magnitude, smallest
+from ..kernel.balls import above, column, identity, largest, magnitude, row_sums, smallest
 from ..kernel.periods import Spell
 from .flights import Flown
 
@@ -34,35 +34,37 @@ def spent(flights: Iterable[Flown], periods: int | None = None) -> arb:
 
 def together(first: Flown, spells: Sequence[Spell]) -> arb:
     """Bound the integral of the thrust under one linear law, all periods at once (Proposition 14 (c))."""
-    plant, count = first.pilot.plant, len(spells)
-    loop, m = plant.loop(first.pilot.gain), plant.B.ncols()
-    rows = list(accumulate(range(count - 1), lambda row, _: row * loop.phi, initial=first.pilot.gain))
+    craft, count = first.pilot.craft, len(spells)
+    plant, m = craft.plant, craft.plant.B.ncols()
+    rows = list(accumulate(range(count - 1), lambda row, _: row * craft.F, initial=craft.commands))
     stacked = above(*rows)
-    pushes = loop.gains_over(stacked, loop.disturbances, 1)[0]
+    pushes = craft.disturbed(stacked)
     since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
     base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
-    base = sum([*first.start.image(stacked).widths, *since], base)
-    push = -(loop.gamma * plant.B)
-    answers = [row * push for row in rows]
-    size = sum(map(magnitude, answers[1:]), magnitude(answers[0]))
-    commanded, applied = size, size + identity(m)
-    for a in range(m):
-        own = [answer[a, a] for answer in answers]
-        commanded[a, a] = smallest([commanded[a, a], peak(own)])
-        applied[a, a] = smallest([applied[a, a], peak([arb(1), *own]).max(arb(1))])
-    within = magnitude(plant.A) * magnitude(loop.over) * magnitude(plant.B) * (plant.h**2 / 2)
-    rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * within
+    base = sum([*row_sums(stacked * first.start.G), *since], base)
+    known_of, made_of = ([-(row * way) for row in rows] for way in (craft.held, craft.turned))
+    rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * craft.uneven
     known, made = (
         column([_long(each, count) for each in zip(*part, strict=True)])
         for part in zip(*(spell.errors for spell in spells), strict=True)
     )
     if plant.carried:  # what is commanded, and the errors of what is made of it
-        most, more = applied * known + (commanded + rest) * made, arb(0)
+        most, more = _amplified(known_of, arb(1)) * known + (_amplified(made_of) + rest) * made, arb(0)
         more += sum((x for spell in spells for x in spell.errors[1]), more)
     else:  # what is applied, but for errors that stand for pulses
         more = arb(count * m) * (plant.bit - replace(plant, thrusters=plant.prompt).bit)
-        most = (applied + rest) * (known + made)
+        most = _amplified(known_of, arb(1)) * known + (_amplified(made_of, arb(1)) + rest) * made
     return (base + sum(most.entries(), more)) * plant.h
+
+
+def _amplified(answers: Sequence[arb_mat], *own: arb) -> arb_mat:
+    """Bound the 2-norm over all periods of answers to inputs, per unit of theirs, with their `own` share."""
+    size = sum(map(magnitude, answers[1:]), magnitude(answers[0]))
+    size = size + identity(size.nrows()) if own else size
+    for a in range(size.nrows()):
+        most = peak([*own, *(answer[a, a] for answer in answers)])
+        size[a, a] = smallest([size[a, a], largest([most, *own])])
+    return size
 
 
 def _long(sizes: Iterable[arb], count: int) -> arb:

@@ -1,8 +1,7 @@
 """One period of a linear motion with uncertain inputs, between two instants at which it is known as a set.
 
 ``x' = A x + B u + g + V v + D w`` with measurable v in a box about zero and ``norm(w, 2) <= w_max``. The
-input ``u = -K x(0)`` is fixed at the period's start, so ``x(s) = M(s) x(0) + ...`` with
-``M'' = A e^{A s} A_c`` and ``A_c = A - B K``; without one ``A_c = A``.
+input u is fixed at the period's start, so the undisturbed motion has ``x'' = A e^{A s} x'(0)``.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from functools import cached_property
 from flint import arb, arb_mat
 
 from .balls import (
-    absolute,
     beside,
     column,
     diagonal,
@@ -25,7 +23,6 @@ from .balls import (
     lengths,
     magnitude,
     root,
-    row_sums,
     sums,
     widths,
 )
@@ -71,7 +68,6 @@ class Plant:
     w_max: arb  # bound on the 2-norm of the disturbance
     h: arb  # length of a period [s]
     q: int = 1  # periods per step
-    estimate: tuple[float, ...] = ()  # bounds on the error of the estimate of every state, if any is not zero
     thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
     prompt: tuple[float, ...] = ()  # the same without jitter
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
@@ -92,29 +88,15 @@ class Plant:
         return Directions(self.A)
 
     @cached_property
-    def unit(self) -> Directions:
-        """Rows of the state itself."""
-        return Directions(identity(self.A.nrows()))
-
-    @cached_property
     def carry(self) -> list[Push]:
         """What impulses that are carried to the next period push meanwhile, if there are any."""
         left, along = [arb(self.carried)] * self.B.ncols(), self.thrusters[0] if self.thrusters else 0.0
         rates = self.A * self.open.gamma * self.B * (1 / self.h), self.A * self.B * along
         return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
 
-    def loop(self, gain: arb_mat, error: list[arb] | None = None) -> Motion:
-        """Motion under ``u = -gain x``, every input off by an error at most."""
-        return Motion(self, self.A - self.B * gain, gain, error or [])
-
-    def command_error(self, gain: arb_mat) -> list[arb]:
-        """By how much a command may differ from what it would be on the exact state, ``|gain| eta``.
-
-        Clipped commands differ by no more than commands do.
-        """
-        if not self.estimate:
-            return [arb(0)] * gain.nrows()
-        return (absolute(gain) * column(self.estimate)).entries()
+    def disturbances(self, error: list[arb]) -> list[Push]:
+        """What disturbs: w, what is carried, and errors of the inputs up to some sizes."""
+        return [self.disturbance, *self.carry, *self.push(error)]
 
     def thruster_error(self, most: Sequence[arb]) -> list[arb]:
         """By how much what is applied may differ from commands up to some sizes."""
@@ -136,14 +118,14 @@ class Plant:
         applied = sums(most, replace(self, thrusters=self.prompt).thruster_error(most))
         return sum(applied, arb(0)) * (self.h + 2 * arb(self.jitter))
 
-    def push(self, error: list[arb]) -> Push | None:
-        """Errors of the inputs as what pushes; None where there are none."""
-        return Push.in_box(self.B, error) if any(x > 0 for x in error) else None
+    def push(self, error: list[arb]) -> list[Push]:
+        """Errors of the inputs as what pushes, if there are any."""
+        return [Push.in_box(self.B, error)] if any(x > 0 for x in error) else []
 
     @cached_property
     def open(self) -> Motion:
         """Motion under inputs that do not depend on the state."""
-        return Motion(self, self.A)
+        return Motion(self)
 
     @cached_property
     def disturbance(self) -> Push:
@@ -162,10 +144,6 @@ class Motion:
     """One period of it."""
 
     plant: Plant
-    closed: arb_mat  # A_c
-    held: arb_mat | None = None  # the gain of the input that is held, if there is one
-    error: list[arb] = field(default_factory=list)  # bounds on the error of every input, if there is any
-    _along: dict[Directions, Along] = field(default_factory=dict, repr=False)
 
     @property
     def A(self) -> arb_mat:
@@ -174,13 +152,12 @@ class Motion:
 
     @cached_property
     def _exponentials(self) -> tuple[arb_mat, arb_mat]:
-        return exponential(self.A, self.plant.h) if self.held is None else self.plant.open._exponentials
+        return exponential(self.A, self.plant.h)
 
-    @cached_property
+    @property
     def phi(self) -> arb_mat:
-        """``M(h)``: from one node to the next."""
-        phi, gamma = self._exponentials
-        return phi if self.held is None else phi - gamma * self.plant.B * self.held
+        """``e^{A h}``: from one node to the next."""
+        return self._exponentials[0]
 
     @property
     def gamma(self) -> arb_mat:
@@ -190,26 +167,15 @@ class Motion:
     @cached_property
     def over(self) -> arb_mat:
         """Enclosure of ``e^{A s}`` for all s of the period."""
-        return exponential_over(self.A, self.plant.h) if self.held is None else self.plant.open.over
+        return exponential_over(self.A, self.plant.h)
 
     def bend(self, rows: arb_mat) -> arb_mat:
         """Bound on ``(h^2/8) |row A e^{A s}|``, entry by entry, for all s of the period.
 
         By the chord lemma ``row x(s)`` differs from the chord of its end values by at most this times
-        the size of ``A_c x(0) + g``.
+        the size of ``x'(0)``.
         """
         return magnitude(rows * self.A * self.over * (self.plant.h**2 / 8))
-
-    def along(self, rows: Directions) -> Along:
-        """Intersample bounds along rows, made once."""
-        if rows not in self._along:
-            self._along[rows] = Along(self, rows.M)
-        return self._along[rows]
-
-    @cached_property
-    def rates(self) -> Directions:
-        """``A_c``: rows of the rate at the start of a period."""
-        return Directions(self.closed)
 
     # -- uncertain inputs ---------------------------------------------------------------------------
 
@@ -234,7 +200,7 @@ class Motion:
         bent = push.along(magnitude(rows * self.A * self.A * self.over * V))
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
-    def gains_over(self, rows: arb_mat, pushes: list[Push], count: int) -> tuple[list[arb], arb_mat]:
+    def gains_over(self, rows: arb_mat, pushes: Sequence[Push], count: int) -> tuple[list[arb], arb_mat]:
         """`push_gain` of several over so many periods, and the rows carried over all of them."""
         found = [arb(0)] * rows.nrows()
         for _ in range(count):
@@ -256,37 +222,14 @@ class Motion:
         rates = push.along(magnitude(rows * self.A * self.over * push.V))
         return [self.plant.h**2 / 8 * rate for rate in rates]
 
-    @cached_property
-    def disturbances(self) -> list[Push]:
-        """What disturbs: w, what is carried, and errors of the inputs."""
-        push = self.plant.push(self.error)
-        return [self.plant.disturbance, *self.plant.carry, *([push] if push else [])]
-
-    @cached_property
-    def disturbance_set(self) -> arb_mat:
-        """Generators that enclose what the disturbance adds over one period."""
-        if self.held is not None and not self.error:
-            return self.plant.open.disturbance_set
-        return self.pushed(*self.disturbances)
-
-    @cached_property
-    def disturbance_box(self) -> arb_mat:
-        """Bound on what the disturbance adds to each state within a period, shape (n, 1)."""
-        h, sizes = self.plant.h, row_sums(magnitude(self.over * self.plant.D))
-        box = column([s * self.plant.w_max * h for s in sizes])
-        return magnitude(sum((self.box_of(push) for push in self.disturbances[1:]), box))
-
-    def box_of(self, push: Push) -> arb_mat:
-        """The same of a push, shape (n, 1)."""
-        return magnitude(column(push.along(magnitude(self.over * push.V))) * self.plant.h)
-
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """Intersample bounds of a motion along rows."""
+    """Intersample bounds of a motion along rows, and what pushes in every period."""
 
     motion: Motion
     rows: arb_mat
+    pushes: Sequence[Push] = ()
 
     @cached_property
     def bends(self) -> tuple[arb_mat, arb_mat]:
@@ -295,7 +238,7 @@ class Along:
         return motion.bend(self.rows), magnitude(self.rows * motion.over * (motion.plant.h**2 / 8))
 
     def bow(self, rate: Zonotope) -> list[arb]:
-        """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``A_c x(0) + g``.
+        """Bound on how far ``row x(s)`` leaves the chord of its end values; `rate` is ``x'(0)``.
 
         The lesser of ``|row A e^{A s}| |rate|`` and ``|row e^{A s}| |A rate|``: A commutes with ``e^{A s}``.
         """
@@ -315,9 +258,6 @@ class Along:
 
     @cached_property
     def disturbance(self) -> tuple[list[arb], list[arb]]:
-        """`Motion.push_bend` and `Motion.push_gain` of all that disturbs."""
-        motion = self.motion
-        if motion.held is not None and not motion.error:
-            motion = motion.plant.open
-        bends = [motion.push_bend(self.rows, push) for push in motion.disturbances]
-        return sums(*bends), motion.gains_over(self.rows, motion.disturbances, 1)[0]
+        """`Motion.push_bend` and `Motion.push_gain` of all that pushes in every period."""
+        bends = [self.motion.push_bend(self.rows, push) for push in self.pushes]
+        return sums(*bends), self.motion.gains_over(self.rows, self.pushes, 1)[0]

@@ -5,46 +5,45 @@ from dataclasses import dataclass
 from flint import arb, arb_mat
 
 from .balls import largest, sums
-from .motion import Motion, Push
+from .motion import Along, Push
 from .zonotopes import Directions, Zonotope
 
 
 @dataclass(frozen=True, eq=False)
 class Period:
-    """Motion over one period: ``d' = ... + g + V v`` with v of a push, held or not, and errors of inputs."""
+    """Motion of a loop state z over one period: ``z+ = F z + moved``, and ``e' = rates z + g`` at its start.
 
-    motion: Motion
+    Generators enclose what uncertain inputs have `added` by its end; within it they push the error.
+    """
+
+    F: arb_mat
+    moved: arb_mat
+    rates: Directions
     g: arb_mat
-    push: Push | None = None
-    error: Push | None = None
-    most: list[arb] | None = None  # bounds on the thrust, where they are known already
-    commands: list[arb] | None = None  # bounds on what is commanded, where errors are booked for them
+    added: list[arb_mat]
+    pushes: list[Push]  # besides those of every period
+    most: list[arb]  # bounds on what is commanded
 
-    def ends(self, d: Zonotope) -> Zonotope:
-        """Where the motion without disturbance and without v ends."""
-        return d.image(self.motion.phi).moved(self.motion.gamma * self.g)
+    def ends(self, z: Zonotope) -> Zonotope:
+        """Where the motion without uncertain inputs ends."""
+        return z.image(self.F).moved(self.moved)
 
     def after(self, end: Zonotope) -> Zonotope:
         """The set at the next node, from `ends`: what is known of one along rows serves the other."""
-        motion, push = self.motion, self.push
-        if push is not None and motion.held is not None:  # its mean is all of it
-            end, push = end.grown(motion.gamma * push.V * push.cover), None
-        pushes = [each for each in (push, self.error) if each is not None]
-        return end.grown(motion.pushed(*pushes, *motion.disturbances) if pushes else motion.disturbance_set)
+        return end.grown(*self.added)
 
-    def extra(self, rows: Directions, d: Zonotope) -> tuple[list[arb], list[arb]]:
-        """Bounds on how far ``row d`` exceeds the chord of its undisturbed end values within the period.
+    def extra(self, along: Along, z: Zonotope) -> tuple[list[arb], list[arb]]:
+        """Bounds on how far rows of the error exceed the chord of its undisturbed end values in the period.
 
-        They belong to the start and the end of the period; in between, their chord is a bound: what v and
-        the disturbance have done grows from nothing.
+        They belong to the start and the end of the period; in between, their chord is a bound: what uncertain
+        inputs have done grows from nothing.
         """
-        motion, along = self.motion, self.motion.along(rows)
+        motion, rows = along.motion, along.rows
         bend, last = along.disturbance
-        first = sums(along.bow(d.through(motion.rates).moved(self.g)), bend)
-        for push in (self.push, self.error):
-            if push is not None:
-                first = sums(first, motion.push_bend(rows.M, push))
-                last = sums(last, motion.push_gain(rows.M, push))
+        first = sums(along.bow(z.through(self.rates).moved(self.g)), bend)
+        for push in self.pushes:
+            first = sums(first, motion.push_bend(rows, push))
+            last = sums(last, motion.push_gain(rows, push))
         return first, sums(first, last)
 
 

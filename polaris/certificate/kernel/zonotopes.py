@@ -171,21 +171,22 @@ class Zonotope:
 
 @dataclass
 class Merging:
-    """Number of generators per dimension that sets keep, and whether any had to be merged for that."""
+    """Number of generators that sets keep per state of the plant, and whether any had to be merged for it."""
 
     order: int
+    states: int
     lossy: bool = False
 
     def reduced(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators, see `Zonotope.reduced`."""
-        most = self.order * z.c.nrows()
+        most = self.order * self.states
         self.lossy |= sum(part.ncols() for part in z.parts) > most
         return z.reduced(most)
 
     def after(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators of one that has more than twice as many; else that one."""
         count = sum(part.ncols() for part in z.parts)
-        return self.reduced(z) if count > 2 * self.order * z.c.nrows() else z
+        return self.reduced(z) if count > 2 * self.order * self.states else z
 
 
 def inner_radius(G: arb_mat) -> arb:

@@ -165,7 +165,7 @@ def _check_settled(
     """
     (settled, first), (loop, noisy), known = bounds, filtering, column(bounds[0])
     part, errors = replace(plant, h=plant.h / PARTS).open, plant.thruster_error(plant.u_max)
-    pushes = Motion(plant, plant.A, error=errors).disturbances
+    pushes = plant.disturbances(errors)
     left, passed, n = identity(len(settled)), 0, len(settled)
     come = [[arb(0)] * n for _ in range(LONGEST + len(updates) + 1)]
 

@@ -147,10 +147,8 @@ class Policy:
         return read, rest
 
     def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> Command:
-        """What it commands over a set of states relative to its reference."""
+        """What it commands over a set of states relative to its reference, as it takes them to be."""
         M, c, V = self.reads, known, rest
-        if self.plant.estimate:
-            V = beside(V, M * diagonal(self.plant.estimate))
         own, exact = self.rounding, self.layers[-1]
         off = [] if own is None else own.read(extent(M, c, V, d))
         for layer in self.layers:

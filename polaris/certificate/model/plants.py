@@ -30,7 +30,7 @@ def plant_of(document: Document) -> Plant:
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
     C, w_max = matrix(document.C), arb(document.w_max)
-    errors = tuple(document.estimate), tuple(document.thrusters), tuple(document.prompt_thrusters)
+    errors = tuple(document.thrusters), tuple(document.prompt_thrusters)
     jitter = document.timing.get("jitter", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed

@@ -1,26 +1,13 @@
 """What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from flint import arb, arb_mat
 
 from ..files.document import ROUNDED, Document
-from ..kernel.balls import (
-    above,
-    absolute,
-    beside,
-    column,
-    identity,
-    largest,
-    matrix,
-    require,
-    row_sums,
-    smallest,
-    sums,
-)
-from ..kernel.motion import PARTS, Motion, Plant
+from ..kernel.balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
+from ..kernel.motion import PARTS, Plant
 from ..kernel.verdict import Rejected
 from .allocation import per_axis
 from .plants import plant_of
@@ -91,15 +78,6 @@ def carried_away(plant: Plant) -> list[arb]:
     return row_sums((held + absolute(plant.B) * along) * plant.carried)
 
 
-def least_predicted(document: Document, plant: Plant, measured: list[arb]) -> list[arb]:
-    """Bounds on errors of predictions from estimates that are off by `measured`; no period is missed."""
-    delay = document.timing.get("delay", 0.0)
-    over, more = _carried(plant, arb(delay), [arb(0)] * plant.B.ncols())
-    known = column(sums(measured, displaced(document, delay)))
-    unseen = (plant.unseen * column(plant.thruster_part(plant.u_max))).entries()
-    return sums((over * known).entries(), more, unseen)
-
-
 def owed(plant: Plant) -> arb:
     """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
     return plant.B.ncols() * arb(plant.carried) * (1 + arb(plant.thrusters[0] if plant.thrusters else 0.0))
@@ -111,26 +89,12 @@ def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
     return sums((over * column(known)).entries(), more)
 
 
-def late(plant: Plant, gain: arb_mat, most: Sequence[arb]) -> list[arb]:
-    """Bound what errors of commands up to `most`, not measured yet, add to a command (Proposition 7 (b))."""
-    if not plant.hidden:
-        return [arb(0)] * gain.nrows()
-    clipped = [smallest(pair) for pair in zip(most, plant.u_max, strict=True)]
-    return (absolute(gain) * plant.unseen * column(plant.thruster_part(clipped))).entries()
-
-
-def measured_error(plant: Plant, gain: arb_mat) -> list[arb]:
-    """Error of a command without `late`, of which it holds what all the thrust that there is would add."""
-    pairs = zip(plant.command_error(gain), late(plant, gain, plant.u_max), strict=True)
-    return [(x - y).abs_upper() for x, y in pairs]
-
-
 def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb]]:
     """What a prediction under commands up to `most` makes of errors of the states, and what it adds."""
     n = plant.A.nrows()
     if age == 0:
         return identity(n), [arb(0)] * n
-    pushes = Motion(plant, plant.A, error=plant.thruster_error(most)).disturbances
+    pushes = plant.disturbances(plant.thruster_error(most))
     found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
     return absolute(rows), found
 

@@ -20,8 +20,8 @@ from .tracking import Tracking
 
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 ORDER, CLIPPED = 30.0, 6.0
-"""Generators per dimension of the error of what channels add by a node of a step; of sets where commands may be
-clipped, twice as many with errors."""
+"""Generators per dimension of the error of what channels add by a node of a step; of sets where commands may
+be clipped, twice as many with errors."""
 
 
 @dataclass(frozen=True, eq=False)

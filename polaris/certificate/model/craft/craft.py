@@ -1,4 +1,4 @@
-"""Loop of a craft under its safety controller: tracking error, delay, carried impulses, observer.
+"""Loop of a craft under a linear law: tracking error, delay, carried impulses, observer.
 
 The loop state ``z`` begins with the error ``e = x - xi``. In every period ``z+ = F z + ...``, the rest being
 what uncertain inputs add. What is not the error moves by itself, whatever law flies.
@@ -7,14 +7,15 @@ what uncertain inputs add. What is not the error moves by itself, whatever law f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from flint import arb, arb_mat
 
 from ...files.document import ROUNDED, Document
-from ...kernel.balls import above, absolute, beside, column, exponential, magnitude, sums
+from ...kernel.balls import above, absolute, beside, column, diagonal, exponential, magnitude, sums
 from ...kernel.motion import Along, Motion, Plant, Push
+from ...kernel.zonotopes import Directions, Zonotope
 
 
 @dataclass(frozen=True)
@@ -30,39 +31,66 @@ class Sample:
 class Craft:
     """The loop, and what is uncertain in it."""
 
-    motion: Motion  # of the error alone, under the law
-    F: arb_mat  # shape (N, N)
-    commands: arb_mat  # K: the law commands -K z, and what estimates are off beside; shape (m, N)
-    rates: arb_mat  # of the error at a node, shape (n, N)
+    plant: Plant
+    gain: arb_mat  # of the law, shape (m, n)
+    free: arb_mat  # from one node to the next without commands, shape (N, N)
+    sees: arb_mat  # the error as a law takes it to be, errors of estimates apart, shape (n, N)
+    drifts: arb_mat  # rate of the error at a node without commands, shape (n, N)
     parts: list[tuple[arb, arb, arb_mat]]  # of a period, and how what is added in them enters, (N, n)
-    steady: list[Push]  # what pushes at every instant, commands apart
+    steady: list[Push]  # what pushes at every instant, errors of the inputs apart
     samples: list[Sample]
-    box: arb_mat  # bounds on what else is handed over with an error, and on its own offset, shape (N, 1)
-    seen: arb_mat  # what noise adds to a command of the same period, shape (m, k)
-    off: list[arb]  # bounds on this noise, commands apart, (k); empty if there is none
+    box: list[arb]  # bounds on the states beside the error at the start of a flight, (N - n)
+    carry: arb_mat  # from errors of estimates to what the law sees, shape (n, k)
+    off: list[arb]  # bounds on these errors, commands apart, (k)
     lag: int  # for how many periods commands add to these; 0 if they do not
-    base: list[arb]  # bounds on errors of estimates beyond which they count by the step of the flight
+    base: list[arb] | None  # bounds on errors of estimates beyond which they count by the step of the flight
+    _along: dict[Directions, tuple[Along, Directions]] = field(default_factory=dict, repr=False)
+
+    def under(self, gain: arb_mat) -> Craft:
+        """The loop under another law."""
+        return replace(self, gain=gain, _along={})
 
     @property
-    def plant(self) -> Plant:
-        """The craft."""
-        return self.motion.plant
+    def motion(self) -> Motion:
+        """Motion of the error alone, without commands."""
+        return self.plant.open
 
     @cached_property
-    def noise(self) -> list[arb]:
-        """Bounds on what a command may differ from ``-K z`` in any step, those of `extra` apart."""
-        late = (absolute(self.gain) * column(self.lagged(self.plant.u_max))).entries()
-        return sums((absolute(self.seen) * column(self.off)).entries(), late) if self.off else late
+    def bits(self) -> list[Push]:
+        """Errors of the inputs, commands apart."""
+        return self.plant.push([arb(self.plant.bit)] * self.plant.B.ncols())
+
+    @cached_property
+    def commands(self) -> arb_mat:
+        """K: the law commands ``-K z``, and what estimates are off beside; shape (m, N)."""
+        return self.gain * self.sees
+
+    @cached_property
+    def held(self) -> arb_mat:
+        """What a unit of each input, held over a period, adds, shape (N, m)."""
+        return self.lifted(self.motion.gamma * self.plant.B)
+
+    @cached_property
+    def F(self) -> arb_mat:
+        """From one node to the next, shape (N, N)."""
+        return self.free - self.held * self.commands
+
+    @cached_property
+    def rates(self) -> arb_mat:
+        """Rate of the error at a node, shape (n, N)."""
+        return self.drifts - self.plant.B * self.commands
+
+    def noise(self, more: list[arb]) -> list[arb]:
+        """Bounds on what a command may differ from ``-K z``, estimates being off by some `more`, (n)."""
+        return (absolute(self.gain * self.carry) * column(self.missed(more))).entries()
 
     def noise_in(self, document: Document, k: int) -> list[arb]:
-        """`noise` with what estimates are off more in a step."""
-        return sums(self.noise, (absolute(self.gain) * column(self.extra(document, k))).entries())
+        """`noise` in a step, after commands up to the thrusters' limits."""
+        return self.noise(sums(self.extra(document, k), self.lagged(self.plant.u_max)))
 
-    @property
-    def gain(self) -> arb_mat:
-        """The law's, shape (m, n)."""
-        assert self.motion.held is not None
-        return self.motion.held
+    def missed(self, more: list[arb]) -> list[arb]:
+        """Bounds on errors of estimates with some `more`, which there are only where nothing carries them."""
+        return sums(self.off, more) if any(x > 0 for x in more) else self.off
 
     def lagged(self, most: Sequence[arb]) -> list[arb]:
         """Bounds on errors of estimates by commands up to some sizes that no measurement shows yet, (n)."""
@@ -72,27 +100,94 @@ class Craft:
 
     def extra(self, document: Document, k: int) -> list[arb]:
         """Bounds on what estimates are off more in a step than in the loop, shape (n)."""
+        if self.base is None or not document.error_by_step:
+            return [arb(0)] * self.gain.ncols()
         known = zip(document.known_to(k), self.base, strict=True)
         more = ((x * arb(1 + ROUNDED) - y).upper() for x, y in known)
-        return [x if x > 0 else arb(0) for x in more] if document.error_by_step else [arb(0)] * len(self.base)
+        return [x if x > 0 else arb(0) for x in more]
 
     def whole(self, rows: arb_mat) -> arb_mat:
         """Rows of the error as rows of the loop state."""
-        missing = self.F.ncols() - rows.ncols()
+        missing = self.free.ncols() - rows.ncols()
         return beside(rows, arb_mat(rows.nrows(), missing)) if missing else rows
 
-    def supports(self, rows: arb_mat) -> list[arb]:
-        """Support along rows (r, N) of all that enters in a period, errors that grow with commands apart."""
+    def lifted(self, M: arb_mat) -> arb_mat:
+        """What is added to the error as what is added to the loop state: zeros below, if they are missing."""
+        missing = self.free.nrows() - M.nrows()
+        return above(M, arb_mat(missing, M.ncols())) if missing else M
+
+    def start(self, z: Zonotope) -> Zonotope:
+        """Loop states at the start of a flight, from its errors."""
+        rest = arb_mat(self.plant.A.nrows(), len(self.box))
+        return Zonotope(self.lifted(z.c), beside(self.lifted(z.G), above(rest, diagonal(self.box))))
+
+    @cached_property
+    def spans(self) -> list[tuple[arb_mat, Motion]]:
+        """Matrices by which what is added in each part of the period enters the state, and its motions."""
+        if len(self.parts) == 1:
+            return [(self.parts[0][2], self.motion)]
+        plant = self.plant
+        return [
+            (enters * exponential(plant.A, plant.h - end)[0], replace(plant, h=end - begin).open)
+            for begin, end, enters in self.parts
+        ]
+
+    def added(self, error: list[arb]) -> list[arb_mat]:
+        """Generators of what a period adds, errors of inputs up to some sizes included, noise apart."""
+        pushes = [*self.plant.push(error), *self.steady]
+        sampled = [sample.adds * diagonal(sample.size) for sample in self.samples]
+        return [*sampled, *(enters * motion.pushed(*pushes) for enters, motion in self.spans)]
+
+    def along(self, rows: Directions) -> tuple[Along, Directions]:
+        """Intersample bounds along rows of the error, and these as rows of the loop state; made once."""
+        if rows not in self._along:
+            sampled = [Push.in_box(self.plant.B * each.push, each.size) for each in self.samples]
+            along = Along(self.motion, rows.M, [*self.steady, *sampled])
+            self._along[rows] = along, Directions(self.whole(rows.M))
+        return self._along[rows]
+
+    @cached_property
+    def unit(self) -> Directions:
+        """Rows of the error itself."""
+        return Directions(diagonal([1.0] * self.plant.A.nrows()))
+
+    @cached_property
+    def turned(self) -> arb_mat:
+        """What a constant unit of each input that no computer knows adds over a period, shape (N, m)."""
+        each = [enters * motion.gamma * self.plant.B for enters, motion in self.spans]
+        return sum(each[1:], each[0])
+
+    @cached_property
+    def uneven(self) -> arb_mat:
+        """What a unit of each input's error adds at most by being uneven over a period, shape (N, m).
+
+        Of mean zero and a root mean square of one it moves the plant by at most ``(h^2/2) |A| E |B|``, and by
+        ``h E |B|`` in the first part of the period, which enters in another way than the rest.
+        """
+        plant, ways = self.plant, [enters for _, _, enters in self.parts]
+        moved = magnitude(self.motion.over) * magnitude(plant.B) * plant.h
+        bent = magnitude(ways[-1]) * magnitude(plant.A) * moved * (plant.h / 2)
+        return bent if len(ways) == 1 else bent + magnitude(ways[0] - ways[1]) * moved
+
+    def disturbed(self, rows: arb_mat) -> list[arb]:
+        """Support along rows (r, N) of what enters in a period beside errors of inputs and estimates."""
         found = [arb(0)] * rows.nrows()
         for sample in self.samples:
             found = sums(found, (magnitude(rows * sample.adds) * column(sample.size)).entries())
-        for at, motion in self._over(rows):
-            found = sums(found, *(motion.push_gain(at, push) for push in self.steady))
-        return found
+        return sums(found, self._pushed(rows, self.steady))
+
+    def supports(self, rows: arb_mat) -> list[arb]:
+        """Support along rows (r, N) of all that enters in a period, errors that grow with commands apart."""
+        seen = (magnitude(rows * self._seen * self.carry) * column(self.off)).entries()
+        return sums(self.disturbed(rows), seen, self._pushed(rows, self.bits))
+
+    def _pushed(self, rows: arb_mat, pushes: list[Push]) -> list[arb]:
+        gains = [motion.push_gain(rows * enters, push) for enters, motion in self.spans for push in pushes]
+        return sums([arb(0)] * rows.nrows(), *gains)
 
     def thrust_gains(self, rows: arb_mat) -> arb_mat:
         """Support along rows (r, N) of a unit error of each input over a period, shape (r, m)."""
-        gains = [motion.unit_gains(at, 1) for at, motion in self._over(rows)]
+        gains = [motion.unit_gains(rows * enters, 1) for enters, motion in self.spans]
         return sum(gains[1:], gains[0])
 
     def noise_gains(self, rows: arb_mat) -> arb_mat:
@@ -101,16 +196,7 @@ class Craft:
 
     @cached_property
     def _seen(self) -> arb_mat:
-        held = self.motion.gamma * self.plant.B * self.gain
-        return above(held, arb_mat(self.F.nrows() - held.nrows(), held.ncols()))
-
-    def _over(self, rows: arb_mat) -> list[tuple[arb_mat, Motion]]:
-        """Rows of what is added in each part of the period, and the motion over the part."""
-        found = []
-        for begin, end, enters in self.parts:
-            carried = rows * (enters * exponential(self.plant.A, self.plant.h - end)[0])
-            found.append((carried, replace(self.plant, h=end - begin).open))
-        return found
+        return self.held * self.gain
 
     def bent(
         self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], off: list[arb], error: list[arb]
@@ -121,14 +207,14 @@ class Craft:
         are not counted in them.
         """
         held = absolute(self.gain) * column(off) if off else arb_mat(self.gain.nrows(), 1)
-        return self._bent(rows, rates, held, [Push.in_box(self.plant.B, error)] if error else [])
+        return self._bent(rows, rates, held, self.plant.push(error))
 
     def always_bent(self, rows: arb_mat, rates: tuple[arb_mat, arb_mat]) -> list[arb]:
         """Intersample bound under all that is sampled, and all that pushes at every instant."""
-        held = arb_mat(self.gain.nrows(), 1)
+        held = absolute(self.gain * self.carry) * column(self.off)
         for sample in self.samples:
             held += absolute(sample.push) * column(sample.size)
-        return self._bent(rows, rates, held, self.steady)
+        return self._bent(rows, rates, held, [*self.steady, *self.bits])
 
     def _bent(
         self, rows: arb_mat, rates: tuple[arb_mat, arb_mat], held: arb_mat, pushes: list[Push]

@@ -49,12 +49,12 @@ class Memory:
     def of(
         cls, craft: Craft, extent: arb_mat, multiple: int, profile: Sequence[Sequence[float]] = ()
     ) -> Memory:
-        """Find N, a multiple of a number of periods, for errors up to an extent.
+        """Find N, a multiple of a number of periods, for states, or errors, up to an extent.
 
         `Undecided` if there is none, `Imprecise` if the powers' own radii, which grow, have come to more.
         """
         p, count = craft.supports(identity(craft.F.nrows())), craft.F.nrows()
-        size = zip([*extent.entries(), *craft.box.entries()[extent.nrows() :]], p, strict=True)
+        size = zip(craft.lifted(extent).entries(), p, strict=True)
         z0 = column([x + 10 * y + 1e-30 for x, y in size])
         powers = [identity(count)]
         while len(powers) < LONGEST:

@@ -1,4 +1,4 @@
-"""Needs of the safety controller along fixed rows, from a set of errors to the end of time."""
+"""Needs of the safety controller along fixed rows, from a set of loop states to the end of time."""
 
 from __future__ import annotations
 
@@ -38,38 +38,29 @@ class Needs:
         return part(self.given, self.motion.A.nrows())
 
     @cached_property
-    def whole(self) -> list[arb_mat]:
+    def carried(self) -> list[arb_mat]:
         """``row F^l`` for l = 0 ... N + 1, each of shape (r, states)."""
         rows = self.craft.whole(self.given)
         return [rows * power for power in self.memory.powers]
 
     @cached_property
-    def carried(self) -> list[arb_mat]:
-        """Part of them that acts on the error, ``row phi^l``, each of shape (r, n)."""
-        return [part(rows, self.motion.A.nrows()) for rows in self.whole]
-
-    @cached_property
     def bend(self) -> list[arb_mat]:
-        """Intersample bound per unit of ``|e|`` at the start, for the periods next to node l."""
+        """Intersample bound per unit of ``|z|`` at the start, for the periods next to node l."""
         curved = self.motion.bend(self.rows)
         per = [magnitude(curved * magnitude(rate)) for rate in self.rates[0].carried]
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
     @cached_property
     def _stacked(self) -> arb_mat:
-        return above(*self.whole[:-1])
+        return above(*self.carried[:-1])
 
     @cached_property
     def _steady(self) -> list[list[arb]]:
-        """Needs at node L of what does not depend on commands, L = 0 ... N + 1.
-
-        What is handed over beside an error is one part of it, all that disturbs from then on the other.
-        """
+        """Needs at node L of what does not depend on commands, L = 0 ... N + 1."""
         rest = [[arb(0)] * self.given.nrows()]
         for gains in self._split(self.craft.supports(self._stacked)):
             rest.append([x.upper() for x in sums(rest[-1], gains)])
-        handed = [(magnitude(rows) * self.craft.box).entries() for rows in self.whole]
-        return [[x.upper() for x in sums(*pair)] for pair in zip(rest, handed, strict=True)]
+        return rest
 
     def _by_lag(self, gains: arb_mat) -> list[list[list[arb]]]:
         """Gains of all rows and lags, one over the other, as ``[channel][lag][row]``."""
@@ -87,7 +78,7 @@ class Needs:
 
     @cached_property
     def responses(self) -> list[list[arb]]:
-        """Needs at node L besides an error at the hand-over, for L = 0 ... N + 1."""
+        """Needs at node L besides the state at the hand-over, for L = 0 ... N + 1."""
         profile, plant, craft = self.memory.profile, self.craft.plant, self.craft
         if not profile:
             return self._steady
@@ -112,25 +103,21 @@ class Needs:
 
     @cached_property
     def _reached(self) -> arb_mat:
-        total = magnitude(self.whole[0])
-        for rows in self.whole[1 : self.memory.periods]:
+        total = magnitude(self.carried[0])
+        for rows in self.carried[1 : self.memory.periods]:
             total = total + magnitude(rows)
         return total
 
     @cached_property
     def settled(self) -> list[arb]:
-        """Needs besides an error at every node more than N periods after a hand-over."""
+        """Needs besides the state at every node more than N periods after a hand-over."""
         craft, first = self.craft, self.memory.profile[0] if self.memory.profile else []
         one = identity(craft.F.nrows())
         box = column(craft.supports(one))
         if first:
             box += craft.thrust_gains(one) * column(craft.plant.thruster_part(first))
             box += craft.noise_gains(one) * column(craft.lagged(craft.plant.u_max))
-        gone, later = self.memory.left(craft.box)
-        return [
-            x.upper()
-            for x in sums(self.responses[-1], self.late(box), (self._reached * (gone + later)).entries())
-        ]
+        return [x.upper() for x in sums(self.responses[-1], self.late(box))]
 
     @property
     def rates(self) -> tuple[Needs, Needs]:
@@ -142,12 +129,12 @@ class Needs:
 
     @cached_property
     def peak(self) -> list[arb]:
-        """Needs besides an error at any node."""
+        """Needs besides the state at any node."""
         return [largest(each) for each in zip(*self.responses, self.settled, strict=True)]
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
-        """Needs besides an error at node l = 0 ... N, and ever after; between nodes chords of them hold."""
+        """Needs besides the state at node l = 0 ... N, and ever after; between nodes chords of them hold."""
         craft, plant, profile = self.craft, self.craft.plant, self.memory.profile
         rates = magnitude(column(self.rates[0].peak)), magnitude(column(self.rates[1].peak))
         curved = craft.always_bent(self.rows, rates)
@@ -159,7 +146,7 @@ class Needs:
 
     @cached_property
     def at_nodes(self) -> list[list[arb]]:
-        """Needs besides an error at node l alone, l = 0 ... N, then at every later one."""
+        """Needs besides the state at node l alone, l = 0 ... N, then at every later one."""
         return self._upset([*self.responses[:-1], self.settled])
 
     def caused(
@@ -185,29 +172,27 @@ class Needs:
 
     @cached_property
     def forgotten(self) -> list[arb]:
-        """Need of any undisturbed error within ``z`` at the start after N periods."""
-        z = column(self.memory.z.entries()[: self.rows.ncols()])
-        each = [self.boxed(z, lag) for lag in range(self.memory.periods)]
+        """Need of any undisturbed state within ``z`` at the start after N periods."""
+        each = [self.boxed(self.memory.z, lag) for lag in range(self.memory.periods)]
         return [largest(values) * self.memory.c for values in zip(*each, strict=True)]
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
-        """Need of any undisturbed error up to a size in the periods next to node l."""
-        return list(((magnitude(self.carried[lag]) + self.bend[lag]) * size).entries())
+        """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
+        return list(((magnitude(self.carried[lag]) + self.bend[lag]) * self.craft.lifted(size)).entries())
 
     @cached_property
     def _most(self) -> arb_mat:
-        """Largest need of a unit of each state's error in the first N periods."""
+        """Largest need of a unit of each state in the first N periods."""
         pairs = zip(self.carried[: self.memory.periods], self.bend, strict=False)
         return reduce(_larger, (magnitude(carried) + bend for carried, bend in pairs))
 
     def still(self, size: arb_mat) -> list[arb]:
-        """Need of any undisturbed error up to a size after N periods."""
-        n, missing = size.nrows(), self.craft.F.nrows() - size.nrows()
-        first, later = self.memory.left(column([*size.entries(), *[arb(0)] * missing]))
-        return list((self._most * column((first + later).entries()[:n])).entries())
+        """Need of any undisturbed state, or error, up to a size after N periods."""
+        first, later = self.memory.left(self.craft.lifted(size))
+        return list((self._most * (first + later)).entries())
 
     def ever(self, size: arb_mat) -> list[arb]:
-        """Need of any undisturbed error up to a size at any time."""
+        """Need of any undisturbed state, or error, up to a size at any time."""
         each = [*(self.boxed(size, lag) for lag in range(len(self.carried))), self.still(size)]
         return list(map(largest, zip(*each, strict=True)))
 

@@ -9,14 +9,14 @@ from ...files.document import Document
 from ...kernel.balls import above, absolute, column, exponential, identity, magnitude, matrix, sums
 from ...kernel.motion import Plant, Push
 from ..plants import WHOLE
-from ..timing import carried_away, displaced, least_predicted
+from ..timing import carried_away, displaced
 from .craft import Craft, Sample
 
 Blocks = dict[int, arb_mat]
 """Entries by block of the loop state; block 0 is the tracking error."""
 
 Noise = tuple[arb_mat, list[arb]]
-"""Map of errors of estimates into what the law sees, (n, k), and bounds on them, none without any."""
+"""Map of errors of estimates into what the law sees, (n, k), and bounds on them, (k)."""
 
 
 @dataclass
@@ -31,15 +31,15 @@ class States:
     shown: Blocks = field(default_factory=dict)  # additions that the next measurement shows first
     shown_now: list[arb_mat] = field(default_factory=list)  # the same of the parts of the period
     samples: list[tuple[Blocks, arb_mat, list[arb]]] = field(default_factory=list)
-    box: list[arb] = field(default_factory=list)  # bounds on the states, whatever law has flown
+    box: list[arb] = field(default_factory=list)  # bounds on all but the error, whatever law has flown
     carries: int = 0  # block of the impulses that are carried, which the flight computer does not know of
 
     @classmethod
-    def of(cls, plant: Plant, displaced: list[arb]) -> "States":
-        """The error alone, up to an offset of it at a hand-over."""
+    def of(cls, plant: Plant) -> "States":
+        """The error alone."""
         one = identity(plant.A.nrows())
         parts = [(arb(0), plant.h, {0: one})]
-        return cls(plant, [one.nrows()], {(0, 0): plant.open.phi}, {0: one}, parts, {}, [one], [], displaced)
+        return cls(plant, [one.nrows()], {(0, 0): plant.open.phi}, {0: one}, parts, {}, [one])
 
     def add(self, box: list[arb]) -> int:
         """Add a block, with bounds on it; returns its number."""
@@ -121,28 +121,23 @@ class States:
             enters[block] = -rest * now
         self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), noise))
 
-    def closed(self, gain: arb_mat, steady: list[Push], noise: Noise, lag: int, base: list[arb]) -> Craft:
+    def closed(
+        self, gain: arb_mat, steady: list[Push], noise: Noise, lag: int, base: list[arb] | None
+    ) -> Craft:
         """Close the loop by a law."""
         plant, n, m = self.plant, self.sizes[0], self.plant.B.ncols()
-        motion, K = plant.loop(gain), gain * self.beside(self.known, n)
         if self.carries:
             self._carry()
-        applied = [self.carries] * bool(self.carries)
-        held = plant.open.gamma * plant.B
         rows = [
             self.beside({j: b for (i, j), b in self.moves.items() if i == row}, size)
             for row, size in enumerate(self.sizes)
         ]
-        F = above(rows[0] - held * K, *rows[1:])
-        unit = {j: identity(m) * (1 / plant.h) for j in applied}
-        rates = self.beside({0: plant.A}, n) + plant.B * (self.beside(unit, m) - K)
+        unit = {self.carries: identity(m) * (1 / plant.h)} if self.carries else {}
+        drifts = self.beside({0: plant.A}, n) + plant.B * self.beside(unit, m)
         parts = [(a, b, self.laid_out(enters, n)) for a, b, enters in self.parts]
         samples = [Sample(self.laid_out(adds, len(size)), push, size) for adds, push, size in self.samples]
-        carry, off = noise
-        seen = gain * carry
-        if off:
-            samples.append(Sample(self.laid_out({0: -(held * seen)}, len(off)), seen, off))
-        return Craft(motion, F, K, rates, parts, steady, samples, column(self.box), seen, off, lag, base)
+        sees, given = self.beside(self.known, n), (steady, samples, self.box, *noise)
+        return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, lag, base)
 
 
 def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
@@ -157,42 +152,35 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
         document.timing.get("delay", 0.0),
         document.observer,
     )
-    bits = [Push.in_box(plant.B, [arb(plant.bit)] * m)] if plant.bit else []
     phases = bool(document.error_by_step) and delay > 0 and stated is None
     if document.timing.get("missed", 0) or document.transients or phases:
-        states = States.of(plant, [arb(0)] * n)
         most = plant.unseen * column(plant.thruster_part(plant.u_max)) if plant.hidden else arb_mat(n, 1)
         known = list(map(arb, document.calmest or [0.0] * n))
         off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
-        steady = [plant.disturbance, *plant.carry, *bits]
-        return states.closed(
-            gain, steady, (identity(n), off if document.estimate else []), plant.hidden, known
-        )
+        noise = identity(n), off if document.estimate else [arb(0)] * n
+        return States.of(plant).closed(gain, [plant.disturbance, *plant.carry], noise, plant.hidden, known)
     along = arb(plant.thrusters[0] if plant.thrusters else 0.0) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     moved = carried_away(plant)
     away = [_positive(x - y) + z for x, y, z in zip(displaced(document, delay), moved, offset, strict=True)]
-    states = States.of(plant, sums(moved, offset))
-    steady = [plant.disturbance, *([Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []), *bits]
+    states = States.of(plant)
+    steady = [plant.disturbance, *([Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else [])]
     if delay:
-        full = Push.in_box(plant.B, plant.thruster_part(plant.u_max))
-        states.delay(delay, [*steady, full])
+        states.delay(delay, [*steady, *plant.push(plant.thruster_error(plant.u_max))])
     if plant.carried:
         states.impulses()
     measured = list(map(arb, document.measured or document.estimate or [0.0] * n))
-    carry, off = exponential(plant.A, arb(delay))[0], list[arb]()
-    if stated is not None:
-        measured = list(map(arb, stated.get("settled") or document.measured or document.estimate))
-        M = matrix(stated["measures"])
-        noise = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
-        states.observer(matrix(stated["gain"]), M, noise, carry, sums(measured, moved))
+    carry, off = exponential(plant.A, arb(delay))[0] if delay else identity(n), [arb(0)] * n
+    base: list[arb] | None = list(map(arb, document.calmest or [0.0] * n))
+    if stated is not None:  # first errors fade as all else that it remembers does
+        first = stated.get("initial") or stated.get("settled") or document.measured or document.estimate
+        M, base = matrix(stated["measures"]), None
+        noisy = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
+        states.observer(matrix(stated["gain"]), M, noisy, carry, sums(map(arb, first), moved))
     elif delay:
         off = sums(measured, away)
     elif document.estimate:
         off = [_positive(arb(x) - y) + z for x, y, z in zip(document.calmest, moved, offset, strict=True)]
-    base = list(map(arb, document.calmest or [0.0] * n))
-    if stated is not None:
-        base = least_predicted(document, plant, measured)
     return states.closed(gain, steady, (carry, off), 0, base)
 
 
