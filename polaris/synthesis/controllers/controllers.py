@@ -257,12 +257,14 @@ class AnyThrust:
 
 
 def beside_errors(tube: TubeSegment, start: Zonotope, idle: AffineLaw) -> TubeSegment:
-    """Return a tube of errors with the other loop states, which begin in `start` and move under no law."""
-    n, first = idle.system.n, Zonotope(start.c[idle.system.n :], start.G[idle.system.n :])
+    """Return a tube of true errors with the other loop states, which move by themselves from `start` on."""
+    away, n = idle.tracking.displaced, idle.system.n
+    first = Zonotope(start.c[n:], start.G[n:])
     caused = Zonotope(idle.disturbance.c[:, n:], idle.disturbance.G[:, n:])
     others = idle.powers[:, n:, n:] @ first + caused
 
     def joined(errors: Zonotope, others: Zonotope) -> Zonotope:
+        errors = errors.inflate(away) if np.any(away) else errors
         G = np.zeros((*errors.batch, start.dim, errors.order_count + others.order_count))
         G[..., :n, : errors.order_count], G[..., n:, errors.order_count :] = errors.G, others.G
         return Zonotope(np.concatenate([errors.c, others.c], axis=-1), G)

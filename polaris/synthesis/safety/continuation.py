@@ -126,9 +126,9 @@ class Continuation(RecoverableSet):
         node, limits, q = when + int(end[entry]), self.clearance.limits, self.clearance.q
         if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
             when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
-        value, *sizes = (float(part[tight]) for part in (share, need, room))
+        value, most, least = (float(part[tight]) for part in (share, need, room))
         time = node * self.clearance.tracking.flow.h
-        return Margin(value, limits.name(when // q, limit), time, *sizes)
+        return Margin(value, limits.name(when // q, limit), time, most, least)
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""

@@ -136,7 +136,7 @@ class Search:
         """Lines 12, 13 and 18: the tube of one controller over step k, if it is proven recoverable."""
         controller, tracking = self.controllers[mode], self.safety.tracking
         recalls = isinstance(controller, BlackBox) and controller.memory
-        known = start if isinstance(controller, AffineController) else tracking.error(start)
+        known = start if isinstance(controller, AffineController) else tracking.true_error(start)
         flown = controller.fly(known, k, *([self._before(start)] if recalls else []))  # GetReach
         tube = check_segment(controller, known, flown, self.safety)
         if tube.end.dim < start.dim:
@@ -156,7 +156,7 @@ class Search:
         found: list[tuple[Zonotope, Controller]] = []
         while reached in self.came:
             reached, mode = self.came[reached]
-            found.insert(0, (self.safety.tracking.error(reached), self.controllers[mode]))
+            found.insert(0, (self.safety.tracking.true_error(reached), self.controllers[mode]))
         return found
 
     @cached_property

@@ -45,16 +45,16 @@ class Spell:
             limit = getattr(law, "system", None)
             most = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
             return cls(law, tube, most, most)
-        here, system, told, sizes = law.in_step(k), law.system, list[Array](), list[list[Array]]()
+        here, system, known, sizes = law.in_step(k), law.system, list[Array](), list[list[Array]]()
         centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.bow, k)
         lag = max((channel.lag for channel in here.closed.loop.channels), default=0)
         for i in range(q + 1):
-            before = np.max(told[i - lag :], axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
+            before = np.max(known[i - lag :], axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
             top = (np.abs(centre[i]) + spread[i] + here.noise_after(before)) * (1 + ROUNDING)
-            told.append(np.minimum(top, system.u_max))
+            known.append(np.minimum(top, system.u_max))
             channels = here.closed.loop.channels
-            sizes.append([here.sizes(c, before if c.lag else told[-1]) for c in channels])
-        middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(np.array(told))
+            sizes.append([here.sizes(c, before if c.lag else known[-1]) for c in channels])
+        middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(np.array(known))
         alone = tube.slopes is None and not system.timing.jitter
         each = tuple(map(np.array, zip(*sizes[:-1], strict=True))) if alone else ()
         return cls(law, tube, middle[:-1], most[:-1], each)
@@ -85,8 +85,9 @@ def together(run: Sequence[Spell], count: int) -> float:
     total, made = 0.0, not system.timing.carried  # whether bounds are on what is made, not on commands
     for i, channel in enumerate(closed.loop.channels):
         sizes = np.concatenate([spell.sizes[i] for spell in run])[:count]
-        of_inputs = not channel.ball and np.array_equal(channel.rate, closed.loop.B)
-        if channel.rate is not None and not of_inputs:
+        rate = channel.rate
+        of_inputs = rate is not None and not channel.ball and np.array_equal(rate, closed.loop.B)
+        if rate is not None and not of_inputs:
             base[1:] += np.cumsum(closed.gains(channel, rows[:-1]) @ channel.size, axis=0)
             continue
         energy = np.sqrt(count * np.sum(sizes**2, axis=0))
@@ -134,7 +135,7 @@ def _amplified(answers: Array, once: Array) -> Array:
     for a, j in np.ndindex(found.shape):
         most = max(peak(np.append(once[a, j], answers[:, a, j])), abs(once[a, j]))
         found[a, j] = min(found[a, j], most)
-    return found
+    return np.asarray(found)
 
 
 def peak(response: Array) -> float:

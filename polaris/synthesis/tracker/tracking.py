@@ -78,6 +78,11 @@ class Tracking:
         n = self.system.n
         return sets if sets.dim == n else Zonotope(sets.c[..., :n], sets.G[..., :n, :])
 
+    def true_error(self, sets: Zonotope) -> Zonotope:
+        """Return errors of true states, without impulses that are carried, from sets of the loop state."""
+        errors = self.error(sets)
+        return errors.inflate(self.displaced) if np.any(self.displaced) else errors
+
     @cached_property
     def noise(self) -> Array:
         """Bound on what estimates add to a command of the same period, those of `commands` apart, (m,)."""
@@ -361,7 +366,9 @@ class Tracking:
     def handed_between(self, rows: Array) -> Array:
         """Return what `handed` leaves out over the periods next to a node, for rows of the error, (r, n)."""
         rates = self.handed(self.tightening.closed.rates)
-        return self.tightening.bend(rows) @ np.maximum(rates, np.concatenate([rates[:1], rates[:-1]]))
+        return np.asarray(
+            self.tightening.bend(rows) @ np.maximum(rates, np.concatenate([rates[:1], rates[:-1]]))
+        )
 
     def disturbance(self, rows: Array, failing: bool = True) -> Array:
         """Return what rows need besides the state at a hand-over, by age and ever after, (memory + 3, r).
