@@ -34,18 +34,17 @@ class Folder:
         }
 
 
-def forged(forger):
-    """Yield (label, files): each a folder with one thing forged, in all files that tell of it."""
-    for label, change in changes(Folder(forger)):
-        folder = Folder(forger)
-        change(folder)
-        yield label, folder.files()
+def forged(forger, change):
+    """Return the files of a folder with one thing forged, in all files that tell of it."""
+    folder = Folder(forger)
+    change(folder)
+    return folder.files()
 
 
-def changes(honest):
-    """Yield (label, function of a folder)."""
+def changes(forger):
+    """Yield (label, function of a folder) of all that is forged."""
     for group in (_choices, _profile, _branches, _ways, _drifts, _claims):
-        yield from group(honest)
+        yield from group(Folder(forger))
 
 
 def _choices(honest):

@@ -69,9 +69,9 @@ class Continuation(RecoverableSet):
     ) -> tuple[Array, Array, Array, Where]:
         """Share of the room left, need and room of all limits that may need more than a share `spare`.
 
-        Of a stack of sets at the nodes `at`, the first one least, with a bound on ``norm(W e)`` of each. The
-        entries are those of the table, where a period begins and where one ends, and one per row for all
-        times beyond the memory.
+        Of a stack of sets at the nodes `at`, the first one least, or at the only one, with a bound on
+        ``norm(W e)`` of each. The entries are those of the table, where a period begins and where one ends,
+        and one per row for all times beyond the memory.
         """
         limits, table = self.clearance.limits, self.table
         r, last = len(limits.rows), limits.room.shape[1] - 1
@@ -129,8 +129,7 @@ class Continuation(RecoverableSet):
         found = np.asarray(radius <= self._allowed(node))
         if found.any():
             points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
-            at = np.full(len(points.c), node)
-            share = self._shares(at, points, 0 * points.c, radius[found], 1.0)[0]
+            share = self._shares(np.array([node]), points, 0 * points.c, radius[found], 1.0)[0]
             found[found] = np.all(share >= 0, axis=1)
         return found
 
