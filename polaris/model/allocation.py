@@ -83,18 +83,14 @@ def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
     found = [("with all thrusters", limits)] if not faults else []
     for fault in faults:
         for j in range(len(limits)):
-            capacity = limits.copy()
-            capacity[j] *= fault.left
+            capacity = np.where(np.arange(len(limits)) == j, fault.left * limits, limits)
             found.append((f"with thruster {j} under the fault {fault.name}", capacity))
     return found
 
 
 @lru_cache(maxsize=1024)
 def _towards(*given: bytes) -> tuple[float, Array]:
-    """How many times a corner is reached, at most twice, and the thrusts that do.
-
-    Directions (N, m), capacity (N,) and corner (m,) are given by their entries: a program is solved once.
-    """
+    """How many times a corner is reached, at most twice, and the thrusts that do; all by their entries."""
     flat, capacity, corner = (np.frombuffer(part) for part in given)
     directions, count, eye = flat.reshape(-1, len(corner)), len(capacity), np.eye(len(capacity))
     aim = np.hstack([-(np.sign(corner)[:, None] * directions.T), np.abs(corner)[:, None]])

@@ -5,7 +5,6 @@ run in an order in which each may rely on those before it (shapes before anythin
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -244,25 +243,10 @@ def weights(model: models.ScenarioModel) -> Iterator[tuple[str, Any, Any]]:
             raise ScenarioError(f"{path}.gain", spec.gain, "give gain or Q and R, not both")
 
 
-@lru_cache(maxsize=256)
-def _stabilised(n: int, *entries: bytes) -> bool:
-    """Return True if the Riccati equation of A, B, Q, R, given by their entries, has a stabilising solution.
-
-    Scenarios are checked anew when any value changes: each equation is solved once.
-    """
-    from scipy.linalg import LinAlgError, solve_continuous_are
-
-    A, B, Q = (np.frombuffer(each).reshape(n, -1) for each in entries[:3])
-    R = np.frombuffer(entries[3]).reshape(B.shape[1], -1)
-    try:
-        P = solve_continuous_are(A, B, Q, R)
-        return bool(np.linalg.eigvals(A - B @ np.linalg.solve(R, B.T @ P)).real.max() < 0)
-    except (LinAlgError, ValueError):
-        return False
-
-
 def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
     """Q semidefinite, R definite, and their Riccati equation has a stabilising solution."""
+    from scipy.linalg import LinAlgError, solve_continuous_are
+
     for name, value, size in (("Q", Q, system.n), ("R", R, system.m)):
         field, matrix = f"{path}.{name}", np.asarray(value, dtype=float)
         if matrix.shape not in ((size,), (size, size)):
@@ -284,6 +268,12 @@ def check_weights(path: str, Q: Any, R: Any, system: LinearSystem) -> None:
     if unseen is not None:
         rule = f"must weigh every mode that does not decay by itself (eigenvalue {unseen:.4g} is not)"
         raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)
-    if not _stabilised(system.n, *(part.tobytes() for part in (system.A, system.B, Qm, Rm))):
+    try:
+        P = solve_continuous_are(system.A, system.B, Qm, Rm)
+        loop = system.A - system.B @ np.linalg.solve(Rm, system.B.T @ P)
+        stable = bool(np.linalg.eigvals(loop).real.max() < 0)
+    except (LinAlgError, ValueError):
+        stable = False
+    if not stable:
         rule = "must, with R, give a solvable Riccati equation; the weights are too far apart to compute with"
         raise ScenarioError(f"{path}.Q", np.asarray(Q).tolist(), rule)

@@ -124,8 +124,7 @@ class LinearFlow:
     @checked
     def bow(self, nodes: Zonotope) -> Array:
         """Bound ``(h^2/8) sup |M''(s) e|`` on ``|e(t) - chord|`` after each node, shape (..., n)."""
-        curvature = (self.A_x @ self.A_c) @ nodes
-        return np.asarray(self.h**2 / 8 * curvature.extent @ self.growth.T)
+        return np.asarray(self.h**2 / 8 * ((self.A_x @ self.A_c) @ nodes).extent @ self.growth.T)
 
     @property
     def lyapunov(self) -> tuple[Array, float]:
@@ -261,8 +260,7 @@ def state_scale(A_c: Array) -> Array:
         If the closed loop is not stable.
     """
     require_square("A_c", A_c)
-    if np.max(np.linalg.eigvals(A_c).real) >= 0:
-        slowest = np.max(np.linalg.eigvals(A_c).real)
+    if (slowest := np.max(np.linalg.eigvals(A_c).real)) >= 0:
         raise ReachError(f"the closed loop is not stable: largest real part of an eigenvalue {slowest:.6g}")
     return _balanced(A_c.tobytes(), len(A_c)).copy()
 
