@@ -1,6 +1,5 @@
 """Forged choices of a certificate, and claims that are better than what follows from the choices."""
 
-import copy
 import json
 
 from .corruptions import hexed, opposite, plain, scaled
@@ -11,7 +10,7 @@ class Folder:
     """Trees of a run folder, changed together."""
 
     def __init__(self, forger):
-        self.certificate = copy.deepcopy(forger.honest)
+        self.certificate = forger.tree(CERTIFICATE)
         self.schedule = forger.tree("schedule.json")
         self.summary = forger.tree("summary.json")
         self.rows = forger.rows("schedule.csv")
