@@ -90,7 +90,7 @@ def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
 
 @lru_cache(maxsize=1024)
 def _towards(*given: bytes) -> tuple[float, Array]:
-    """How many times a corner is reached, at most twice, and the thrusts that do; all by their entries."""
+    """Return how many times a corner is reached, at most twice, and the thrusts; arrays by their entries."""
     flat, capacity, corner = (np.frombuffer(part) for part in given)
     directions, count, eye = flat.reshape(-1, len(corner)), len(capacity), np.eye(len(capacity))
     aim = np.hstack([-(np.sign(corner)[:, None] * directions.T), np.abs(corner)[:, None]])

@@ -267,7 +267,7 @@ def state_scale(A_c: Array) -> Array:
 
 @lru_cache(maxsize=256)
 def _balanced(entries: bytes, n: int) -> Array:
-    """Return `state_scale` of a stable matrix given by its entries, once."""
+    """Return `state_scale` of a stable matrix, given by its entries; each is balanced once."""
     A_c = np.frombuffer(entries).reshape(n, n)
     # Covariance under unit white noise in the balanced coordinates, iterated to a fixed point. It starts
     # from rows and columns of like norms: in far-fetched units the equation is singular to rounding.

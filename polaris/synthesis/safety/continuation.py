@@ -67,7 +67,7 @@ class Continuation(RecoverableSet):
     def _needs(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array, spare: float
     ) -> tuple[Array, Array, Where]:
-        """Need and room of all limits that may need more than a share `spare`; no limit, infinite room.
+        """Return need and room of all limits that may need more than a share `spare` of their room.
 
         Of a stack of sets at the nodes `at`, the first one least, or at the only one, with a bound on
         ``norm(W e)`` of each. The entries are those of the table, where a period begins and where one ends,
@@ -89,11 +89,10 @@ class Continuation(RecoverableSet):
         room[(period < at[0]) | (period > last)] = np.inf
         room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
         need = np.hstack([near, near, np.multiply.outer(radius, table.beyond) + self.disturbance[-1]])
-        need, room = need * (1 + ROUNDING * np.sign(need)) + taken, room + taken
-        return need, room, (end, period, row)
+        return need * (1 + ROUNDING * np.sign(need)) + taken, room + taken, (end, period, row)
 
     def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
-        """Share of the room left, and `_needs`; what is booked is met or not, and never the tightest."""
+        """Return the share of the room left, and `_needs`; a booked limit that is met is no tightest one."""
         need, room, where = self._needs(*tube)
         share = left(need, room)
         share[np.isinf(room) | ((where[2] >= self.clearance.limits.booked) & (share >= 0))] = np.inf
@@ -101,8 +100,9 @@ class Continuation(RecoverableSet):
 
     def _met(self, *tube: Any) -> NDArray[np.bool_]:
         """Return True where a share of 0 or more is left of every limit, without working out how much."""
-        need, room, _ = self._needs(*tube, 1.0)
-        return np.all((room > 0) & (need / np.where(room > 0, room, 1) < 1) | np.isinf(room), axis=1)
+        need, room, _ = self._needs(*tube, spare=1.0)
+        met = (room > 0) & (need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
+        return np.asarray(np.all(met, axis=1))
 
     def _radius(self, sets: Zonotope, bow: Array) -> Array:
         """Bound on ``norm(W e)`` over a tube: states between two nodes are as large as the larger node's."""
