@@ -98,9 +98,9 @@ class Continuation(RecoverableSet):
         share[np.isinf(room) | ((where[2] >= self.clearance.limits.booked) & (share >= 0))] = np.inf
         return share, need, room, where
 
-    def _met(self, *tube: Any) -> NDArray[np.bool_]:
+    def _met(self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array) -> NDArray[np.bool_]:
         """Return True where a share of 0 or more is left of every limit, without working out how much."""
-        need, room, _ = self._needs(*tube, spare=1.0)
+        need, room, _ = self._needs(at, sets, bow, radius, 1.0)
         met = (room > 0) & (need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
         return np.asarray(np.all(met, axis=1))
 
