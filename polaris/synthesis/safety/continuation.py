@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,14 +64,14 @@ class Continuation(RecoverableSet):
         spare = self.clearance.limits.ahead[self._later(node)] - self.disturbance[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
-    def _shares(
+    def _needs(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array, spare: float
-    ) -> tuple[Array, Array, Array, Where]:
-        """Share of the room left, need and room of all limits that may need more than a share `spare`.
+    ) -> tuple[Array, Array, Where]:
+        """Return need and room of all limits that may need more than a share `spare` of their room.
 
-        Of a stack of sets at the nodes `at`, the first one least, with a bound on ``norm(W e)`` of each. The
-        entries are those of the table, where a period begins and where one ends, and one per row for all
-        times beyond the memory.
+        Of a stack of sets at the nodes `at`, the first one least, or at the only one, with a bound on
+        ``norm(W e)`` of each. The entries are those of the table, where a period begins and where one ends,
+        and one per row for all times beyond the memory.
         """
         limits, table = self.clearance.limits, self.table
         r, last = len(limits.rows), limits.room.shape[1] - 1
@@ -89,10 +89,20 @@ class Continuation(RecoverableSet):
         room[(period < at[0]) | (period > last)] = np.inf
         room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
         need = np.hstack([near, near, np.multiply.outer(radius, table.beyond) + self.disturbance[-1]])
-        need, room = need * (1 + ROUNDING * np.sign(need)) + taken, room + taken
+        return need * (1 + ROUNDING * np.sign(need)) + taken, room + taken, (end, period, row)
+
+    def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
+        """Return the share of the room left, and `_needs`; a booked limit that is met is no tightest one."""
+        need, room, where = self._needs(*tube)
         share = left(need, room)
-        share[np.isinf(room) | ((row >= limits.booked) & (share >= 0))] = np.inf
-        return share, need, room, (end, period, row)
+        share[np.isinf(room) | ((where[2] >= self.clearance.limits.booked) & (share >= 0))] = np.inf
+        return share, need, room, where
+
+    def _met(self, at: NDArray[np.int_], sets: Zonotope, bow: Array, radius: Array) -> NDArray[np.bool_]:
+        """Return True where a share of 0 or more is left of every limit, without working out how much."""
+        need, room, _ = self._needs(at, sets, bow, radius, 1.0)
+        met = (room > 0) & (need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
+        return np.asarray(np.all(met, axis=1))
 
     def _radius(self, sets: Zonotope, bow: Array) -> Array:
         """Bound on ``norm(W e)`` over a tube: states between two nodes are as large as the larger node's."""
@@ -113,14 +123,12 @@ class Continuation(RecoverableSet):
         if entry >= len(row) - len(limits.rows):  # beyond the memory: the start of the tightest step
             when = node = (when + int(limits.room[:, when:, limit].min(axis=0).argmin())) // q * q
         value, *sizes = (float(part[tight]) for part in (share, need, room))
-        time = node * self.clearance.tracking.flow.h
-        return Margin(value, limits.name(when // q, limit), time, *sizes)
+        return Margin(value, limits.name(when // q, limit), node * self.clearance.tracking.flow.h, *sizes)
 
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
         first, bow = k * self.clearance.q, at_nodes(bow)
-        share = self._shares(first + np.arange(len(bow)), nodes, bow, self._radius(nodes, bow), 1.0)[0]
-        return bool(np.all(share >= 0))
+        return bool(np.all(self._met(first + np.arange(len(bow)), nodes, bow, self._radius(nodes, bow))))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Return True for each error (runs, n) at a node that is recoverable."""
@@ -129,9 +137,7 @@ class Continuation(RecoverableSet):
         found = np.asarray(radius <= self._allowed(node))
         if found.any():
             points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
-            at = np.full(len(points.c), node)
-            share = self._shares(at, points, 0 * points.c, radius[found], 1.0)[0]
-            found[found] = np.all(share >= 0, axis=1)
+            found[found] = self._met(np.array([node]), points, 0 * points.c, radius[found])
         return found
 
     def radius(self, node: int) -> float:

@@ -13,8 +13,7 @@ def affine_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:
 
     `start` is a stack of q sets, the states about the law's own reference at the nodes; k the planning step.
     """
-    rate = (law.flow.A_c @ start).extent @ law.flow.growth.T
-    return _bow(law, k, rate)
+    return _bow(law, k, (law.flow.A_c @ start).extent @ law.flow.growth.T)
 
 
 def clipped_bow(law: AffineLaw, start: Zonotope, k: int) -> Array:

@@ -60,8 +60,7 @@ class Tracking:
         """Bounds on the loop of which the tracking error is the first part."""
         loop = craft_loop(self.system, self.delta / self.feedback.nodes_per_cell)
         size = np.linalg.norm(self.W_inverse, axis=1)
-        scale = np.resize(size, loop.N)
-        return Tightening(loop.under(self.gain), self.system.u_max, scale)
+        return Tightening(loop.under(self.gain), self.system.u_max, np.resize(size, loop.N))
 
     @property
     def commands(self) -> Array:
