@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -57,7 +58,8 @@ class Allocation:
         for what, capacity in cases(limits, faults):
             found = []
             for signs in product((1.0, -1.0), repeat=m):
-                reach, f = _towards(directions, capacity, np.array(signs) * wanted)
+                given = directions, capacity, np.array(signs) * wanted
+                reach, f = _towards(*(np.asarray(part, dtype=float).tobytes() for part in given))
                 if not reach > ROUNDED:
                     way = ", ".join(f"{x:g}" for x in signs)
                     raise SynthesisInfeasible(
@@ -81,15 +83,16 @@ def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
     found = [("with all thrusters", limits)] if not faults else []
     for fault in faults:
         for j in range(len(limits)):
-            capacity = limits.copy()
-            capacity[j] *= fault.left
+            capacity = np.where(np.arange(len(limits)) == j, fault.left * limits, limits)
             found.append((f"with thruster {j} under the fault {fault.name}", capacity))
     return found
 
 
-def _towards(directions: Array, capacity: Array, corner: Array) -> tuple[float, Array]:
-    """How many times a corner is reached, at most twice, and the thrusts that do."""
-    count, eye = len(capacity), np.eye(len(capacity))
+@lru_cache(maxsize=1024)
+def _towards(*given: bytes) -> tuple[float, Array]:
+    """Return how many times a corner is reached, at most twice, and the thrusts; arrays by their entries."""
+    flat, capacity, corner = (np.frombuffer(part) for part in given)
+    directions, count, eye = flat.reshape(-1, len(corner)), len(capacity), np.eye(len(capacity))
     aim = np.hstack([-(np.sign(corner)[:, None] * directions.T), np.abs(corner)[:, None]])
     rows = np.vstack([aim, np.eye(count + 1), np.hstack([-eye, np.zeros((count, 1))])])
     limits = np.concatenate([np.zeros(len(corner)), capacity, [2.0], np.zeros(count)])

@@ -273,5 +273,4 @@ def _merged(starts: Starts, most: int) -> Starts:
     rank = np.argsort(times.sum(axis=1), kind="stable")
     groups = np.array_split(rank, most)
     hulls = Zonotope.stack([hull_of(starts.sets[g]) for g in groups])
-    spans = [[times[g, 0].min(), times[g, 1].max()] for g in groups]
-    return Starts(starts.mode, hulls, np.array(spans))
+    return Starts(starts.mode, hulls, np.array([[times[g, 0].min(), times[g, 1].max()] for g in groups]))

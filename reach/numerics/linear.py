@@ -40,8 +40,7 @@ def discretize(A: Array, B: Array, h: float) -> tuple[Array, Array]:
     large = float(np.abs(B).max(initial=0.0)) * h
     unit = 2.0 ** np.ceil(np.log2(large)) if LARGE < large < np.inf else 1.0
     block = np.zeros((n + m, n + m))
-    block[:n, :n] = A
-    block[:n, n:] = B / unit
+    block[:n, :n], block[:n, n:] = A, B / unit
     E = _exponential((block * h).tobytes(), n + m).copy()
     return E[:n, :n], E[:n, n:] * unit
 

@@ -196,5 +196,4 @@ def _cube_axes() -> Array:
         if first > 0:
             axes[signs] = np.array(signs, dtype=float)
     weight = {1: 1.0, 2: 1.15, 3: 0.9}  # roundest by search
-    columns = [v / np.linalg.norm(v) * weight[int(np.abs(v).sum())] for v in axes.values()]
-    return np.array(columns).T
+    return np.array([v / np.linalg.norm(v) * weight[int(np.abs(v).sum())] for v in axes.values()]).T

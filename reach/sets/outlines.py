@@ -94,5 +94,4 @@ def polygon(support: ArrayLike, rays: Array) -> Array:
     after, h_after = np.roll(rays, -1, axis=0), np.roll(h, -1, axis=-1)
     cross = rays[:, 0] * after[:, 1] - rays[:, 1] * after[:, 0]
     x = (h * after[:, 1] - h_after * rays[:, 1]) / cross
-    y = (h_after * rays[:, 0] - h * after[:, 0]) / cross
-    return np.stack([x, y], axis=-1)
+    return np.stack([x, (h_after * rays[:, 0] - h * after[:, 0]) / cross], axis=-1)

@@ -6,7 +6,7 @@ Nodes are the instants at which a held input is renewed, or a fine grid of a mot
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import expm, matrix_balance, solve_continuous_lyapunov, solve_discrete_lyapunov
@@ -124,8 +124,7 @@ class LinearFlow:
     @checked
     def bow(self, nodes: Zonotope) -> Array:
         """Bound ``(h^2/8) sup |M''(s) e|`` on ``|e(t) - chord|`` after each node, shape (..., n)."""
-        curvature = (self.A_x @ self.A_c) @ nodes
-        return np.asarray(self.h**2 / 8 * curvature.extent @ self.growth.T)
+        return np.asarray(self.h**2 / 8 * ((self.A_x @ self.A_c) @ nodes).extent @ self.growth.T)
 
     @property
     def lyapunov(self) -> tuple[Array, float]:
@@ -261,9 +260,15 @@ def state_scale(A_c: Array) -> Array:
         If the closed loop is not stable.
     """
     require_square("A_c", A_c)
-    if np.max(np.linalg.eigvals(A_c).real) >= 0:
-        slowest = np.max(np.linalg.eigvals(A_c).real)
+    if (slowest := np.max(np.linalg.eigvals(A_c).real)) >= 0:
         raise ReachError(f"the closed loop is not stable: largest real part of an eigenvalue {slowest:.6g}")
+    return _balanced(A_c.tobytes(), len(A_c)).copy()
+
+
+@lru_cache(maxsize=256)
+def _balanced(entries: bytes, n: int) -> Array:
+    """Return `state_scale` of a stable matrix, given by its entries; each is balanced once."""
+    A_c = np.frombuffer(entries).reshape(n, n)
     # Covariance under unit white noise in the balanced coordinates, iterated to a fixed point. It starts
     # from rows and columns of like norms: in far-fetched units the equation is singular to rounding.
     scale = np.asarray(matrix_balance(A_c, permute=False, separate=True)[1][0])

@@ -58,8 +58,7 @@ class SupportTube:
         """
         k, s = locate(self.times, t)
         s = s[:, None]
-        line = (1 - s) * self.upper[k] + s * self.upper[k + 1]
-        return np.asarray(line + 4 * s * (1 - s) * self.bow[k])
+        return np.asarray((1 - s) * self.upper[k] + s * self.upper[k + 1] + 4 * s * (1 - s) * self.bow[k])
 
     @property
     def most(self) -> Array:

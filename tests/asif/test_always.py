@@ -122,7 +122,10 @@ UNKNOWN = {
 }
 
 
-@pytest.mark.parametrize(("name", "period"), [*((name, 2.0) for name in UNKNOWN), ("all", 1.0), ("all", 0.2)])
+@pytest.mark.parametrize(
+    ("name", "period"),
+    [*((name, 2.0) for name in UNKNOWN), ("all", 1.0), pytest.param("all", 0.2, marks=pytest.mark.slow)],
+)
 def test_no_errors_leave_the_tube_and_the_worst_come_near_its_wall(period, name):
     """Signs of every error such that one output is largest at some time: the adjoint's."""
     unknown = UNKNOWN[name]

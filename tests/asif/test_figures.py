@@ -70,9 +70,9 @@ def test_one_deputy_has_no_figures_of_pairs(tmp_path, monkeypatch):
 
 
 def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
-    for spent, switched in ((0.0, False), (19.0, True)):
+    for spent, duration, switched in ((0.0, 40, False), (19.0, 200, True)):
         scenario = load_scenario("fuel-limit").with_assignments(
-            ["flight.duration_s=200", f"fuel.spent_m_s={spent}", "fuel.predictions=3"]
+            [f"flight.duration_s={duration}", f"fuel.spent_m_s={spent}", "fuel.predictions=3"]
         )
         flown = fly_fuel(scenario)
         assert (flown.latched_at is not None) == switched

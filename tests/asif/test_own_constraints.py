@@ -197,9 +197,15 @@ NONE = {
 }
 
 
-@pytest.mark.parametrize("kind", ["centralized", "consensus", "half"])
-@pytest.mark.parametrize("loops", [True, False])
-@pytest.mark.parametrize("name", [*NONE, "gradient"])
+@pytest.mark.parametrize(
+    ("name", "loops", "kind"),
+    [
+        pytest.param(name, loops, kind, marks=[] if i % 3 == j or loops > bool(i) else pytest.mark.slow)
+        for i, name in enumerate([*NONE, "gradient"])
+        for loops in (True, False)
+        for j, kind in enumerate(["centralized", "consensus", "half"])
+    ],
+)
 def test_what_has_no_number_for_a_state_is_short_and_the_others_are_kept(name, loops, kind, monkeypatch):
     """The program failed for all: nobody braked, and the pair came to 8 m where 10 m are asked for."""
     monkeypatch.setattr(compiled, "wanted", lambda: loops)

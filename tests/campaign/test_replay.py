@@ -42,8 +42,16 @@ def test_replay_gives_the_numbers_of_the_table(flown, mode):
         assert held == pytest.approx(row["delta_v_m_s"], rel=0.05)
 
 
-@pytest.mark.parametrize("seen", [[], [OBSERVED]], ids=["state", "observer"])
-@pytest.mark.parametrize(("kind", "late"), [("loss", LATE), ("navigation_lost", LOST)])
+@pytest.mark.parametrize(
+    ("kind", "late", "seen"),
+    [
+        ("loss", LATE, [OBSERVED]),
+        ("navigation_lost", LOST, []),
+        pytest.param("loss", LATE, [], marks=pytest.mark.slow),
+        pytest.param("navigation_lost", LOST, [OBSERVED], marks=pytest.mark.slow),
+    ],
+    ids=["loss-observer", "navigation_lost-state", "loss-state", "navigation_lost-observer"],
+)
 def test_a_fault_befalls_every_second_run_and_is_flown_again(kind, late, seen, tmp_path):
     scene = load_scenario(TINY).with_assignments([*SOFT, *TWOS, late, *seen])
     folder = fly_campaign(make_cases([scene]), 12, tmp_path / "c", batch=6)

@@ -3,6 +3,8 @@
 Each shows the printed form failing and ours holding.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -25,8 +27,9 @@ GAIN = lqr_gain(SYSTEM, [1, 1, 1, 1e3, 1e3, 1e3], [1e4] * 3)
 A_C = SYSTEM.A - SYSTEM.B @ GAIN
 
 
-def tracking(period=None):
-    return Tracking(SYSTEM, GAIN, choose_feedback(SYSTEM, [GAIN], 50.0, period), 50.0)
+@cache
+def tracking():
+    return Tracking(SYSTEM, GAIN, choose_feedback(SYSTEM, [GAIN], 50.0, None), 50.0)
 
 
 def moved(track, t):

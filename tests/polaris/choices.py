@@ -1,6 +1,5 @@
 """Forged choices of a certificate, and claims that are better than what follows from the choices."""
 
-import copy
 import json
 
 from .corruptions import hexed, opposite, plain, scaled
@@ -11,7 +10,7 @@ class Folder:
     """Trees of a run folder, changed together."""
 
     def __init__(self, forger):
-        self.certificate = copy.deepcopy(forger.honest)
+        self.certificate = forger.tree(CERTIFICATE)
         self.schedule = forger.tree("schedule.json")
         self.summary = forger.tree("summary.json")
         self.rows = forger.rows("schedule.csv")
@@ -34,18 +33,17 @@ class Folder:
         }
 
 
-def forged(forger):
-    """Yield (label, files): each a folder with one thing forged, in all files that tell of it."""
-    for label, change in changes(Folder(forger)):
-        folder = Folder(forger)
-        change(folder)
-        yield label, folder.files()
+def forged(forger, change):
+    """Return the files of a folder with one thing forged, in all files that tell of it."""
+    folder = Folder(forger)
+    change(folder)
+    return folder.files()
 
 
-def changes(honest):
-    """Yield (label, function of a folder)."""
+def changes(forger):
+    """Yield (label, function of a folder) of all that is forged."""
     for group in (_choices, _profile, _branches, _ways, _drifts, _claims):
-        yield from group(honest)
+        yield from group(Folder(forger))
 
 
 def _choices(honest):

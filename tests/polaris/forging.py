@@ -59,11 +59,8 @@ class Forger:
 
     def judge(self, files):
         """Verdict on the folder with some files replaced: name to text; the certificate may be one."""
-        data = (
-            json.loads(files[CERTIFICATE].replace("\x00", ""))
-            if CERTIFICATE in files
-            else copy.deepcopy(self.honest)
-        )
+        given = files.get(CERTIFICATE)
+        data = self.tree(CERTIFICATE) if given is None else json.loads(given.replace("\x00", ""))
         try:
             for name, text in files.items():
                 if name != CERTIFICATE:
@@ -130,7 +127,7 @@ class Lie:
     def __init__(self, forger):
         self.forger = forger
         for name in ("certificate", "schedule", "gains", "summary"):
-            setattr(self, name, copy.deepcopy(forger.tree(f"{name}.json")))
+            setattr(self, name, forger.tree(f"{name}.json"))
         self.scenario = forger.tree("scenario.toml")
         self.reference = forger.rows("reference.csv")
 

@@ -1,10 +1,13 @@
 """Choices that are exchanged or left out, and claims beyond what they give: all refused."""
 
+import re
+from itertools import islice
+
 import pytest
 
 pytest.importorskip("flint")
 
-from .choices import forged
+from .choices import changes, forged
 from .forging import QUARTER, Forger, make
 
 ORBIT = '{kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
@@ -30,13 +33,17 @@ def test_the_honest_folder_is_verified(forger):
 
 
 def test_there_are_more_than_a_hundred_of_them(forger):
-    assert len({label for label, _ in forged(forger)}) > 100
+    assert len({label for label, _ in changes(forger)}) > 100
 
 
-@pytest.mark.parametrize("part", [0, *(pytest.param(i, marks=pytest.mark.slow) for i in range(1, PARTS))])
+@pytest.mark.parametrize("part", [None, *(pytest.param(i, marks=pytest.mark.slow) for i in range(PARTS))])
 def test_forged_choices_and_bold_claims_are_refused(forger, part):
-    passed = []
-    for i, (label, files) in enumerate(forged(forger)):
-        if i % PARTS == part and (verdict := forger.judge(files)).outcome == "VERIFIED":
+    """The quick test takes the first of each kind in a part: labels of a kind differ by their numbers."""
+    passed, chosen = [], list(islice(changes(forger), part or 0, None, PARTS))
+    if part is None:
+        chosen = {re.sub(r"\d+", "", label): (label, change) for label, change in chosen[::-1]}.values()
+        assert len(chosen) > 10
+    for label, change in chosen:
+        if (verdict := forger.judge(forged(forger, change))).outcome == "VERIFIED":
             passed.append(f"{label}: {verdict.text()}")
     assert not passed, "\n".join(passed)

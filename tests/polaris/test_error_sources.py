@@ -325,12 +325,16 @@ NEARLY = (
 """Errors of thrusters that nearly feed on themselves: what bounds them takes long to be found."""
 
 
+def nearly():
+    """Return the schedule of the static scene with such errors."""
+    return kept("nearly", lambda: synthesize(load_scenario("static").with_assignments(NEARLY)))
+
+
 def test_errors_that_nearly_feed_on_themselves_are_bounded():
-    schedule = kept("nearly", lambda: synthesize(load_scenario("static").with_assignments(NEARLY)))
+    schedule = nearly()
     assert schedule.guarantee == "proved" and schedule.share() > 0
-    assert verify_document(certificate(schedule, "static")).outcome == "VERIFIED"
     safety, bounded = schedule.safety, []
-    for more in (0.1, 1.0, 1.1, 1.2, 1.3, 1.5, 3.0):
+    for more in (0.1, 1.0, 1.1, 1.3, 3.0):
         system = safety.tracking.system
         system = replace(system, thrusters=replace(system.thrusters, across=more * system.thrusters.across))
         tracking = replace(safety.tracking, system=system)
@@ -339,6 +343,11 @@ def test_errors_that_nearly_feed_on_themselves_are_bounded():
         bounded.append(np.all(scheduled.commanded >= np.abs(safety.reference.nu) + caused))
         assert bounded[-1] or np.any(caused > system.u_max), "neither a bound, nor are thrusters exhausted"
     assert bounded[1] and not bounded[-1]
+
+
+@pytest.mark.slow
+def test_errors_that_nearly_feed_on_themselves_are_bounded_by_the_checker_too():
+    assert verify_document(certificate(nearly(), "static")).outcome == "VERIFIED"
 
 
 @cache

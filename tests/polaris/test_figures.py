@@ -367,13 +367,13 @@ def assert_legend_is_seen(figure):
             assert count >= 2, (text.get_text(), count)
 
 
-SEEDS = (0, 1, 5, 40)
+SEEDS = (0, 5)
 """On the line, in the plane, in Hill's frame; ticks that are others outside of the style."""
 
 
 @pytest.mark.parametrize(
     "seed",
-    [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(120, 40)) if i not in SEEDS)],
+    [*SEEDS, *(pytest.param(i, marks=pytest.mark.slow) for i in range(fewer(120, 41)) if i not in SEEDS)],
 )
 def test_random_scenes_are_well_drawn(seed):
     picture = random_picture(seed)
@@ -585,7 +585,7 @@ def test_slices_contain_the_chaser_of_every_run():
     assert_slices_are_of_their_instants(schedule, picture_of(schedule, flights))
 
 
-PROVED = (1, 2, 4, 13)
+PROVED = (1, 4)
 """Random scenes that have a schedule."""
 
 

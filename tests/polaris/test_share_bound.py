@@ -188,7 +188,7 @@ def test_where_u_alone_collides_less_than_everything_is_reached(name):
 
 
 @pytest.mark.parametrize(
-    "seed", [*BOUNDED, 37, *(pytest.param(s, marks=pytest.mark.slow) for s in (41, 65, 68))]
+    "seed", [42, 70, 37, *(pytest.param(s, marks=pytest.mark.slow) for s in (77, 41, 65, 68))]
 )
 def test_no_random_schedule_beats_the_bound(seed, tmp_path):
     scenario, schedule = random_schedule(seed, tmp_path)

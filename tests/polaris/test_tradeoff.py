@@ -156,7 +156,10 @@ def test_points_that_are_there_are_kept_and_others_computed(folder, copied, comp
     assert computed[1:] == ["price-7"] and contents(copied) == before
 
 
-@pytest.mark.parametrize("name", ["sets.npz", "summary.json", "certificate.json", "trajectories.npz"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("certificate.json", "trajectories.npz")]
+
+
+@pytest.mark.parametrize("name", ["sets.npz", "summary.json", *SLOW])
 def test_a_damaged_point_is_computed_again(name, folder, copied, computed):
     (copied / "price-0" / name).write_bytes(b"{}")
     assert contents(again(copied).path) == contents(folder.path) and computed == ["price-0"]

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import polaris
 from polaris.cli import app as cli
 
+from .forging import COARSE
 from .tiny import TINY
 
 ROOT = Path(polaris.__file__).resolve().parent.parent
@@ -141,11 +142,11 @@ def test_wrong_arguments_come_before_work_and_before_missing_packages(case, refu
 
 
 SPACE = ("--set", "obstacles[0].center_m=[0, 3000, 0]", "--set", "recoverable.recourse=none")
-LIGHT = ("--set", "simulation.runs=2", "--set", "schedule.bound_programs=0")
+LIGHT = ("--set", "simulation.runs=2", "--set", "schedule.bound_programs=0", "--set", COARSE)
 JSON = {
     "run": ("run", TINY, "--no-figures", "--out", "run", *LIGHT),
     "model-error": ("model-error", "static", *SPACE, "--set", "horizon.step_s=60"),
-    "falsify": ("falsify", TINY, "--runs", "20"),
+    "falsify": ("falsify", TINY, "--runs", "20", *LIGHT),
     "campaign": ("campaign", TINY, "--runs", "2", "--workers", "1", "--out", "campaign", *LIGHT),
     "campaign-replay": ("campaign-replay", "campaign", "--worst", "1"),
     "compare": (

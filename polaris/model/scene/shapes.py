@@ -227,8 +227,7 @@ class Polytope:
         rate = way @ self.H.T
         rate[np.abs(rate) <= ROUNDING] = 0.0
         reach = p @ self.H.T
-        slack = ROUNDING * (np.abs(b) + np.linalg.norm(p, axis=-1)[..., None])
-        return speed, rate, b - reach, slack
+        return speed, rate, b - reach, ROUNDING * (np.abs(b) + np.linalg.norm(p, axis=-1)[..., None])
 
     def entry_time(self, p: Array, v: Array) -> Array:
         """First time [s] on the ray, by clipping it against every facet; offsets may differ by ray."""

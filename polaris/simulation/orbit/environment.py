@@ -120,5 +120,4 @@ class Environment:
         """Acceleration [m/s^2] by air at rest in inertial space; inertial velocity [m/s], shape (..., 3)."""
         d = np.linalg.norm(place, axis=-1)
         speed = np.linalg.norm(velocity, axis=-1)
-        size = -0.5 * self.density_at(d) * ballistic * speed
-        return np.asarray(size[..., None] * velocity)
+        return np.asarray((-0.5 * self.density_at(d) * ballistic * speed)[..., None] * velocity)

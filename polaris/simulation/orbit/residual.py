@@ -123,8 +123,7 @@ def _own_speed(env: Environment) -> float:
 
 def _against(env: Environment, r: Array, v: Array) -> Array:
     """Largest difference of the two inertial velocities [m/s]."""
-    turns = _turning(env)
-    return np.asarray(v + (env.mean_motion + turns.wobble) * r)
+    return np.asarray(v + (env.mean_motion + _turning(env).wobble) * r)
 
 
 def _fast(env: Environment, r: Array, v: Array) -> Array:

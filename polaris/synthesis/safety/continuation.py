@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,14 +69,14 @@ class Continuation(RecoverableSet):
         spare = self.clearance.limits.ahead[self._later(node)] - self.beside_errors[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
-    def _shares(
+    def _needs(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array], spare: float
-    ) -> tuple[Array, Array, Array, Where]:
-        """Share of the room left, need and room of all limits that may need more than a share `spare`.
+    ) -> tuple[Array, Array, Where]:
+        """Return need and room of all limits that may need more than a share `spare` of their room.
 
-        Of a stack of sets of the loop state at the nodes `at`, the first one least, with bounds on
-        ``norm(W e)`` and on the other states of each. The entries are those of the table, where a period
-        begins and where one ends, and one per row for all times beyond the memory.
+        Of a stack of sets of the loop state at the nodes `at`, the first one least, or at the only one, with
+        bounds on ``norm(W e)`` and on the other states of each. The entries are those of the table, where a
+        period begins and where one ends, and one per row for all times beyond the memory.
         """
         radius, others = sizes
         limits, table = self.clearance.limits, self.table
@@ -99,10 +99,22 @@ class Continuation(RecoverableSet):
         room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
         beyond = np.multiply.outer(radius, table.beyond) + others @ handed[-1].T + self.disturbance[-1]
         need = np.hstack([near, near, beyond])
-        need, room = need * (1 + ROUNDING * np.sign(need)) + taken, room + taken
+        return need * (1 + ROUNDING * np.sign(need)) + taken, room + taken, (end, period, row)
+
+    def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
+        """Return the share of the room left, and `_needs`; a booked limit that is met is no tightest one."""
+        need, room, where = self._needs(*tube)
         share = left(need, room)
-        share[np.isinf(room) | ((row >= limits.booked) & (share >= 0))] = np.inf
-        return share, need, room, (end, period, row)
+        share[np.isinf(room) | ((where[2] >= self.clearance.limits.booked) & (share >= 0))] = np.inf
+        return share, need, room, where
+
+    def _met(
+        self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array]
+    ) -> NDArray[np.bool_]:
+        """Return True where a share of 0 or more is left of every limit, without working out how much."""
+        need, room, _ = self._needs(at, sets, bow, sizes, 1.0)
+        met = (room > 0) & (need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
+        return np.asarray(np.all(met, axis=1))
 
     def _sizes(self, sets: Zonotope, bow: Array) -> tuple[Array, Array]:
         """Bounds over a tube on ``norm(W e)``, and on the other loop states at every node.
@@ -133,8 +145,7 @@ class Continuation(RecoverableSet):
     def holds(self, k: int, nodes: Zonotope, bow: Array) -> bool:
         """Return True if a tube over cell k is inside: only what the norm cannot tell is worked out."""
         first, bow, nodes = k * self.clearance.q, at_nodes(bow), self.clearance.tracking.whole_state(nodes)
-        share = self._shares(first + np.arange(len(bow)), nodes, bow, self._sizes(nodes, bow), 1.0)[0]
-        return bool(np.all(share >= 0))
+        return bool(np.all(self._met(first + np.arange(len(bow)), nodes, bow, self._sizes(nodes, bow))))
 
     def contains(self, node: int, errors: Array) -> NDArray[np.bool_]:
         """Return True for each error (runs, n) at a node that is recoverable."""
@@ -143,9 +154,9 @@ class Continuation(RecoverableSet):
         found = np.asarray(radius <= self._allowed(node))
         if found.any():
             points = Zonotope(errors[found], np.zeros((int(found.sum()), errors.shape[1], 0)))
-            at, points = np.full(len(points.c), node), self.clearance.tracking.whole_state(points)
-            share = self._shares(at, points, 0 * errors[found], self.table.sizes_of(points), 1.0)[0]
-            found[found] = np.all(share >= 0, axis=1)
+            points = self.clearance.tracking.whole_state(points)
+            sizes = self.table.sizes_of(points)
+            found[found] = self._met(np.array([node]), points, 0 * errors[found], sizes)
         return found
 
     def radius(self, node: int) -> float:

@@ -245,8 +245,7 @@ class Schedule:
         for later in range(k, safety.problem.K):
             steps.append(Step(0, s.fly(reached, later), later, safety.recoverable))
             reached = steps[-1].tube.end
-        controllers = (s, *self.controllers[1:])
-        return Schedule(replace(safety, controller=s), controllers, tuple(steps), reached)
+        return Schedule(replace(safety, controller=s), (s, *self.controllers[1:]), tuple(steps), reached)
 
     @property
     def spent(self) -> float:
@@ -259,8 +258,7 @@ class Schedule:
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""
-        flying = self.modes > 0 if mode is None else self.modes == mode
-        return float(np.mean(flying))
+        return float(np.mean(self.modes > 0 if mode is None else self.modes == mode))
 
     def mode_at(self, t: float) -> int:
         """The switching logic L(t): mode at a time t [s], at a switch the new one; S after T."""

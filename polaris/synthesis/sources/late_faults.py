@@ -53,8 +53,7 @@ def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, given: t
     block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ gains
     block[:n, n:] = np.eye(n)
     spread = expm(block * (lasts + late))[:n, n:] @ np.abs(system.B)
-    pushed = wrong + thrusters.part(wrong) + off @ gains.T @ answer.T
-    return np.asarray(pushed @ spread.T * (1 + ROUNDING))
+    return np.asarray((wrong + thrusters.part(wrong) + off @ gains.T @ answer.T) @ spread.T * (1 + ROUNDING))
 
 
 def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Array:

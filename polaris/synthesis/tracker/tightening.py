@@ -135,8 +135,7 @@ class Tightening:
                 sums[1:] += np.cumsum(gains @ self.largest(channel, bound), axis=0)
             else:
                 sums += summed(gains, self.sizes(channel, self.known(channel, bound)[:count]))
-        ever = sums[-1] + np.abs(carried[-2]) @ self.reached(bound)
-        return np.vstack([sums, ever]) * (1 + ROUNDING)
+        return np.vstack([sums, sums[-1] + np.abs(carried[-2]) @ self.reached(bound)]) * (1 + ROUNDING)
 
     def reached(self, bound: Array | None) -> Array:
         """Bound on every loop state for ever, from rest, under commands within a bound, shape (states,)."""

@@ -64,8 +64,7 @@ class Tracking:
     @cached_property
     def tightening(self) -> Tightening:
         """Bounds on the loop under S."""
-        size = np.linalg.norm(self.W_inverse, axis=1)
-        scale = np.resize(size, self.loop.N)
+        scale = np.resize(np.linalg.norm(self.W_inverse, axis=1), self.loop.N)
         return Tightening(self.loop.under(self.gain), self.system.u_max, scale)
 
     @property
