@@ -45,7 +45,7 @@ class Answer:
     c: arb_mat
     v: list[Push]  # of the inputs
     most: list[arb]  # bounds on |u|, of a law that does not clip at the limits too
-    linear: bool = False  # neither clipped nor enclosed
+    linear: bool = False  # neither clipped in this step nor enclosed
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,28 +103,28 @@ class Pilot:
         `before` bounds the commands of the periods of this step before it. Errors that grow with commands are
         those of the commands of the period itself, which were made at its start.
         """
-        craft, plant, u, more = self.craft, self.plant, base.u, self.unseen(k, before)
+        craft, plant, more = self.craft, self.plant, self.unseen(k, before)
         answer = self.answer(z, base, k, i, more)
         g = plant.B * answer.c
-        error = plant.thruster_error(answer.most)
+        v, noise = answer.v, craft.noise(more)
+        error = pushed = plant.thruster_error(answer.most)
+        if answer.linear and not craft.box and any(x > 0 for x in error):
+            v, pushed = [], sums(noise, error)  # both enter as inputs alone: fewer generators
         if self.law.kind == "any_thrust":  # which need not be held
-            held = [craft.lifted(craft.motion.pushed(*answer.v))]
+            held = [craft.lifted(craft.motion.pushed(*v))]
         else:
-            held = [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in answer.v]
+            held = [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in v]
         period = Period(
             craft.free + craft.held * answer.K,
             craft.lifted(craft.motion.gamma * g),
             Directions(craft.drifts + plant.B * answer.K),
             g,
-            [*held, *craft.added(error)],
-            [*answer.v, *plant.push(error)],
+            [*held, *craft.added(pushed)],
+            [*v, *plant.push(pushed)],
             answer.most,
         )
-        joint = (
-            answer.linear and not plant.jitter and (self.law.kind == "safety" or not self.document.slopes[k])
-        )
-        middle = u + answer.c + answer.K * z.c
-        return period, Spell(plant.spent(answer.most), middle, (craft.noise(more), error) if joint else ())
+        errors = (noise, error) if answer.linear and not plant.jitter else ()
+        return period, Spell(plant.spent(answer.most), base.u + answer.c + answer.K * z.c, errors)
 
     def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:
         """What it commands from a set, estimates being off by some more than in the loop."""
@@ -155,7 +155,8 @@ class Pilot:
         if inside or (kind != "affine" and all(max(-lo, hi) <= top for (lo, hi), top, _ in sizes)):
             seen = -(craft.gain * spread)
             v = [Push.in_zonotope(plant.B, seen) if inside else Push.in_box(plant.B, noise)]
-            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], most, linear=True)
+            linear = kind == "safety" or self.document.slopes[k] is None
+            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], most, linear)
         if kind == "affine":
             told = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
             raise Rejected("controllers", told)

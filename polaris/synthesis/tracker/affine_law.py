@@ -113,7 +113,8 @@ class AffineLaw:
         channels = [(c, self.sizes(c, self.most)) for c in self.closed.loop.channels]
         once = np.hstack([rates_added(self.closed.loop, channels), sampled_added(self.closed, channels)])
         blocks = self.powers[:q] @ once
-        together = 1 if self.system.ideal else min(TOGETHER, max(q // 2, 1))
+        # What periods add to an error alone hardly turns from one to the next; to a whole loop state it does.
+        together = 1 if self.system.ideal or self.system.n < N else min(TOGETHER, max(q // 2, 1))
         parts = [np.zeros((N, 0))]
         for i in range(1, q + 1):
             parts.append(np.hstack([merged(blocks[:i], together), *self._early(i)]))
