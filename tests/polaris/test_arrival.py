@@ -158,7 +158,7 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     safety, final = schedule.safety, schedule.final
     late = safety.tracking.memory + 5
     after = SimpleNamespace(
-        until=lambda nodes: [SimpleNamespace(law=None, sizes=(), most=np.full((nodes, 1), 1e9))]
+        until=lambda nodes: [SimpleNamespace(law=None, errors=(), most=np.full((nodes, 1), 1e9))]
     )
     spent = [_correcting(safety, ((final, 0),), nodes, after) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0

@@ -65,7 +65,7 @@ def test_periods_cannot_all_be_the_worst():
     spells = [Spell.of(schedule.controllers[step.mode], step.tube, step.k) for step in schedule.steps]
     apart = sum(spell.most.sum() for spell in spells) * scale
     assert schedule.delta_v[1] < 0.9 * apart
-    run = [spell for spell in spells if spell.law is spells[0].law and spell.sizes]
+    run = [spell for spell in spells if spell.law is spells[0].law and spell.errors]
     assert together(run, 7) <= together(run, 8) and spent(run, 0) == 0
 
 

@@ -156,14 +156,17 @@ class AffineController(AffineLaw):
         nodes = self.powers @ d + self.disturbance
         bow = affine_bow(self, nodes[:-1], k)
         commanded, refused, slopes = self._at_most(nodes, bow, k), "", None
-        # Without a clip errors of the estimate count; with one they come after it (Proposition 5 (a)).
-        over = commanded + (0.0 if self.clips else self.noise) - self.system.u_max
+        over = commanded + self.noise - self.system.u_max
         excess, axis = float(over.max()), int(np.argmax(over))
-        if excess > 0 and self.clips:
+        if excess > 0 and self.clips:  # errors of the estimate come after the clip (Proposition 5 (a))
+            nodes = self.powers @ d + self.disturbance_if_cut
+            bow = affine_bow(self, nodes[:-1], k)
+            commanded = self._at_most(nodes, bow, k)
+        if self.clips and np.any(commanded > self.system.u_max):
             nodes, slopes = self._clipped_nodes(d, k)
             bow = clipped_bow(self, nodes[:-1], k)
             commanded = self._at_most(nodes, bow, k)
-        elif excess > 0:
+        elif excess > 0 and not self.clips:
             refused = f"its command may exceed the limit of {self.system.input_names[axis]} by {excess:.3g}"
         # The two references are stored states: what separates them is known up to their round-off.
         rounding = self.reference.rounding[k] + self.own.rounding[k]

@@ -1,20 +1,19 @@
 """Bounds on the velocity change, period by period or for all periods of a linear loop, and its price."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import expm
 
-from reach.numerics.linear import discretize, growth, powers
+from reach.numerics.linear import powers
 
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import AffineController, Controller, TubeSegment
 from ..controllers.neural import NeuralController
-from ..tracker.loop import Channel, ClosedLoop
+from ..sources.thrusters import THRUSTERS
 
 LONGEST = 4000  # periods of a loop that are looked at all at once, at most
 SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
@@ -28,8 +27,8 @@ class Spell:
     tube: TubeSegment
     middle: Array  # commanded along the middle of the tube [N], (q, m)
     most: Array  # bound on what is applied on average in every period [N], (q, m)
-    sizes: tuple[Array, ...] = ()
-    """Bounds on the values of the loop's channels in every period, (q, k) each; none where the law is not
+    errors: tuple[Array, ...] = ()
+    """Bounds on those of estimates and of thrusters, as inputs [N], (q, m) each; none where the law is not
     linear, or its commands may come early or late."""
 
     @classmethod
@@ -45,19 +44,19 @@ class Spell:
             limit = getattr(law, "system", None)
             most = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
             return cls(law, tube, most, most)
-        here, system, known, sizes = law.in_step(k), law.system, list[Array](), list[list[Array]]()
+        here, system = law.in_step(k), law.system
         centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.bow, k)
+        told, known = centre + 0.0, 0 * spread
         lag = max((channel.lag for channel in here.closed.loop.channels), default=0)
         for i in range(q + 1):
-            before = np.max(known[i - lag :], axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
-            top = (np.abs(centre[i]) + spread[i] + here.noise_after(before)) * (1 + ROUNDING)
-            known.append(np.minimum(top, system.u_max))
-            channels = here.closed.loop.channels
-            sizes.append([here.sizes(c, before if c.lag else known[-1]) for c in channels])
-        middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(np.array(known))
+            before = told[i - lag : i].max(axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
+            known[i] = here.noise_after(before)
+            top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
+            told[i] = np.minimum(top, system.u_max)
+        middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(told)
         alone = tube.slopes is None and not system.timing.jitter
-        each = tuple(map(np.array, zip(*sizes[:-1], strict=True))) if alone else ()
-        return cls(law, tube, middle[:-1], most[:-1], each)
+        errors = (known[:-1], system.thrusters.error(told[:-1])) if alone else ()
+        return cls(law, tube, middle[:-1], most[:-1], errors)
 
 
 def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
@@ -66,7 +65,7 @@ def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
     Where a loop is linear for several steps, the lesser of the sum of its periods' bounds and `together`.
     """
     total, left = 0.0, sum(len(spell.most) for spell in spells) if periods is None else periods
-    for (_, linear), parts in groupby(spells, lambda spell: (id(spell.law), len(spell.sizes) > 0)):
+    for (_, linear), parts in groupby(spells, lambda spell: (id(spell.law), len(spell.errors) > 0)):
         run = list(parts)
         most = np.concatenate([spell.most for spell in run])[:left]
         left, apart = left - len(most), float(most.sum())
@@ -79,63 +78,33 @@ def together(run: Sequence[Spell], count: int) -> float:
     law = run[0].law
     assert isinstance(law, AffineController)
     system, closed = law.system, law.in_step(0).closed
-    middle = np.concatenate([spell.middle for spell in run])[:count]
+    middle, known, made = (
+        np.concatenate(each)[:count] for each in zip(*((s.middle, *s.errors) for s in run), strict=True)
+    )
     rows = closed.K @ powers(closed.F, count - 1)
     base = middle + np.abs(rows @ run[0].tube.states[0].G).sum(axis=-1)
-    total, made = 0.0, not system.timing.carried  # whether bounds are on what is made, not on commands
-    for i, channel in enumerate(closed.loop.channels):
-        sizes = np.concatenate([spell.sizes[i] for spell in run])[:count]
-        rate = channel.rate
-        of_inputs = rate is not None and not channel.ball and np.array_equal(rate, closed.loop.B)
-        if rate is not None and not of_inputs:
+    for channel in closed.loop.channels:  # but for errors of estimates and of inputs
+        if channel.noise is None and channel.name != THRUSTERS:
             base[1:] += np.cumsum(closed.gains(channel, rows[:-1]) @ channel.size, axis=0)
-            continue
-        energy = np.sqrt(count * np.sum(sizes**2, axis=0))
-        for answers, once, rest in _answers(closed, channel, rows, made):
-            most = _amplified(answers, once)
-            if of_inputs:  # what they differ from their means in a part is made besides
-                most = np.sqrt(most**2 + once * (1 - once))
-            total += float((most + rest).sum(axis=0) @ energy)
-        if of_inputs and not made:  # errors of what is made add to what is commanded
-            total += float(sizes.sum())
-    if made:
-        total += count * system.m * (system.thrusters.bit - system.prompt.thrusters.bit)
-    return float((base.sum() + total) * (1 + ROUNDING))
+    seen, wrong = (_answered(-rows[:-1] @ way) for way in (closed.loop.held, closed.loop.made))
+    rest = np.abs(rows[:-1]).sum(axis=0) @ closed.loop.uneven
+    size, off = (np.sqrt(count * np.sum(each**2, axis=0)) for each in (known, made))
+    if system.timing.carried:  # what is commanded, and the errors of what is made of it
+        told, more = seen[1] @ size + (wrong[0] + rest) @ off, made.sum()
+    else:  # what is applied, but for errors that stand for pulses
+        told = seen[1] @ size + (wrong[1] + rest) @ off
+        more = count * system.m * (system.thrusters.bit - system.prompt.thrusters.bit)
+    return float((base.sum() + told.sum() + more) * (1 + ROUNDING))
 
 
-def _answers(
-    closed: ClosedLoop, channel: Channel, rows: Array, made: bool
-) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield the commands by age that answer a unit of a channel's values, (count, m, k), and what is beside.
-
-    That is what they add in their own period, (m, k), and what measurable values add that differ from their
-    means, each part of a period for itself.
-    """
-    loop = closed.loop
-    if channel.rate is None:
-        own = np.zeros((loop.m, len(channel.size)))
-        if channel.noise is not None:
-            own = own - closed.gain @ channel.noise
-        if channel.push is not None and made:
-            own = own + channel.push
-        yield -rows[:-1] @ closed.sampled(channel), own, 0 * own
-        return
-    A, rate = loop.A, channel.rate
-    for start, end, enters in loop.enter:
-        length, carried = end - start, enters @ expm(loop.A * (loop.h - end))
-        within = length**2 / 2 * np.abs(A) @ growth(A, length) @ np.abs(rate)
-        seen = rows[:-1] @ carried
-        answers = -seen @ discretize(A, rate, length)[1]
-        yield answers, np.eye(loop.m) * (length / loop.h * made), np.abs(seen).sum(axis=0) @ within
-
-
-def _amplified(answers: Array, once: Array) -> Array:
-    """Bound the amplification of every value into every command, in the 2-norm over time, shape (m, k)."""
-    found = np.abs(answers).sum(axis=0) + np.abs(once)
-    for a, j in np.ndindex(found.shape):
-        most = max(peak(np.append(once[a, j], answers[:, a, j])), abs(once[a, j]))
-        found[a, j] = min(found[a, j], most)
-    return np.asarray(found)
+def _answered(answers: Array) -> tuple[Array, Array]:
+    """Bound the amplification of inputs into commands (count, m, m), without and with themselves, (m, m)."""
+    commanded = np.abs(answers).sum(axis=0)
+    applied = commanded + np.eye(len(commanded))
+    for a in range(len(commanded)):
+        commanded[a, a] = min(commanded[a, a], peak(answers[:, a, a]))
+        applied[a, a] = min(applied[a, a], max(peak(np.append(1.0, answers[:, a, a])), 1.0))
+    return commanded, applied
 
 
 def peak(response: Array) -> float:

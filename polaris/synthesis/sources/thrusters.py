@@ -8,6 +8,8 @@ from ...model.system import LinearSystem
 from ...model.thrusters import Thrusters
 from ..tracker.loop import Channel, Loop
 
+THRUSTERS = "thrusters"  # name of the channel
+
 
 @dataclass(frozen=True)
 class ThrusterErrors:
@@ -23,4 +25,4 @@ class ThrusterErrors:
     def extend(self, loop: Loop) -> Loop:
         """Add one channel, whose sizes follow the bounds on the commands."""
         size, share = np.full(loop.m, self.errors.bit), self.errors.part if self.errors.proportional else None
-        return loop.with_channels(Channel("thrusters", size, rate=loop.B, share=share))
+        return loop.with_channels(Channel(THRUSTERS, size, rate=loop.B, share=share))

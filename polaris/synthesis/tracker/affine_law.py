@@ -1,5 +1,6 @@
 """An affine feedback law: its data, and a period of its loop as a set, clipped or not."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -105,19 +106,28 @@ class AffineLaw:
 
     @cached_property
     def disturbance(self) -> Zonotope:
-        """Loop states that the channels cause by every node of a cell, from rest.
+        """Loop states that the channels cause by every node of a cell, from rest, if no command is cut.
 
         A channel that remembers commands counts those before the cell with the limits of the thrusters.
         """
-        q, N = self.feedback.nodes_per_cell, len(self.closed.F)
         channels = [(c, self.sizes(c, self.most)) for c in self.closed.loop.channels]
         once = np.hstack([rates_added(self.closed.loop, channels), sampled_added(self.closed, channels)])
+        return self._caused(once, self._early)
+
+    @cached_property
+    def disturbance_if_cut(self) -> Zonotope:
+        """The same if errors of estimates may take a command beyond the limits of some inputs."""
+        return self._caused(self.added_clipped, lambda i: [])
+
+    def _caused(self, once: Array, early: Callable[[int], list[Array]]) -> Zonotope:
+        """What generators (N, g) of every period cause by each node of a cell, and what comes early."""
+        q, N = self.feedback.nodes_per_cell, len(self.closed.F)
         blocks = self.powers[:q] @ once
         # What periods add to an error alone hardly turns from one to the next; to a whole loop state it does.
         together = 1 if self.system.ideal or self.system.n < N else min(TOGETHER, max(q // 2, 1))
         parts = [np.zeros((N, 0))]
         for i in range(1, q + 1):
-            parts.append(np.hstack([merged(blocks[:i], together), *self._early(i)]))
+            parts.append(np.hstack([merged(blocks[:i], together), *early(i)]))
         sets = [Zonotope(np.zeros(N), G) for G in parts]
         order = ORDER * self.system.n / N
         return Zonotope.stack([sets[0], *(z.reduce(order) for z in sets[1:])])
@@ -136,7 +146,7 @@ class AffineLaw:
     def added_clipped(self) -> Array:
         """What the channels add in a period in which commands may be clipped, as generators, shape (N, g).
 
-        What estimates are off by comes after the clip, which is no steeper than one.
+        What estimates are off by comes after the clip, input by input, as that is no steeper than one.
         """
         channels, loop = self.channels(), self.closed.loop
         quiet = [(replace(c, noise=None), size) for c, size in channels]

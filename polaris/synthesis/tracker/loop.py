@@ -173,6 +173,17 @@ class Loop:
         return tuple(found)
 
     @property
+    def uneven(self) -> Array:
+        """What errors of inputs add at most that differ from their means, per unit of the rms, shape (N, m).
+
+        The plant is moved by at most ``(h^2/2) |A| E |B|``; what the first part of a period adds enters in
+        another way than the rest.
+        """
+        size, (*first, last) = growth(self.A, self.h) @ np.abs(self.B), [E for _, _, E in self.enter]
+        found = self.h**2 / 2 * np.abs(last) @ np.abs(self.A) @ size
+        return np.asarray(sum((self.h * np.abs(E - last) @ size for E in first), found))
+
+    @property
     def offset_measured(self) -> Array:
         """Offset at the instants of measurements, shape (n,)."""
         return self.offset_at_nodes if len(self.enter) == 1 else self.offset

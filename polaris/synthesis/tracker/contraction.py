@@ -1,0 +1,128 @@
+"""Error of the tracker under S, on exact states: its transitions, and the norm in which it contracts."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from reach.numerics.errors import ReachError
+from reach.numerics.linear import powers
+from reach.tubes.flow import LinearFlow
+
+from ...model.errors import ScenarioError
+from ...model.system import Array, LinearSystem
+from .feedback import Feedback
+
+LEFT_OVER, WITH_PROFILE = 1e-3, 1e-5
+"""Share of an error (contraction norm) below which one ball collects all limits, without a profile and with
+one: it is constant from then on. Smaller: more rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contraction:
+    """The tracking error under S's feedback, other states of the loop apart.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        What is controlled.
+    gain : ndarray, shape (m, n)
+        Lambda.
+    feedback : Feedback
+        The control period, as a number of nodes per step.
+    delta : float
+        Planning step [s].
+    level : float, optional
+        Share of the thrust limits from which what S's feedback commands after a hand-over falls, where errors
+        of thrusters grow with it (`profile`). Without it they are booked for all
+        that the thrusters have, at all times.
+    """
+
+    system: LinearSystem
+    gain: Array
+    feedback: Feedback
+    delta: float
+    level: float | None = None
+
+    @cached_property
+    def flow(self) -> LinearFlow:
+        """Error dynamics of the safety controller."""
+        flow = self.feedback.flow(self.system, self.gain, self.delta)
+        try:
+            flow.lyapunov  # noqa: B018  an unstable sampled loop is refused here, with its reason
+        except ReachError as error:
+            raise ScenarioError("feedback.period_s", flow.h, f"must give a stable loop: {error}") from error
+        if not np.all(np.isfinite(flow.growth)):
+            rule = (
+                "is too long for the fastest motion of the system: what happens within it cannot be bounded"
+            )
+            raise ScenarioError("horizon.step_s", self.delta, rule)
+        return flow
+
+    @cached_property
+    def W(self) -> Array:
+        """Weight of the norm ``norm(W e, 2)`` in which the error contracts, shape (n, n)."""
+        return self.flow.lyapunov[0]
+
+    @cached_property
+    def W_inverse(self) -> Array:
+        """Inverse of the weight."""
+        return np.asarray(np.linalg.inv(self.W))
+
+    @cached_property
+    def memory(self) -> int:
+        """Number of periods after which so little of any error (in the norm W) is left, see `LEFT_OVER`."""
+        profiled = self.level is not None and self.system.thrusters.proportional
+        share, factor = WITH_PROFILE if profiled else LEFT_OVER, self.flow.lyapunov[1]
+        most = int(np.ceil(np.log(share) / np.log(factor))) + 1
+        norms = self.flow.norms(min(most, 5000))
+        below = np.flatnonzero(norms <= share)
+        return int(below[0]) if len(below) else len(norms) - 1
+
+    @cached_property
+    def transitions(self) -> Array:
+        """``phi^l`` for l = 0 ... memory + 1, shape (memory + 2, n, n)."""
+        return powers(self.flow.phi, self.memory + 1)
+
+    @cached_property
+    def decay(self) -> Array:
+        """``norm(W phi^l W^-1, 2)`` for l = 0 ... memory + 1."""
+        return self.flow.norms(self.memory + 1)
+
+    @cached_property
+    def decay_before(self) -> Array:
+        """`decay` one period earlier: what weighs the bookings on both sides of a node."""
+        return np.concatenate([self.decay[:1], self.decay[:-1]])
+
+    @cached_property
+    def period_gain(self) -> float:
+        """Bound on ``norm(W e)`` reached within one period from rest by the disturbance."""
+        return float(np.linalg.norm(np.abs(self.W) @ self.flow.period_box))
+
+    @cached_property
+    def accumulated(self) -> float:
+        """Bound on ``norm(W e)`` at any node, however late, per unit of it added in every period."""
+        factor = self.flow.lyapunov[1]
+        return float(self.decay.sum() + self.decay[-1] * factor / (1 - factor))
+
+    @cached_property
+    def disturbance_radius(self) -> float:
+        """Bound on ``norm(W e)`` reached by the disturbance alone at any node, however late."""
+        return self.period_gain * (self.accumulated + 1.0)
+
+    def curvature(self, rows: Array) -> Array:
+        """Booking between nodes per unit of ``norm(W e)``, for each row, shape (..., r).
+
+        ``(h^2/8) sup_s norm(row M''(s) W^-1, 2)``, with ``M'' = A_x e^{A_x s} A_c``.
+        """
+        flow = self.flow
+        bend = np.abs(rows @ flow.A_x) @ flow.growth @ np.abs(flow.A_c @ self.W_inverse)
+        return np.asarray(flow.h**2 / 8 * np.linalg.norm(bend, axis=-1))
+
+    def per_size(self, rows: Array) -> Array:
+        """Return what errors need along rows over the next period, per unit of ``norm(W e)``, shape (r,)."""
+        return np.asarray(np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows))
+
+    def forgotten(self, rows: Array, radius: float) -> Array:
+        """What errors up to ``norm(W e) = radius`` still need along rows beyond the memory, shape (r,)."""
+        return np.asarray(self.per_size(rows) * self.decay[-1] * radius)
