@@ -1,4 +1,4 @@
-"""Tubes of the checker against a flight computer of its own, flown with every uncertain input by hand.
+"""Tubes of both programs against a flight computer of its own, flown with every uncertain input by hand.
 
 The computer keeps states, commands and estimates as they are, and no loop state: that is put together
 afterwards from what was flown, and must lie in the tubes at every node of every step.
@@ -19,6 +19,10 @@ from polaris.certificate.kernel.balls import column, matrix
 from polaris.certificate.kernel.zonotopes import Merging, Zonotope
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
+from polaris.planning.reference import Reference
+from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.tracker.feedback import Feedback
+from reach.sets.zonotope import Zonotope as Box
 from tests.polaris.test_hand_over import PARTS, H, hold, stated, tracking
 
 Q, K, RUNS = 5, 3, 60  # periods in a step, steps, flights
@@ -91,6 +95,23 @@ class Scene:
             flown = fly(pilot, reached, k, path, None, Merging(1000, 4))
             found += [reached, *flown.nodes]
             reached = flown.end
+        return [*found, reached]
+
+    @property
+    def law(self):
+        """The law as the synthesis has it."""
+        paths = (Reference(self.system, H * Q, *path) for path in self.own)
+        s = replace(self.s, feedback=Feedback(Q), delta=H * Q)
+        return AffineController("own", self.system, self.gain, *paths, s, self.clips)
+
+    def synthesised(self):
+        """The same of the synthesis, as its controllers make them."""
+        law = self.law
+        reached, found = self.s.whole_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
+        for k in range(K):
+            tube = law.fly(reached, k)
+            found += [tube.states[i] for i in range(Q)]
+            reached = tube.end
         return [*found, reached]
 
     # -- flying ---------------------------------------------------------------------------------------
@@ -217,7 +238,7 @@ CASES = [
 @cache
 def tubes_of(clips, number):
     made = scene(clips, **CASES[number])
-    return made, made.tubes()
+    return made, made.tubes(), made.synthesised()
 
 
 @pytest.mark.parametrize(
@@ -225,20 +246,52 @@ def tubes_of(clips, number):
 )
 @pytest.mark.parametrize("clips", [False, True])
 def test_every_state_that_is_flown_lies_in_the_tubes(clips, number):
-    made, tubes = tubes_of(clips, number)
+    made, tubes, others = tubes_of(clips, number)
     rng, most, clipped = np.random.default_rng(number), [], False
     size = np.array([float(x) for x in tubes[Q].size().entries()])
     N = len(size)
     rows = np.vstack([np.eye(N), -np.eye(N), rng.normal(size=(60, N)) / np.maximum(size, 1e-9)])
     bounds = [np.array([float(x) for x in z.support(matrix(rows.tolist()))]) for z in tubes]
+    more = [z.support(rows) for z in others]
     for _ in range(12):
         flown, commands = made.fly(*made.by_chance(rng))
         clipped |= bool(np.any(np.abs(commands) >= made.system.u_max))
-        for i, (z, bound) in enumerate(zip(flown, bounds, strict=True)):
-            assert np.all(z @ rows.T <= bound + 1e-9), i
+        for i, (z, bound, other) in enumerate(zip(flown, bounds, more, strict=True)):
+            assert np.all(z @ rows.T <= np.minimum(bound, other) + 1e-9), i
             most.append(((z @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
     assert max(most) > 0.6
     assert clipped == clips
+
+
+@pytest.mark.parametrize("number", range(5), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate")
+def test_both_programs_find_the_same_sets_of_a_linear_law(number):
+    """But for generators that are merged, and a true error's distance from the loop's at the start.
+
+    Periods are merged where errors are all there is.
+    """
+    made, tubes, others = tubes_of(False, number)
+    for i, (z, other) in enumerate(zip(tubes, others, strict=True)):
+        size = np.array([float(x) for x in z.widths])[:4]
+        assert np.all(other.half_widths[:4] >= 0.99 * size), i
+        most = (1.1 if other.dim > 4 else 1.4) * size + 2 * made.s.displaced
+        assert np.all(other.half_widths[:4] <= most), i
+
+
+def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():
+    """The errors of a command are then those of an estimate no more, input by input."""
+    made = scene(True, **CASES[0])
+    law = made.law
+    noise, held = law.noise, law.closed.loop.held
+    cut = np.diag([1.0, 0.0])  # of the first input alone
+    channel = next(c for c in law.closed.loop.channels if c.noise is not None)
+    seen = -held @ cut @ made.gain @ channel.noise * channel.size  # what an estimate's error adds then
+    rows = np.random.default_rng(0).normal(size=(200, 4))
+    linear = np.abs(rows @ law.closed.sampled(channel) * channel.size).sum(axis=1)
+    boxed = np.abs(rows @ (held * noise)).sum(axis=1)
+    assert np.any(np.abs(rows @ seen).sum(axis=1) > linear)
+    assert np.all(np.abs(rows @ seen).sum(axis=1) <= boxed * (1 + 1e-12))
+    once, free = law.disturbance_if_cut[1].support(rows), law.disturbance[1].support(rows)
+    assert np.all(once >= boxed) and np.any(once > free * 1.01)
 
 
 def attained(made, rows):

@@ -120,17 +120,22 @@ class AffineLaw:
         return self._caused(self.added_clipped, lambda i: [])
 
     def _caused(self, once: Array, early: Callable[[int], list[Array]]) -> Zonotope:
-        """What generators (N, g) of every period cause by each node of a cell, and what comes early."""
-        q, N = self.feedback.nodes_per_cell, len(self.closed.F)
-        blocks = self.powers[:q] @ once
-        # What periods add to an error alone hardly turns from one to the next; to a whole loop state it does.
-        together = 1 if self.system.ideal or self.system.n < N else min(TOGETHER, max(q // 2, 1))
-        parts = [np.zeros((N, 0))]
+        """What generators (N, g) of every period cause by each node of a cell, and what comes early.
+
+        What periods add to an error alone hardly turns from one to the next, so some are merged; to a whole
+        loop state it does.
+        """
+        q, (N, n) = self.feedback.nodes_per_cell, (len(self.closed.F), self.system.n)
+        sets, order = [Zonotope(np.zeros(N), np.zeros((N, 0)))], ORDER * n / N
+        blocks, together = self.powers[:q] @ once, 1 if self.system.ideal else min(TOGETHER, max(q // 2, 1))
         for i in range(1, q + 1):
-            parts.append(np.hstack([merged(blocks[:i], together), *early(i)]))
-        sets = [Zonotope(np.zeros(N), G) for G in parts]
-        order = ORDER * self.system.n / N
-        return Zonotope.stack([sets[0], *(z.reduce(order) for z in sets[1:])])
+            if n < N:
+                z = Zonotope(np.zeros(N), np.hstack([self.closed.F @ sets[-1].G, once]))
+                sets.append(z if z.order_count <= 2 * order * N else z.reduce(order))
+            else:
+                z = Zonotope(np.zeros(N), np.hstack([merged(blocks[:i], together), *early(i)]))
+                sets.append(z.reduce(order))
+        return Zonotope.stack(sets)
 
     @cached_property
     def held_rates(self) -> Array:
