@@ -233,17 +233,13 @@ class LinearSystem:
         spare = self.thrusters.part(self.u_max) - self.thrusters.part(np.minimum(most, self.u_max))
         return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
 
-    def command_error(self, gain: Array) -> Array:
-        """By how much a command may differ from what it would be on the exact state, shape (..., m)."""
-        return np.asarray(np.abs(gain) @ self.navigation)
-
     def input_error(self, gain: Array, most: Array) -> Array:
         """By how much what is applied may differ from what a law, clipped, would command on the exact state.
 
         Under commands up to `most`, shape (m,). Two clipped commands differ by no more than the commands do
         (docs/theory.md, Proposition 5).
         """
-        return np.asarray(self.command_error(gain) + self.thrusters.error(most))
+        return np.asarray(np.abs(gain) @ self.navigation + self.thrusters.error(most))
 
     def spent(self, most: Array) -> Array:
         """Bounds on what is applied, on average over time, under commands up to `most`, shape (..., m)."""

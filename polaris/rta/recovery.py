@@ -86,8 +86,7 @@ class Recovery:
     def matrix(self) -> Array:
         """``[row phi^l, what is booked per unit of norm(W e)]``, shape (L r, n + 1), lag by lag."""
         tracking = self.grid.tracking
-        carried = self.sets.table.carried[..., : self.grid.system.n]
-        booked = self.sets.table.bend.copy()
+        carried, booked = self.sets.table.carried[..., : tracking.system.n], self.sets.table.bend.copy()
         booked[:, : len(self._bent)] += self._bent * tracking.decay_before[:, None]
         booked += ROUNDING * np.abs(carried) @ np.linalg.norm(tracking.W_inverse, axis=1)
         out = np.concatenate([carried, booked[..., None]], axis=-1)

@@ -113,8 +113,8 @@ class ScheduleScenario(Scenario):
             return system
         period, timing = self.period(), (model.timing or Timing()).make("timing")
         if model.navigation is not None:
-            late = any(fault.build().isolation > 0 for fault in model.faults)
-            system = model.navigation.known(system, (self.steps, self.step), period, timing, late)
+            horizon, late = (self.steps, self.step), any(x.build().isolation > 0 for x in model.faults)
+            system = model.navigation.known(system, horizon, period, timing, late)
         return timed(system, timing, period, model.thrusters, limits)
 
     @kept

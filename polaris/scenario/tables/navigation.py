@@ -118,8 +118,7 @@ class Navigation(Estimate):
     ) -> LinearSystem:
         """The system with these errors of estimates.
 
-        `horizon` is the number of steps and their length [s], `period` a control period [s]; `late` says that
-        faults are isolated late.
+        `horizon` is the number of steps and their length [s]; `late` is True if faults are isolated late.
         """
         declared = self.build(system)
         if self.measurement is not None:
