@@ -117,7 +117,7 @@ def test_an_unclipped_controller_between_balls_verifies():
 # -- unsound ones do not ------------------------------------------------------------------------------
 
 
-def test_the_printed_ball_is_rejected_because_the_thrusters_saturate(few, monkeypatch):
+def test_the_printed_ball_is_rejected_because_the_thrusters_saturate(monkeypatch):
     take_printed_balls(monkeypatch)
     data = variant("recoverable.kind=ball", "tracking.R=[1.5,1.5]")
     assert 1 in data["modes"]

@@ -90,7 +90,7 @@ def test_flights_are_inside_the_sets_of_the_file_at_nodes_and_between(kind, tmp_
         assert np.all(along <= (np.maximum(high[:, :-1], high[:, 1:]) + bow + off)[..., None])
     last = np.abs(errors[:, -1, -1] - file["final_center_error"])
     assert np.all(last <= np.abs(file["final_generators"]).sum(axis=1) + 1e-9)
-    assert most > (0.5 if "carried" in kind else 0.02)
+    assert most > (0.4 if "carried" in kind else 0.02)  # of what is carried at the start, too
 
 
 def between(runs, schedule, parts):

@@ -46,6 +46,7 @@ def test_no_frequency_exceeds_the_peak_of_a_response(seed):
     checked = pytest.importorskip("polaris.certificate.claims.spending")
     found = checked.peak([flint.arb(x) for x in response])
     assert float(found.mid()) == pytest.approx(peak(response), rel=1e-9)
+    assert checked.peak([flint.arb(0, 1e-20)]) < 1e-19  # which may be zero
 
 
 @pytest.mark.parametrize("errors", [SAMPLED, NOISY, WEAK, CARRIED], ids=["none", "estimate", "made", "left"])

@@ -65,8 +65,9 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
     """
     safety, nodes = schedule.safety, Zonotope.stack([step.tube.nodes for step in schedule.steps])
     system, final = safety.problem.system, safety.tracking.error(schedule.final)
+    away = safety.tracking.left_out
     single, most = nodes.G.astype(np.float32), np.float32(np.inf)
-    off = (np.abs(nodes.G - single).sum(axis=-1) + system.displaced_at_nodes).astype(np.float32)
+    off = (np.abs(nodes.G - single).sum(axis=-1) + away).astype(np.float32)
     box = np.nextafter(off, most)[..., None] * np.eye(nodes.dim, dtype=np.float32)
     q = safety.tracking.feedback.nodes_per_cell
     return {
@@ -75,11 +76,9 @@ def tube_arrays(schedule: Schedule) -> dict[str, Any]:
         "center": nodes.c + safety.reference.fine(q)[: len(nodes.c)],
         "center_error": nodes.c,
         "generators": np.concatenate([single, box], axis=-1).transpose(1, 3, 0, 2),
-        "bow": np.stack([step.tube.bow for step in schedule.steps])
-        + system.displaced
-        - system.displaced_at_nodes,
+        "bow": np.stack([step.tube.bow for step in schedule.steps]) + (system.timing.pulsed or 0.0),
         "final_center_error": final.c,
-        "final_generators": np.hstack([final.G, np.diag(system.displaced_at_nodes)]),
+        "final_generators": np.hstack([final.G, np.diag(away)]),
     }
 
 

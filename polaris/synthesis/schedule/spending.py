@@ -86,8 +86,8 @@ def together(run: Sequence[Spell], count: int) -> float:
     for channel in closed.loop.channels:  # but for errors of estimates and of inputs
         if channel.noise is None and channel.name != THRUSTERS:
             base[1:] += np.cumsum(closed.gains(channel, rows[:-1]) @ channel.size, axis=0)
-    seen, wrong = (_answered(-rows[:-1] @ way) for way in (closed.loop.held, closed.loop.made))
-    rest = np.abs(rows[:-1]).sum(axis=0) @ closed.loop.uneven
+    seen, wrong = (_answered(-rows @ way) for way in (closed.loop.held, closed.loop.made))
+    rest = np.abs(rows).sum(axis=0) @ closed.loop.uneven
     size, off = (np.sqrt(count * np.sum(each**2, axis=0)) for each in (known, made))
     if system.timing.carried:  # what is commanded, and the errors of what is made of it
         told, more = seen[1] @ size + (wrong[0] + rest) @ off, made.sum()

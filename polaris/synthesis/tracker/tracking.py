@@ -101,6 +101,12 @@ class Tracking(Contraction):
         away = (system.carried_away + along) * (1 + ROUNDING)
         return np.asarray(away if remembers(system) else 0 * away)
 
+    @property
+    def left_out(self) -> Array:
+        """Largest distance at nodes of a true state from the one that sets of the loop hold, shape (n,)."""
+        states = self.system.carried_away if remembers(self.system) else 0.0
+        return np.asarray(self.system.displaced_at_nodes - states + self.loop.offset_at_nodes)
+
     def whole_state(self, sets: Zonotope, others: Array | None = None) -> Zonotope:
         """Return sets of the loop state that hold sets of the tracking error, all else within bounds.
 
@@ -109,12 +115,14 @@ class Tracking(Contraction):
         sets : Zonotope
             Of dimension n, or N: these are returned as they are.
         others : ndarray, shape (N - n,), optional
-            Bounds on the other loop states; those whatever law has flown without them.
+            Bounds on the other loop states at the start of a flight. Without them those count that there may
+            be whatever law has flown, and errors are those of true states.
         """
         n, N = self.system.n, self.loop.N
         if sets.dim == N:
             return sets
-        box = np.concatenate([self.displaced, self.remembered if others is None else others])
+        known = (self.displaced, self.remembered) if others is None else (0 * self.displaced, others)
+        box = np.concatenate(known)
         batch, g = sets.batch, sets.G.shape[-1]
         c, G = np.zeros((*batch, N)), np.zeros((*batch, N, g + N))
         c[..., :n], G[..., :n, :g], G[..., np.arange(N), g + np.arange(N)] = sets.c, sets.G, box
