@@ -138,7 +138,7 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
     tracking, K, q = safety.tracking, safety.problem.K, safety.tracking.feedback.nodes_per_cell
     unsafe = safety.clearance.unsafe
     hand_overs = HandOvers(tracking, unsafe, K)
-    sets = reached_sets([schedule.controllers[1]] * K, safety.start)
+    sets = reached_sets([schedule.controllers[1]] * K, safety.start, safety.controller)
     for handed in (sets[0], sets[K // 2]):
         for body, found in zip(unsafe, hand_overs.since(handed), strict=True):
             rows = -body.normals @ safety.problem.system.position

@@ -20,7 +20,7 @@ from polaris.certificate.kernel.zonotopes import Merging, Zonotope
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
 from polaris.planning.reference import Reference
-from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, flown
 from polaris.synthesis.tracker.feedback import Feedback
 from reach.sets.zonotope import Zonotope as Box
 from tests.polaris.test_hand_over import PARTS, H, hold, stated, tracking
@@ -327,3 +327,20 @@ def test_sets_of_a_linear_law_are_reached(number):
         spread = bound - rows @ np.array([float(x.mid()) for x in z.c.entries()])
         tight.append(((bound - reached) / np.maximum(spread, SMALL)).max())
     assert max(tight) < TIGHT
+
+
+def test_a_law_that_flies_true_errors_carries_all_else_beside_them():
+    """Any thrust, from loop states: projections hold those of the loop, and what is carried lies between."""
+    made = scene(True, **CASES[4])
+    law = made.law
+    s, path = law.tracking, law.reference
+    start = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
+    safe = AffineController("safety", s.system, s.gain, path, path, s)
+    tube = flown(AnyThrust("any", s.system, path, s), start, 0, safe)
+    alone = AnyThrust("any", s.system, path, s).fly(s.true_error(start), 0)
+    assert tube.end.dim == start.dim > 4 and tube.nodes.dim == 4
+    assert np.all(s.displaced > 0) and np.all(s.displaced[2:] > 1e-3)
+    np.testing.assert_allclose(tube.nodes.half_widths, alone.nodes.half_widths + s.displaced, rtol=1e-12)
+    others = safe.idle.powers[-1][4:, 4:] @ start.G[4:]
+    assert np.all(tube.states.half_widths[-1, 4:] >= np.abs(others).sum(axis=1) * (1 - 1e-12))
+    assert flown(safe, start, 0, safe).end.dim == start.dim

@@ -176,6 +176,11 @@ class AffineController(AffineLaw):
         segment = TubeSegment(states, bow + rounding, end.reduce(order), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
+    @cached_property
+    def idle(self) -> "AffineController":
+        """A law that feeds nothing back: loop states beside the error move under any law as under this."""
+        return replace(self, name="idle", gain=0 * self.gain, _levels={})
+
     def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
         """The same law beside another safe reference; one that shares the safe reference shares that one."""
         own = reference if self.own is self.reference else self.own
@@ -259,12 +264,20 @@ class AnyThrust:
         return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
-def beside_errors(tube: TubeSegment, start: Zonotope, idle: AffineLaw) -> TubeSegment:
+def flown(law: Controller, start: Zonotope, k: int, s: AffineController) -> TubeSegment:
+    """Return the tube of a controller over step k from loop states; `s` is the safety controller."""
+    if isinstance(law, AffineController):
+        return law.fly(start, k)
+    return beside_errors(law.fly(s.tracking.true_error(start), k), start, s)
+
+
+def beside_errors(tube: TubeSegment, start: Zonotope, s: AffineController) -> TubeSegment:
     """Return a tube of true errors with the other loop states, which move by themselves from `start` on."""
-    away, n = idle.tracking.displaced, idle.system.n
-    first = Zonotope(start.c[n:], start.G[n:])
+    if tube.end.dim == start.dim:
+        return tube
+    idle, n, away = s.idle, s.system.n, s.tracking.displaced
     caused = Zonotope(idle.disturbance.c[:, n:], idle.disturbance.G[:, n:])
-    others = idle.powers[:, n:, n:] @ first + caused
+    others = idle.powers[:, n:, n:] @ Zonotope(start.c[n:], start.G[n:]) + caused
 
     def joined(errors: Zonotope, others: Zonotope) -> Zonotope:
         errors = errors.inflate(away) if np.any(away) else errors

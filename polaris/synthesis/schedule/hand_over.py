@@ -12,7 +12,7 @@ from reach.sets.zonotope import Zonotope
 from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array
 from ...planning.reference import Reference
-from ..controllers.controllers import Controller
+from ..controllers.controllers import AffineController, Controller, flown
 from ..safety.carried_rows import CarriedRows
 from ..safety.clearance import facet_room
 from ..safety.demand import Scheduled
@@ -97,9 +97,12 @@ class HandOvers:
         return found
 
 
-def reached_sets(laws: Sequence[Controller], start: Zonotope) -> list[Zonotope]:
-    """Return the sets of errors at the start of every step and after the last one, one law flying each."""
+def reached_sets(laws: Sequence[Controller], start: Zonotope, s: AffineController) -> list[Zonotope]:
+    """Return the loop states at the start of every step and after the last one, one law flying each.
+
+    `s` is the safety controller.
+    """
     found = [start]
     for k, law in enumerate(laws):
-        found.append(law.fly(found[-1], k).end)
+        found.append(flown(law, found[-1], k, s).end)
     return found

@@ -25,7 +25,7 @@ from ...planning.recheck import certified
 from ...planning.reference import Reference
 from ...planning.rows import Key, Rows
 from ...planning.search import Candidate, Seen
-from ..controllers.controllers import AffineController, Controller, construct_s
+from ..controllers.controllers import AffineController, Controller, construct_s, flown
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
 from ..safety.carried_rows import error_tube
@@ -93,14 +93,14 @@ class Windows:
     def __init__(self, printed: Schedule, law: AffineController, mode: int, worth: Worth) -> None:
         self.safety, self.law, self.mode, self.worth = printed.safety, law, mode, worth
         safety, problem = printed.safety, printed.safety.problem
-        tracking, system, self.K = safety.tracking, problem.system, problem.K
+        tracking, system, self.K, s = safety.tracking, problem.system, problem.K, safety.controller
         sets, tail = safety.clearance.unsafe, safety.reference.cells - problem.K
         self.renewed = not system.ideal and any(body.keep_in for body in sets)
         self.hand_overs = HandOvers(tracking, sets, problem.K)
-        handed = reached_sets([law.along(law.own, tracking)] * problem.K, safety.start)
+        handed = reached_sets([law.along(law.own, tracking)] * problem.K, safety.start, s)
         if self.renewed:
-            settled = reached_sets([safety.controller] * min(SETTLED, problem.K), safety.start)[-1]
-            handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled)
+            settled = reached_sets([s] * min(SETTLED, problem.K), safety.start, s)[-1]
+            handed += reached_sets([law.along(law.own, tracking)] * problem.K, settled, s)
         self.tables, self.caused = self.hand_overs.tables(handed), self.hand_overs.caused(law.own)
         self.fades = system.ideal
         # Coasting after T that is proven safe along the printed reference shall stay so.
@@ -248,7 +248,7 @@ class Windows:
         else:
             reference = schedule.safety.reference
             laws = schedule.controllers[0], schedule.controllers[self.mode]
-        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start)
+        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
         for i, (need, lack) in enumerate(parts):
@@ -262,7 +262,7 @@ class Windows:
         lacking = np.zeros((len(names), self.K, 1))
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
-                tube = schedule.controllers[intended[k]].fly(reached, k)
+                tube = flown(schedule.controllers[intended[k]], reached, k, safety.controller)
                 margin = safety.recoverable.margin(k, tube.states, tube.bow)
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)

@@ -16,7 +16,6 @@ from ..safety.attempts import Clock
 from ..safety.get_safety import Safety
 from ..safety.passive import clear
 from ..safety.problem import Problem
-from ..tracker.affine_law import AffineLaw
 from .look_ahead import SAFETY, LookAhead
 from .rules import SwitchingRules
 from .same_system import check_controller, check_safety, check_segment
@@ -139,8 +138,7 @@ class Search:
         known = start if isinstance(controller, AffineController) else tracking.true_error(start)
         flown = controller.fly(known, k, *([self._before(start)] if recalls else []))  # GetReach
         tube = check_segment(controller, known, flown, self.safety)
-        if tube.end.dim < start.dim:
-            tube = beside_errors(tube, start, self._idle)
+        tube = beside_errors(tube, start, self.safety.controller)
         self.came[tube.end] = start, mode
         if mode == SAFETY:
             return tube  # S stays safe from where it took over
@@ -158,12 +156,6 @@ class Search:
             reached, mode = self.came[reached]
             found.insert(0, (self.safety.tracking.true_error(reached), self.controllers[mode]))
         return found
-
-    @cached_property
-    def _idle(self) -> AffineLaw:
-        """A law that feeds nothing back: loop states beside the error move under any law as under this."""
-        tracking, path = self.safety.tracking, self.safety.reference
-        return AffineLaw("idle", tracking.system, 0 * tracking.gain, path, path, tracking)
 
     @cached_property
     def planned(self) -> tuple[int, ...]:
