@@ -20,7 +20,7 @@ from polaris.certificate.kernel.zonotopes import Merging, Zonotope
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
 from polaris.planning.reference import Reference
-from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, flown
+from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, fly_states
 from polaris.synthesis.tracker.feedback import Feedback
 from reach.sets.zonotope import Zonotope as Box
 from tests.polaris.test_hand_over import PARTS, H, hold, stated, tracking
@@ -336,11 +336,11 @@ def test_a_law_that_flies_true_errors_carries_all_else_beside_them():
     s, path = law.tracking, law.reference
     start = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
     safe = AffineController("safety", s.system, s.gain, path, path, s)
-    tube = flown(AnyThrust("any", s.system, path, s), start, 0, safe)
+    tube = fly_states(AnyThrust("any", s.system, path, s), start, 0, safe)
     alone = AnyThrust("any", s.system, path, s).fly(s.true_error(start), 0)
     assert tube.end.dim == start.dim > 4 and tube.nodes.dim == 4
     assert np.all(s.displaced > 0) and np.all(s.displaced[2:] > 1e-3)
     np.testing.assert_allclose(tube.nodes.half_widths, alone.nodes.half_widths + s.displaced, rtol=1e-12)
     others = safe.idle.powers[-1][4:, 4:] @ start.G[4:]
     assert np.all(tube.states.half_widths[-1, 4:] >= np.abs(others).sum(axis=1) * (1 - 1e-12))
-    assert flown(safe, start, 0, safe).end.dim == start.dim
+    assert fly_states(safe, start, 0, safe).end.dim == start.dim

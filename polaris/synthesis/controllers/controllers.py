@@ -264,7 +264,7 @@ class AnyThrust:
         return TubeSegment(stack, bow, nodes[-1].inflate(self.reference.rounding[k]).reduce(ORDER))
 
 
-def flown(law: Controller, start: Zonotope, k: int, s: AffineController) -> TubeSegment:
+def fly_states(law: Controller, start: Zonotope, k: int, s: AffineController) -> TubeSegment:
     """Return the tube of a controller over step k from loop states; `s` is the safety controller."""
     if isinstance(law, AffineController):
         return law.fly(start, k)

@@ -12,7 +12,7 @@ from reach.sets.zonotope import Zonotope
 from ...model.scene.timed_polytope import TimedPolytope
 from ...model.system import Array
 from ...planning.reference import Reference
-from ..controllers.controllers import AffineController, Controller, flown
+from ..controllers.controllers import AffineController, Controller, fly_states
 from ..safety.carried_rows import CarriedRows
 from ..safety.clearance import facet_room
 from ..safety.demand import Scheduled
@@ -104,5 +104,5 @@ def reached_sets(laws: Sequence[Controller], start: Zonotope, s: AffineControlle
     """
     found = [start]
     for k, law in enumerate(laws):
-        found.append(flown(law, found[-1], k, s).end)
+        found.append(fly_states(law, found[-1], k, s).end)
     return found

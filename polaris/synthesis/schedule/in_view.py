@@ -25,7 +25,7 @@ from ...planning.recheck import certified
 from ...planning.reference import Reference
 from ...planning.rows import Key, Rows
 from ...planning.search import Candidate, Seen
-from ..controllers.controllers import AffineController, Controller, construct_s, flown
+from ..controllers.controllers import AffineController, Controller, construct_s, fly_states
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
 from ..safety.carried_rows import error_tube
@@ -262,7 +262,7 @@ class Windows:
         lacking = np.zeros((len(names), self.K, 1))
         for k, step in enumerate(schedule.steps):
             if step.mode == 0 and intended[k]:
-                tube = flown(schedule.controllers[intended[k]], reached, k, safety.controller)
+                tube = fly_states(schedule.controllers[intended[k]], reached, k, safety.controller)
                 margin = safety.recoverable.margin(k, tube.states, tube.bow)
                 if not margin.inside and margin.limit in names:
                     cell = min(int(margin.time / safety.problem.delta), self.K - 1)
