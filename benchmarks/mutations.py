@@ -68,7 +68,7 @@ synthesis/schedule/takeover.py
 synthesis/schedule/arrival.py
 - np.maximum(at[:-1], at[1:]).sum()
 + at[1:].sum()
-! test_arrival.py::test_untouched_they_are_verified
+! test_arrival.py::test_the_velocity_change_goes_on_for_as_long_as_s_corrects
 synthesis/schedule/takeover.py
 - + tracking.upset(rows)[-1]
 + + 0 * tracking.upset(rows)[-1]

@@ -31,7 +31,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.safety.problem import require_velocities
-from polaris.synthesis.schedule.arrival import _correcting, _needs, arrival, spare
+from polaris.synthesis.schedule.arrival import _commanded, _correcting, _needs, arrival, spare
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
@@ -162,6 +162,11 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     )
     spent = [_correcting(safety, ((final, 0),), nodes, after) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
+    most, system = _commanded(safety, ((final, 0),), 1), safety.problem.system
+    ends = system.spent(np.minimum(most, system.u_max)).sum(axis=1)
+    once = _correcting(safety, ((final, 0),), 1, after) * system.mass / safety.tracking.flow.h
+    assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends
+    assert ends[0] > ends[1] * 1.001
     assert spent[2] - spent[1] == pytest.approx(spent[3] - spent[2], rel=1e-9)
     assert spent[2] > spent[1]
 
