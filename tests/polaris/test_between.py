@@ -31,7 +31,7 @@ def forger(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def derived(forger):
-    """What the checker derives of the honest run, by name; of aborts lists over steps that have one."""
+    """Figures that the checker derives of the honest run, by name; lists over steps for aborts."""
     known = {"before": [], "abort": [], "off": []}
     no_less, affords, distance = Arrival.no_less, Along.affords, Along.distance
 

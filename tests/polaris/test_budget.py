@@ -24,7 +24,7 @@ def under(scenario, budget):
 
 
 def judge(scenario, free):
-    """What becomes of a scene under budgets just above and below what it is proven to keep without one."""
+    """Outcomes of a scene under budgets just above and below what it is proven to keep without one."""
     kept = free.spent * (1 + CHECKED)
     same, _ = under(scenario, kept * (1 + 1e-9))
     assert same is not None and same.modes.tolist() == free.modes.tolist()

@@ -257,7 +257,7 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     schedule = magnified()
     law, start = schedule.controllers[1], schedule.safety.start
     told = law.fly(start, 0)
-    assert all(np.all(np.frombuffer(kept) <= law.system.u_max) for _, kept in law._levels)
+    assert all(np.all(np.frombuffer(kept) <= law.system.u_max) for kept, _ in law._levels)
     levels, ends = list(law._levels.values()), [replace(law, most=1e-9 * law.system.u_max), law]
     least, most = (each.disturbance[-1].half_widths for each in ends)
     sizes = [each.disturbance[-1].half_widths for each in levels]
@@ -271,7 +271,7 @@ def test_s_has_the_errors_of_all_that_it_may_command_where_its_tube_is_wide():
     schedule = magnified()
     law, start = schedule.safety.controller, schedule.safety.start
     wide = Zonotope(start.c, 100 * np.eye(len(start.c)))
-    widest, _ = law._like(most=law.system.u_max)._flown(wide, 0)
+    widest, _ = law._like(law.system.u_max, None)._flown(wide, 0)
     assert widest.refused
     assert np.array_equal(law.fly(wide, 0).nodes.half_widths, widest.nodes.half_widths)
 

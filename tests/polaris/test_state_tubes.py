@@ -105,7 +105,7 @@ class Scene:
         return AffineController("own", self.system, self.gain, *paths, s, self.clips)
 
     def synthesised(self):
-        """The same of the synthesis, as its controllers make them."""
+        """Loop states at the nodes of all steps, as the controllers of the synthesis make them."""
         law = self.law
         reached, found = self.s.whole_state(Box(np.zeros(4), INITIAL), self.s.at_start), []
         for k in range(K):
@@ -292,6 +292,33 @@ def test_noise_that_takes_one_input_beyond_its_limit_is_cut_there_alone():
     assert np.all(np.abs(rows @ seen).sum(axis=1) <= boxed * (1 + 1e-12))
     once, free = law.disturbance_if_cut[1].support(rows), law.disturbance[1].support(rows)
     assert np.all(once >= boxed) and np.any(once > free * 1.01)
+
+
+@pytest.mark.parametrize(
+    "number", range(len(CASES)), ids=lambda i: "-".join(map(str, CASES[i])) or "estimate"
+)
+def test_flights_lie_in_the_tubes_of_any_thrust_and_of_a_law_after_it(number):
+    """Any commands within the limits, first as errors with the rest beside them, then in the loop again."""
+    made, rng = scene(True, **CASES[number]), np.random.default_rng(number)
+    law, bounds, reach = made.law, [], []
+    s, path = law.tracking, law.reference
+    safe = AffineController("safety", s.system, s.gain, path, path, s)
+    z = s.whole_state(Box(np.zeros(4), INITIAL), s.at_start)
+    N = z.dim
+    rows = np.vstack([np.eye(N), -np.eye(N), rng.normal(size=(60, N)) / np.maximum(z.half_widths, 1e-3)])
+    for k, flying in enumerate(
+        [AnyThrust("any", s.system, path, s), law, AnyThrust("any", s.system, path, s)]
+    ):
+        tube = fly_states(flying, z, k, safe)
+        bounds += [tube.states[i].support(rows) for i in range(Q)]
+        z = tube.end
+    bounds.append(z.support(rows))
+    for _ in range(12):
+        flown, _ = made.fly(*made.by_chance(rng))
+        for i, (state, bound) in enumerate(zip(flown, bounds, strict=True)):
+            assert np.all(state @ rows.T <= bound + 1e-9), i
+            reach.append(((state @ rows.T) / np.maximum(np.abs(bound), 1e-9)).max())
+    assert max(reach) > 0.4
 
 
 def attained(made, rows):

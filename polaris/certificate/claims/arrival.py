@@ -69,8 +69,8 @@ class Arrival:
             raise Rejected("goal", "velocities count as a length exactly where the goal asks for some")
         if rows.seconds is not None:
             off = rows.seconds * SAME - abs(rows.seconds - seconds)
-            told = f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
-            require("goal", off, told)
+            reason = f"velocities count as the length of {plain(rows.seconds)} s, not {seconds} s"
+            require("goal", off, reason)
         nodes = [self.node_at(by)] if by is not None else self._likely(rows, needs, claim)
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
@@ -86,8 +86,8 @@ class Arrival:
             except (Rejected, Undecided) as error:
                 refusals.append(error)
             else:
-                told = f"reached by {by:.6g} s" if reached else "not claimed to be reached"
-                return f"{told}, within {claim['distance_m']:.4g} m"
+                outcome = f"reached by {by:.6g} s" if reached else "not claimed to be reached"
+                return f"{outcome}, within {claim['distance_m']:.4g} m"
         raise refusals[0]
 
     def keeps(self, claim: dict[str, Any], budget: float) -> str:
@@ -135,13 +135,13 @@ class Arrival:
     def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
         """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
         final, claimed = self.held[-1][0], claim["distance_m"]
-        most = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK)
+        limit = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK)
         size, found = final.size(), list[tuple[float, int]]()
         far = 1
-        while far < self._last and not self.spent + self.correcting(far) > most:
+        while far < self._last and not self.spent + self.correcting(far) > limit:
             far *= 2
         every = range(min(far, self._last) + 1)
-        late = bisect_right(every, most, key=lambda node: self.spent + self.correcting(node))
+        late = bisect_right(every, limit, key=lambda node: self.spent + self.correcting(node))
         for node in every[: max(late, 1)]:
             lag = min(node, self.flight.tracker.memory.periods)
             middle = rows.over(self._state(node))

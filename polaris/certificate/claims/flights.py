@@ -39,12 +39,12 @@ from .drift import Departures
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a law commands in a period about a base arc: its input and ``c + K z + v``, v held."""
+    """Command of a law in a period: the input of a base arc, and ``c + K z + v`` with v held."""
 
     K: arb_mat
     c: arb_mat
     v: list[Push]  # of the inputs
-    most: list[arb]  # bounds on |u|, of a law that does not clip at the limits too
+    bounds: list[arb]  # on |u|, at most the thrust limits
     linear: bool = False  # neither clipped in this step nor enclosed
 
 
@@ -90,10 +90,10 @@ class Pilot:
 
     def unseen(self, k: int, before: Sequence[list[arb]]) -> list[arb]:
         """Bounds on errors of estimates in step k beyond those of the loop, from commands earlier in it."""
-        lag, most = self.craft.lag, self.plant.u_max
+        lag, commands = self.craft.lag, self.plant.u_max
         if 0 < lag <= len(before):
-            most = [largest(each) for each in zip(*before[-lag:], strict=True)]
-        return sums(self.craft.extra(self.document, k), self.craft.lagged(most))
+            commands = [largest(each) for each in zip(*before[-lag:], strict=True)]
+        return sums(self.craft.extra(self.document, k), self.craft.lagged(commands))
 
     def period(
         self, z: Zonotope, base: Arc, k: int, i: int, before: Sequence[list[arb]] = ()
@@ -107,7 +107,7 @@ class Pilot:
         answer = self.answer(z, base, k, i, more)
         g = plant.B * answer.c
         v, noise = answer.v, craft.noise(more)
-        error = pushed = plant.thruster_error(answer.most)
+        error = pushed = plant.thruster_error(answer.bounds)
         if answer.linear and not craft.box and any(x > 0 for x in error):
             v, pushed = [], sums(noise, error)  # both enter as inputs alone: fewer generators
         if self.law.kind == "any_thrust":  # which need not be held
@@ -121,13 +121,13 @@ class Pilot:
             g,
             [*held, *craft.added(pushed)],
             [*v, *plant.push(pushed)],
-            answer.most,
+            answer.bounds,
         )
         errors = (noise, error) if answer.linear and not plant.jitter else ()
-        return period, Spell(plant.spent(answer.most), base.u + answer.c + answer.K * z.c, errors)
+        return period, Spell(plant.spent(answer.bounds), base.u + answer.c + answer.K * z.c, errors)
 
     def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:
-        """What it commands from a set, estimates being off by some more than in the loop."""
+        """Enclose the command from a set; errors of estimates exceed those of the loop by `more` (n)."""
         craft, plant, u, kind = self.craft, self.plant, base.u, self.law.kind
         n, states, tops = plant.A.nrows(), craft.free.nrows(), plant.u_max
         if kind == "any_thrust":
@@ -137,18 +137,19 @@ class Pilot:
         if kind == "neural":
             read, rest = self.policy.known(base, k, i)
             command = self.policy.command(z.image(craft.sees), read, beside(rest, self.policy.reads * spread))
-            most = [smallest(pair) for pair in zip(tops, command.most, strict=True)]
-            return Answer(command.K * craft.sees, command.c - u, [Push.in_zonotope(plant.B, command.V)], most)
+            bounds = [smallest(pair) for pair in zip(tops, command.most, strict=True)]
+            held = [Push.in_zonotope(plant.B, command.V)]
+            return Answer(command.K * craft.sees, command.c - u, held, bounds)
         fit = self.document.fits[k] if kind == "black_box" else None
         if fit is not None:
             K, c = craft.whole(matrix([row[:n] for row in fit[i]])), column([row[n] for row in fit[i]])
             bands = [arb(row[n + 1]) for row in fit[i]]
             met = zip(tops, command_ranges(c, Directions(-K), z), bands, strict=True)
-            most = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in met]
-            return Answer(K, c - u, [Push.in_box(plant.B, bands)], most)
+            bounds = [smallest((top, largest((-lo, hi)) + band)) for top, (lo, hi), band in met]
+            return Answer(K, c - u, [Push.in_box(plant.B, bands)], bounds)
         ranges, noise = command_ranges(u, self.fed, z), craft.noise(more)
         sizes = list(zip(ranges, tops, noise, strict=True))
-        most = [smallest((top, (largest((-lo, hi)) + off).upper())) for (lo, hi), top, off in sizes]
+        bounds = [smallest((top, (largest((-lo, hi)) + off).upper())) for (lo, hi), top, off in sizes]
         inside = kind == "safety" or all(max(-lo, hi) <= top - off for (lo, hi), top, off in sizes)
         # What errors of estimates add to a command comes after the clip, which lets less of it through. The
         # safety controller keeps to the limits, as is shown of it elsewhere.
@@ -156,14 +157,14 @@ class Pilot:
             seen = -(craft.gain * spread)
             v = [Push.in_zonotope(plant.B, seen) if inside else Push.in_box(plant.B, noise)]
             linear = kind == "safety" or self.document.slopes[k] is None
-            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], most, linear)
+            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], bounds, linear)
         if kind == "affine":
             told = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
             raise Rejected("controllers", told)
         step = self.document.slopes[k]
         slopes, known, bands = _clipped(ranges, tops, u, None if step is None else step[i])
         v = [Push.in_box(plant.B, sums(bands, noise))]
-        return Answer(-scaled(slopes, craft.commands), known, v, most)
+        return Answer(-scaled(slopes, craft.commands), known, v, bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +206,7 @@ def fly(
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
         period, spell = pilot.period(z, base, k, i, since)
-        since.append(period.most)
+        since.append(period.bounds)
         spells.append(spell)
         end = period.ends(z)
         if departures is not None:

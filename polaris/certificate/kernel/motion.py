@@ -95,7 +95,7 @@ class Plant:
         return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
 
     def disturbances(self, error: list[arb]) -> list[Push]:
-        """What disturbs: w, what is carried, and errors of the inputs up to some sizes."""
+        """Return the pushes of w, of carried impulses, and of errors of the inputs up to some sizes."""
         return [self.disturbance, *self.carry, *self.push(error)]
 
     def thruster_error(self, most: Sequence[arb]) -> list[arb]:

@@ -22,10 +22,10 @@ class Period:
     g: arb_mat
     added: list[arb_mat]
     pushes: list[Push]  # besides those of every period
-    most: list[arb]  # bounds on what is commanded
+    bounds: list[arb]  # on the commands
 
     def ends(self, z: Zonotope) -> Zonotope:
-        """Where the motion without uncertain inputs ends."""
+        """Return the set at the end of the period without uncertain inputs."""
         return z.image(self.F).moved(self.moved)
 
     def after(self, end: Zonotope) -> Zonotope:

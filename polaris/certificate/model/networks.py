@@ -147,7 +147,7 @@ class Policy:
         return read, rest
 
     def command(self, d: Zonotope, known: arb_mat, rest: arb_mat) -> Command:
-        """What it commands over a set of states relative to its reference, as it takes them to be."""
+        """Enclose the command over a set of estimated states relative to the reference."""
         M, c, V = self.reads, known, rest
         own, exact = self.rounding, self.layers[-1]
         off = [] if own is None else own.read(extent(M, c, V, d))

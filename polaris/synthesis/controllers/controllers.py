@@ -125,7 +125,7 @@ class AffineController(AffineLaw):
             return here._flown(start, k)[0]
         most = LEVELS[0] * self.system.u_max
         while True:
-            tube, commanded = here._like(most=most)._flown(start, k)
+            tube, commanded = here._like(most, here.off)._flown(start, k)
             if np.all(commanded <= most):
                 return tube
             above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
@@ -134,13 +134,12 @@ class AffineController(AffineLaw):
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
         more = self.tracking.step_errors
-        return self._like(off=more[min(k, len(more) - 1)]) if np.any(more) else self
+        return self._like(self.most, more[min(k, len(more) - 1)]) if np.any(more) else self
 
-    def _like(self, **known: Array) -> "AffineController":
-        """The same law while it commands no more than so much, or knows its state so well."""
-        ((name, value),) = known.items()
-        key = name, value.tobytes()
-        law = self._levels.get(key) or replace(self, **known, _levels={})  # type: ignore[arg-type]
+    def _like(self, most: Array | None, off: Array | None) -> "AffineController":
+        """Return the law, made once, with bounds on commands (m,) and on further estimate errors (n,)."""
+        key = tuple(b"" if bound is None else bound.tobytes() for bound in (most, off))
+        law = self._levels.get(key) or replace(self, most=most, off=off, _levels={})
         self._levels[key] = law
         assert isinstance(law, AffineController)
         return law

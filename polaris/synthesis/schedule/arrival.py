@@ -33,8 +33,8 @@ class Arrival:
     """
 
     reached: bool | str
-    """Whether every admissible flight meets the goal's conditions, within the tolerance less `CHECKED`, at
-    `by`, or ``"not_proven"``; False if not even the middle of the tube ever does."""
+    """True if every admissible flight meets the goal's conditions at `by`, within the tolerance less
+    `CHECKED`; else ``"not_proven"``, or False if not even the middle of the tube ever meets them."""
     by: float | None  # when [s]
     distance: float  # bound on how far a flight may be from the goal then, or at its best if not proven [m]
     tolerance: float

@@ -42,7 +42,7 @@ class AffineLaw:
     clips: bool = False
     most: Array | None = None
     off: Array | None = None
-    _levels: dict[tuple[str, bytes], "AffineLaw"] = field(default_factory=dict, repr=False)
+    _levels: dict[tuple[bytes, ...], "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         shape = (self.system.m, self.system.n)
@@ -100,7 +100,7 @@ class AffineLaw:
         return self.noise_after(None)
 
     def noise_after(self, before: Array | None) -> Array:
-        """Return the same where commands that channels remember are within a bound, shape (m,)."""
+        """Return `noise` where commands that channels remember are within a bound, shape (m,)."""
         each = (self.closed.noise(channel) @ size for channel, size in self.channels(before))
         return np.asarray(sum(each, np.zeros(self.system.m)))
 
@@ -116,14 +116,14 @@ class AffineLaw:
 
     @cached_property
     def disturbance_if_cut(self) -> Zonotope:
-        """The same if errors of estimates may take a command beyond the limits of some inputs."""
+        """`disturbance` where errors of estimates may take a command beyond the limits of some inputs."""
         return self._caused(self.added_clipped, lambda i: [])
 
     def _caused(self, once: Array, early: Callable[[int], list[Array]]) -> Zonotope:
-        """What generators (N, g) of every period cause by each node of a cell, and what comes early.
+        """Sum the additions of all periods, `once` (N, g) each, and `early` at every node of a cell.
 
-        What periods add to an error alone hardly turns from one to the next, so some are merged; to a whole
-        loop state it does.
+        Additions to the error alone hardly turn from one period to the next, so some periods are merged.
+        Additions to a whole loop state turn, and are not.
         """
         q, (N, n) = self.feedback.nodes_per_cell, (len(self.closed.F), self.system.n)
         sets, order = [Zonotope(np.zeros(N), np.zeros((N, 0)))], ORDER * n / N
@@ -149,9 +149,9 @@ class AffineLaw:
 
     @cached_property
     def added_clipped(self) -> Array:
-        """What the channels add in a period in which commands may be clipped, as generators, shape (N, g).
+        """Generators of the channels' addition in a period whose commands may be clipped, shape (N, g).
 
-        What estimates are off by comes after the clip, input by input, as that is no steeper than one.
+        Errors of estimates change a clipped command, input by input, by no more than an unclipped one.
         """
         channels, loop = self.channels(), self.closed.loop
         quiet = [(replace(c, noise=None), size) for c, size in channels]
@@ -160,7 +160,7 @@ class AffineLaw:
         return np.hstack(added)
 
     def _early(self, i: int) -> list[Array]:
-        """What commands before the cell add by node i to channels that remember them, as generators."""
+        """Generators, at node i, of what commands before the cell add to channels that remember them."""
         found = []
         for c in self.closed.loop.channels if self.most is not None else ():
             more = self.sizes(c, None) - self.sizes(c, self.most)
@@ -175,7 +175,7 @@ class AffineLaw:
         return self.own.fine(q)[:cells] - self.reference.fine(q)[:cells]
 
     def whole_offset(self, k: int) -> Array:
-        """The same as loop states at the nodes of one cell, shape (q+1, N)."""
+        """Return `offset` as loop states at the nodes of one cell, shape (q+1, N)."""
         return np.pad(self.offset[k], ((0, 0), (0, self.tracking.loop.N - self.system.n)))
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
@@ -195,7 +195,7 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
 
 
 def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array, Array]:
-    """What `clipped_step` makes of d but for the channels, ``phi d + known + push b``, and the slopes.
+    """Return the map of `clipped_step` without the channels, ``phi d + known + push b``, and the slopes.
 
     The clip is replaced by an affine band over the range of the command at the node, which is then held.
     """

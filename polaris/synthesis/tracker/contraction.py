@@ -124,5 +124,5 @@ class Contraction:
         return np.asarray(np.linalg.norm(rows @ self.W_inverse, axis=-1) + self.curvature(rows))
 
     def forgotten(self, rows: Array, radius: float) -> Array:
-        """What errors up to ``norm(W e) = radius`` still need along rows beyond the memory, shape (r,)."""
+        """Return the need of errors up to ``norm(W e) = radius`` along rows beyond the memory, shape (r,)."""
         return np.asarray(self.per_size(rows) * self.decay[-1] * radius)

@@ -174,7 +174,7 @@ class Loop:
 
     @property
     def uneven(self) -> Array:
-        """What errors of inputs add at most that differ from their means, per unit of the rms, shape (N, m).
+        """Bound on the effect of errors of inputs about their means, per unit of their rms, shape (N, m).
 
         The plant is moved by at most ``(h^2/2) |A| E |B|``; what the first part of a period adds enters in
         another way than the rest.

@@ -67,7 +67,7 @@ class Craft:
 
     @cached_property
     def held(self) -> arb_mat:
-        """What a unit of each input, held over a period, adds, shape (N, m)."""
+        """Map of inputs, held over a period, into the next loop state, shape (N, m)."""
         return self.lifted(self.motion.gamma * self.plant.B)
 
     @cached_property
@@ -112,7 +112,7 @@ class Craft:
         return beside(rows, arb_mat(rows.nrows(), missing)) if missing else rows
 
     def lifted(self, M: arb_mat) -> arb_mat:
-        """What is added to the error as what is added to the loop state: zeros below, if they are missing."""
+        """Return an addition to the error (n, .) as one to the loop state (N, .), with zeros below."""
         missing = self.free.nrows() - M.nrows()
         return above(M, arb_mat(missing, M.ncols())) if missing else M
 
@@ -153,13 +153,13 @@ class Craft:
 
     @cached_property
     def turned(self) -> arb_mat:
-        """What a constant unit of each input that no computer knows adds over a period, shape (N, m)."""
+        """Map of constant errors of inputs, unknown on board, into the next loop state, shape (N, m)."""
         each = [enters * motion.gamma * self.plant.B for enters, motion in self.spans]
         return sum(each[1:], each[0])
 
     @cached_property
     def uneven(self) -> arb_mat:
-        """What a unit of each input's error adds at most by being uneven over a period, shape (N, m).
+        """Bound on the effect of a unit of each input's error that varies within a period, shape (N, m).
 
         Of mean zero and a root mean square of one it moves the plant by at most ``(h^2/2) |A| E |B|``, and by
         ``h E |B|`` in the first part of the period, which enters in another way than the rest.
