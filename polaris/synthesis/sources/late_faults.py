@@ -1,95 +1,111 @@
-"""Boxes of what faults add to the states until they are isolated (docs/theory.md, Proposition 8 (a))."""
+"""Additions of faults to the loop state until they are isolated (docs/theory.md, Proposition 8)."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import ceil
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import expm
 
-from reach.numerics.linear import powers
-from reach.tubes.flow import LinearFlow
+from reach.numerics.linear import discretize, growth, powers
 
-from ...model.prediction import IN_PERIOD, forgetting, prediction_error, unseen_by
+from ...model.prediction import prediction_error
 from ...model.system import Array, LinearSystem
 from ...model.timing import WHOLE, Transient
 from ...model.tolerances import ROUNDING
+from ..tracker.loop import Loop, along
+from .source import remembers
 
 
-def moved(system: LinearSystem, fault: Transient, gain: Array, h: float, off: Array) -> Array:
-    """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
+def touched(seconds: float, h: float) -> int:
+    """Return the largest number of periods of h [s] that a time [s] touches which ends at a node."""
+    return ceil(seconds / h * (1 - WHOLE))
 
-    Every law answers with no more than its gain times the deviation, whatever clips it (Gronwall's
-    inequality); a network also with no more than twice the limits from the first node after the fault on, a
-    black box with that alone. What a delay hides counts as if it lasted longer. Periods are of h [s]; an
-    observer is misled by `off` (J, n) at most.
+
+def moved(system: LinearSystem, fault: Transient, gain: Array, loop: Loop) -> Array:
+    """Bound what wrong thrust adds to the loop state until S flies, whoever flies meanwhile, shape (J, N).
+
+    One row for each kind of wrong thrust. Where a box stands for estimates, commands that do not know of it
+    go on for as long as estimates are late.
     """
-    most, given = np.maximum(fault.gains, np.abs(gain)), (fault.pushes, off)
-    found, later = _spread(system, fault.lasts, h, most, given), h * (ceil(fault.lasts / h * (1 - WHOLE)) - 1)
-    if later > 0 and (fault.asked or fault.networks is not None):
-        found = found + _spread(system, later, h, most, (2 * system.u_max[None], 0 * off[:1]))
-    if fault.networks is not None and not fault.asked:
-        steep = np.maximum(most, fault.networks)
-        found = np.minimum(found, _spread(system, fault.lasts, h, steep, given))
+    lasting = touched(fault.lasts, loop.h)
+    pushed = [fault.lasts - (lasting - 1) * loop.h] + [loop.h] * (lasting - 1)
+    late = 0 if remembers(system) else _late(system, loop.h)
+    found = _added(system, fault, loop, pushed + [0.0] * late, gain)[lasting:].max(axis=0)
     if fault.after > 0:  # meanwhile nobody's answer counts
-        found = np.maximum(found, _spread(system, fault.lasts + fault.after, h, 0 * most, given))
-    return np.asarray(found)
+        longer = pushed + [loop.h] * touched(fault.after, loop.h)
+        found = np.maximum(found, _added(system, fault, loop, longer)[-1])
+    return found
 
 
 def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
-    """What wrong thrust may add to states by the time that predictions know of it, shape (n,)."""
-    ended = (replace(fault, lasts=0.0) for fault in system.transients if len(fault.thrust))
-    found = (moved(system, fault, gain, h, np.zeros((1, system.n))).max(axis=0) for fault in ended)
+    """Bound what wrong thrust adds to the states by the time that predictions know of it, shape (n,)."""
+    loop, pushed = Loop.of(system.A, system.B, h), [h] * _late(system, h)
+    faults = (fault for fault in system.transients if len(fault.thrust))
+    found = (_added(system, fault, loop, pushed, gain)[-1].max(axis=0) for fault in faults)
     return np.asarray(np.max([np.zeros(system.n), *found], axis=0))
 
 
-def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, given: tuple[Array, Array]) -> Array:
-    """The same under laws with gains up to these; `given` is how far inputs (J, m) and estimates are off."""
-    (wrong, off), timing, thrusters, n = given, system.timing, system.thrusters, system.n
-    late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed)
-    answer = np.eye(system.m) * (1 + thrusters.along) + thrusters.across
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n] = np.abs(system.A) + np.abs(system.B) @ answer @ gains
-    block[:n, n:] = np.eye(n)
-    spread = expm(block * (lasts + late))[:n, n:] @ np.abs(system.B)
-    return np.asarray((wrong + thrusters.part(wrong) + off @ gains.T @ answer.T) @ spread.T * (1 + ROUNDING))
+def _late(system: LinearSystem, h: float) -> int:
+    """Return how many periods before a command what was added in them may be unknown."""
+    return touched(system.timing.delay, h) + system.timing.missed
 
 
-def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Array:
-    """How far estimates are off because an observer does not know of a fault, shape (J, count, n).
+def _added(
+    system: LinearSystem, fault: Transient, loop: Loop, pushed: list[float], gain: Array | None = None
+) -> Array:
+    """Bound what a fault has added to the loop state by the end of each period, shape (periods + 1, J, N).
 
-    From the node on at which S flies because of it and no command is older, period by period, or ever after;
-    the first row holds before, too (docs/theory.md, Proposition 8 (c)).
+    Parameters
+    ----------
+    pushed : list of float
+        For how long [s] thrust is wrong in each period, up to its end.
+    gain : ndarray, shape (m, n), optional
+        Of S. Every law answers with no more than the largest gain times what it sees, and with no more than
+        twice the limits; a network also with its derivative, a black box with the limits alone. Without it
+        nobody answers.
     """
-    observer, timing, n, first = system.observer, system.timing, system.n, np.zeros(system.n)
-    if observer is None:
-        return np.zeros((max(len(fault.pushes), 1), count, n))
-    loop, last, more = forgetting(system, observer, h)
-    off = abs(timing.delay - h * round(timing.delay / h)) > WHOLE * h  # measurements are not those of nodes
-    lasting = ceil(fault.lasts / h * (1 - WHOLE)) + off if len(fault.thrust) else 1
-    left = powers(loop, count + more + lasting - 1) @ observer.rest
-    if len(fault.thrust):
-        flow = LinearFlow.continuous(system.A, system.D, system.w_max, h / IN_PERIOD)
-        gains = flow.input_gains(left.reshape(-1, n), system.B, IN_PERIOD).sum(axis=0)
-        wrong = fault.pushes + system.thrusters.part(fault.pushes)
-        each = np.einsum("lnm,jm->jln", gains.reshape(-1, n, system.m), wrong)
-        first = wrong @ unseen_by(system, timing.delay).T
-    else:
-        known = system.measured + system.displaced
-        worst = system.thrusters.error(system.u_max)
-        each = (np.abs(left) @ prediction_error(system, known, worst, fault.lasts + h))[None]
-    found = sliding_window_view(each, lasting, axis=1).sum(axis=-1)
-    ever = np.linalg.solve(np.eye(n) - last, found[:, count:].max(axis=1).T).T
-    over = np.abs(expm(system.A * timing.delay)).T
-    found = np.concatenate([found[:, :count], ever[:, None]], axis=1) @ over
-    found = np.maximum.accumulate(found[:, ::-1], axis=1)[:, :0:-1]
-    found[:, 0] += first
-    return np.asarray(found * (1 + 10 * ROUNDING))
+    n, N, h, most, wrong = loop.n, loop.N, loop.h, 2 * system.u_max, fault.wrong(system.thrusters)
+    own = (np.eye(loop.m) * system.thrusters.along + system.thrusters.across).T  # errors of what is answered
+    steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
+    if steep is not None and fault.networks is not None:
+        steep = np.maximum(steep, fault.networks)
+    rows = np.vstack([np.eye(N), loop.known]) @ powers(loop.under(np.zeros((loop.m, n))).unfed, len(pushed))
+    enter = {length: _entering(loop, rows, length) for length in {h, *pushed}}
+    held, over, within = np.abs(rows @ loop.held), growth(loop.A, h), _within(loop)
+    nodes, found = np.zeros((len(pushed) + 1, len(wrong), N + n)), np.zeros((len(pushed) + 1, len(wrong), N))
+    for i, length in enumerate(pushed):
+        answer = np.zeros_like(wrong)
+        if i and steep is not None:
+            answer = np.tile(most, (len(wrong), 1))
+            if not fault.asked:
+                answer = np.minimum(nodes[i, :, N:] @ steep.T, answer)
+        error, push = answer @ own, wrong * (length > 0)
+        ages = slice(0, len(pushed) - i)
+        each = (gains[ages] @ u.T for gains, u in ((held, answer), (enter[h], error), (enter[length], push)))
+        nodes[i + 1 :] += sum(each).transpose(0, 2, 1) * (1 + ROUNDING)
+        found[i + 1] = nodes[i + 1, :, :N]
+        found[i + 1, :, :n] = np.maximum(  # the plant's states count at whatever instant of a period
+            found[i + 1, :, :n], nodes[i, :, :n] @ over.T + (answer + error + push) @ within.T
+        )
+    return found
+
+
+def _entering(loop: Loop, rows: Array, length: float) -> Array:
+    """Bound what a unit of input adds along rows (..., N) in the last part of a period [s], (..., m)."""
+    found, begins = np.zeros((*rows.shape[:-1], loop.m)), loop.h - length
+    for a, b, E in loop.enter:
+        if b > begins:
+            found += along(rows @ E, loop.A, loop.B, loop.h, (max(a, begins), b), False)
+    return found
+
+
+def _within(loop: Loop) -> Array:
+    """Bound what a unit of input adds to states of the plant within a period, shape (n, m)."""
+    return discretize(np.abs(loop.A), np.abs(loop.B), loop.h)[1] * (1 + ROUNDING)
 
 
 def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, Array], Array]) -> Array:
-    """Error of predictions over a whole outage, and what is left of that of the first estimate, (1, n).
+    """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (1, n).
 
     S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and boxes
     (J, n) remains. Periods may be missed before and after.

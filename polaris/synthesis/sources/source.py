@@ -20,7 +20,10 @@ class Source(Protocol):
 def remembers(system: LinearSystem) -> bool:
     """Return True if delay and observer are states of the loop, False if a box stands for the estimate.
 
-    A box it is where any of several patterns of measurements may be met, and beside faults.
+    A box it is where any of several patterns of measurements may be met, and where navigation of which only
+    bounds are known may be lost.
     """
-    late, by_phase = system.timing.delay > 0, system.error_by_step is not None and system.observer is None
-    return not (system.timing.missed or system.transients or (late and by_phase))
+    timing, filtered = system.timing, system.observer is not None
+    by_phase = timing.delay > 0 and system.error_by_step is not None and not filtered
+    lost = any(not len(fault.thrust) for fault in system.transients) and not filtered
+    return not (timing.missed or by_phase or lost)

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from reach.brief import brief
 from reach.numerics.errors import ReachError
@@ -16,7 +16,8 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
-from ..sources.late_faults import lost, misled, moved
+from ..sources.late_faults import lost, moved, touched
+from ..sources.observer import not_updated, observed
 from ..sources.source import remembers
 from .contraction import Contraction
 from .loop import Channel, Loop
@@ -158,47 +159,61 @@ class Tracking(Contraction):
         return self.system.u_max if self.profile is None else self.profile[0]
 
     @cached_property
-    def misled(self) -> list[Array]:
-        """How far each fault that is isolated late misleads an observer, shapes (J, memory + 2, n)."""
-        system = self.system
-        return [misled(system, fault, self.flow.h, self.memory + 2) for fault in system.transients]
-
-    @cached_property
     def upsets(self) -> Array:
-        """Boxes of states, one of which holds what a fault that is isolated late has added, shape (J, n)."""
-        system, h, found = self.system, self.flow.h, [np.zeros((0, self.system.n))]
+        """Boxes of loop states, one of which holds what a fault that is isolated late has added, (J, N)."""
+        system, h, found = self.system, self.flow.h, [np.zeros((0, self.loop.N))]
         try:
             with np.errstate(over="raise", invalid="raise"):
-                for fault, off in zip(system.transients, self.misled, strict=True):
+                for fault in system.transients:
                     if len(fault.thrust):
-                        found.append(moved(system, fault, self.gain, h, off[:, 0]))
-                    else:
+                        found.append(moved(system, fault, self.gain, self.loop))
+                    elif self.loop.settled is None:
                         found.append(lost(system, fault, h, self.left))
         except (ReachError, FloatingPointError) as error:
             told = [(fault.name, fault.lasts) for fault in system.transients]
             raise ScenarioError("faults", told, "isolated so late are bounded by nothing") from error
         return np.vstack(found)
 
+    @cached_property
+    def unmeasured(self) -> Channel:
+        """Channel of updates that the observer does not make in an outage of navigation."""
+        loop, seen = observed(self.loop, self.system)
+        first = np.concatenate([np.zeros(self.system.n), self.at_start, np.zeros(len(seen))])
+        scale = np.resize(self.tightening.scale, loop.N)
+        limits = Tightening(loop.under(self.gain), self.system.u_max, scale)
+        known = np.abs(limits.carried(seen)) @ first
+        left = limits.remainder(seen) * np.max(first / limits.v)
+        size = limits.from_rest(seen, self.system.u_max)[-1] + np.maximum(known.max(axis=0), left)
+        return not_updated(self.loop, self.system, size * (1 + ROUNDING))
+
     def left(self, rows: Array, boxes: Array) -> Array:
-        """What errors in boxes (J, n) need along rows up to l periods later, shape (memory + 2, r, J)."""
-        size = np.linalg.norm(boxes @ np.abs(self.W).T, axis=1)
-        reach = np.maximum.accumulate(np.abs(rows @ self.transitions) @ boxes.T)
-        beyond = np.linalg.norm(rows @ self.W_inverse, axis=-1)[:, None] * self.decay[-1] * size
-        return np.asarray(np.maximum(reach, beyond) + self.curvature(rows)[:, None] * size)
+        """Return what boxes (J, N) of the loop state need along rows up to l periods later.
+
+        Shape (memory + 3, r, J), by age and ever after, what lies between nodes included.
+        """
+        limits, plant = self.tightening, rows[:, : self.system.n]
+
+        def reach(rows: Array) -> Array:
+            ever = np.multiply.outer(limits.remainder(rows), np.max(boxes / limits.v, axis=1))
+            return np.concatenate([np.abs(limits.carried(rows)) @ boxes.T, ever[None]])
+
+        between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
+        return self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between
 
     def upset(self, rows: Array) -> Array:
-        """What faults that are isolated late need along rows up to l periods later, shape (memory + 2, r)."""
-        most = self.left(rows, self.upsets)
-        if self.system.observer and self.misled:
-            answer = self.response(
-                Channel("misled", np.zeros(self.system.n), noise=np.eye(self.system.n)), rows
-            )
-            for j, off in enumerate(
-                chain.from_iterable(self.misled)
-            ):  # S answers what its estimates are off by
-                at = np.maximum.accumulate(answer.at(off))
-                most[..., j] += at[1:] + answer.between @ off[0] + np.abs(rows) @ off[0]
-        return np.asarray(most.max(axis=-1, initial=0.0) * (1 + ROUNDING))
+        """Return what faults isolated late need along rows up to l periods later, (memory + 3, r)."""
+        most = self.left(rows, self.upsets).max(axis=-1, initial=0.0)
+        for fault in self.system.transients:
+            if not len(fault.thrust) and self.loop.settled is not None:
+                most = np.maximum(most, self._unmeasured(rows, touched(fault.lasts, self.flow.h)))
+        return np.asarray(most * (1 + ROUNDING))
+
+    def _unmeasured(self, rows: Array, count: int) -> Array:
+        """Bound what so many updates in a row that are not made need along rows at any age, shape (r,)."""
+        answer, size = self.response(self.unmeasured, rows), self.unmeasured.size
+        each = np.concatenate([answer.gains @ size, np.tile(answer.older @ size, (count, 1))])
+        most = sliding_window_view(each, count, axis=0).sum(axis=-1).max(axis=0)
+        return np.asarray(most + answer.between @ size)
 
     def whole(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
@@ -284,8 +299,8 @@ class Tracking(Contraction):
         plant = rows[:, : self.system.n]
         found = self.responses(rows, profile) + self.tightening.between(plant, self._since(profile))[0]
         if failing and self.system.transients:
-            ages = np.minimum(np.arange(len(found)) + 2, self.memory + 1)
-            found = found + self.upset(plant)[ages]
+            ages = np.minimum(np.arange(len(found)) + 2, len(found) - 1)
+            found = found + self.upset(rows)[ages]
         return found
 
     def response(self, channel: Channel, rows: Array) -> Response:
