@@ -713,11 +713,12 @@ def test_a_fault_that_is_isolated_late_may_come_on_top_of_whatever_is_drawn():
     soft = {"tracking": {"Q": [25.0] * 4, "R": [60.0] * 2}, "faults": [fault]}
     scenario = ScheduleScenario.from_dict(document() | soft)
     part = polaris.get_safety(scenario)
-    system, gain, h = part.problem.system, part.tracking.gain, part.tracking.flow.h
+    system, gain, loop, h = part.problem.system, part.tracking.gain, part.tracking.loop, part.tracking.flow.h
     (known,) = system.transients
     for lasts, answered in ((1.0, 0), (1.1, 1), (2.0, 1)):  # whole periods after the first node since
-        faults = (replace(known, lasts=lasts * h, asked=asked) for asked in (True, False))
-        more, none = (moved(system, one, gain, h, np.zeros((1, 4))) for one in faults)
+        fault = replace(known, lasts=lasts * h)
+        more = moved(system, replace(fault, asked=True), gain, loop)
+        none = moved(system, replace(fault, gains=0 * gain), 0 * gain, loop)
         least = discretize(system.A, system.B, h)[1] @ (2 * system.u_max) * answered
         assert np.all(more - none >= least - 1e-12) and np.all(more - none <= 1.5 * least + 1e-12)
     asked = {"probability": 0.05, "confidence": 0.99, "attacks": 300}

@@ -21,6 +21,7 @@ from polaris.simulation.failing import Failing
 from polaris.synthesis.controllers.black_box import BlackBox
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.sources.late_faults import moved
+from polaris.synthesis.tracker.loop import Loop
 
 from ..polaris.test_transients import SOFT, made
 from ..polaris.tiny import TINY
@@ -159,7 +160,8 @@ def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_t
     (fault,) = system.transients
     calm = replace(fault, lasts=h, gains=0 * fault.gains)
     found = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, 1, h)
-    bound = moved(found, found.transients[0], 0 * fault.gains, h, np.zeros((1, 4))).max(axis=0)
+    loop = Loop.of(system.A, system.B, h)
+    bound = moved(found, found.transients[0], 0 * fault.gains, loop).max(axis=0)
     Ad, Bd, _ = DecisionGrid.of(tiny(WEAK)).held
     assert np.all(np.abs(Ad @ Ad @ Bd @ fault.pushes[-1]) <= bound)
 

@@ -32,7 +32,7 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, loop: Loop) -> Ar
     late = 0 if remembers(system) else _late(system, loop.h)
     found = _added(system, fault, loop, pushed + [0.0] * late, gain)[lasting:].max(axis=0)
     if fault.after > 0:  # meanwhile nobody's answer counts
-        longer = pushed + [loop.h] * touched(fault.after, loop.h)
+        longer = pushed + [loop.h] * (touched(fault.after, loop.h) + _late(system, loop.h))
         found = np.maximum(found, _added(system, fault, loop, longer)[-1])
     return found
 
