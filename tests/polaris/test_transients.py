@@ -8,6 +8,7 @@ from functools import cache
 import flint
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.files.artefacts import Stated
@@ -27,6 +28,7 @@ from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.sources.late_faults import moved
+from polaris.synthesis.tracker.tracking import Tracking
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, Forger, make
@@ -231,6 +233,62 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
     monkeypatch.setattr(type(tracking), "upset", lambda self, rows: np.zeros((self.memory + 3, len(rows))))
     with pytest.raises(Rejected):
         checked(synthesize(scenario))
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+@pytest.mark.parametrize("observed", [True, False])
+@pytest.mark.parametrize("answer", [1, -1])
+def test_a_flight_computer_stays_within_what_faults_need(late, observed, answer):
+    """The difference that a fault makes, flown by a computer which knows it only by late measurements.
+
+    While the fault lasts a law with the gains of S answers, or one that steers the other way.
+    """
+    given = [*SOFT[1:], "tracking.R=[200,200]", f"timing.delay_s={0.25 * late}", *[OBSERVED] * observed]
+    problem = load_scenario(TINY).with_assignments([*given, LATE.replace("0.3", "0.6")]).problem()
+    tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, 0.9)
+    system, fault, parts, length = problem.system, problem.system.transients[0], 20, 3
+    flow = type(tracking.flow).continuous(system.A, system.D, 0.0, 0.25 / parts)
+    whole = type(tracking.flow).continuous(system.A, system.D, 0.0, 0.25)
+    push, held = flow.input_map(system.B), whole.input_map(system.B)
+    gain, measures = (system.observer.gain, system.observer.measures) if observed else (np.eye(4), np.eye(4))
+    rows = np.vstack([np.eye(4), -np.eye(4)])
+    states, commands = tracking.upset(rows)[:, :4], tracking.upset(tracking.commands)[:, :2]
+    x, seen, shown, told = np.zeros(4), np.zeros(4), [np.zeros(4)], [np.zeros(2)]
+    begin = length - fault.lasts / 0.25  # in periods; S flies from node `length` on
+    for i in range(200):
+        for j in range(parts):
+            wrong = fault.pushes[-1] * (begin <= i + (j + 1) / parts - 1e-9 and i < length)
+            x = flow.phi @ x + push @ (told[i] + wrong)
+            lag = max(i - length + 1, 0)
+            assert np.all(np.abs(x) <= states[min(lag, len(states) - 1)])
+        shown.append(x)
+        if (node := i + 1 - late) > 0:  # the estimate of the state so many periods before
+            seen = whole.phi @ seen + held @ told[node - 1]
+            seen = seen + gain @ measures @ (shown[node] - seen)
+        expected = seen
+        for u in told[max(node, 0) :]:
+            expected = whole.phi @ expected + held @ u
+        told.append(-(answer if i + 1 < length else 1) * tracking.gain @ expected)
+        assert np.all(
+            np.abs(tracking.gain @ expected) <= commands[min(max(i - length, 0), len(commands) - 1)]
+        )
+    assert np.all(np.abs(x) < 1e-3 * states[-1])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.5])
+def test_an_update_that_is_not_made_is_as_large_as_noise_makes_it(late):
+    """Without disturbance the bound is the sum of sizes of what each earlier measurement leaves."""
+    given = [*SOFT[1:], OBSERVED, LOST, f"timing.delay_s={late}", "system.disturbance_max=0.0"]
+    problem = load_scenario(TINY).with_assignments(given).problem()
+    tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, 0.9)
+    seen, whole = problem.system.observer, np.asarray(expm(0.25 * problem.system.A))
+    left, most = seen.gain, seen.noise.copy()
+    for _ in range(400):  # a measurement answers to the errors of all before it, and to its own
+        most += np.abs(seen.measures @ whole @ left) @ seen.noise
+        left = seen.rest @ whole @ left
+    assert tracking.unmeasured.size == pytest.approx(most, rel=2e-3)
+    sample = tracking.unmeasured.sample
+    assert np.array_equal(sample[-4:], seen.gain) and not sample[:-4].any()
 
 
 @pytest.mark.slow
