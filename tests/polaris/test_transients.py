@@ -283,7 +283,7 @@ def test_an_update_that_is_not_made_is_as_large_as_noise_makes_it(late):
     tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, 0.9)
     seen, whole = problem.system.observer, np.asarray(expm(0.25 * problem.system.A))
     left, most = seen.gain, seen.noise.copy()
-    for _ in range(400):  # a measurement answers to the errors of all before it, and to its own
+    for _ in range(4000):  # a measurement answers to the errors of all before it, and to its own
         most += np.abs(seen.measures @ whole @ left) @ seen.noise
         left = seen.rest @ whole @ left
     assert tracking.unmeasured.size == pytest.approx(most, rel=2e-3)

@@ -178,7 +178,9 @@ class Tracking(Contraction):
     def unmeasured(self) -> Channel:
         """Channel of updates that the observer does not make in an outage of navigation."""
         loop, seen = observed(self.loop, self.system)
-        first = np.concatenate([np.zeros(self.system.n), self.at_start, np.zeros(len(seen))])
+        first, n = np.zeros(loop.N), self.system.n
+        if self.system.observer is not None and self.system.observer.initial is not None:
+            first[self.loop.N - n : self.loop.N] = self.at_start[-n:]
         scale = np.resize(self.tightening.scale, loop.N)
         limits = Tightening(loop.under(self.gain), self.system.u_max, scale)
         known = np.abs(limits.carried(seen)) @ first
