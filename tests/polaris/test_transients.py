@@ -183,7 +183,7 @@ def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     """S alone, from a box that is left, or a thruster that pushes as hard as it may until S knows."""
     tracking = synthesize(load_scenario(TINY).with_assignments([*SOFT, given])).safety.tracking
     rows = np.vstack([tracking.system.position, tracking.gain])
-    bound, box = tracking.left(rows, tracking.upsets)[-1].max(axis=1), tracking.upsets.max(axis=0)
+    bound, box = tracking.upset(rows)[-1], np.max([np.abs(G).sum(axis=1) for G in tracking.upsets], axis=0)
     reached = np.max(np.abs(rows @ tracking.transitions) @ box, axis=0)
     assert np.all(reached <= bound) and np.all(reached > 0.8 * bound)
     fault, steps = tracking.system.transients[0], 50
@@ -218,7 +218,10 @@ def test_an_observer_goes_with_late_faults_and_forgets_them(given, late, monkeyp
     flow = type(tracking.flow).continuous(system.A, system.D, 0.0, 0.25 / parts)
     if given == LATE and not late:  # S flies all the time, and knows of the fault only by what it measures
         push, rows = flow.input_map(system.B), np.vstack([np.eye(8), tracking.commands])
-        bound, need = tracking.upsets.max(axis=0), tracking.upset(rows)[-1]
+        bound, need = (
+            np.max([np.abs(G).sum(axis=1) for G in tracking.upsets], axis=0),
+            tracking.upset(rows)[-1],
+        )
         for i in range(1 - round(fault.lasts / 0.25 * parts), 40 * parts + 1):
             wrong = fault.pushes[-1] * (i <= 0)
             moved_by = flow.phi @ moved_by + push @ (command + wrong)
@@ -286,9 +289,43 @@ def test_an_update_that_is_not_made_is_as_large_as_noise_makes_it(late):
     for _ in range(4000):  # a measurement answers to the errors of all before it, and to its own
         most += np.abs(seen.measures @ whole @ left) @ seen.noise
         left = seen.rest @ whole @ left
-    assert tracking.unmeasured.size == pytest.approx(most, rel=2e-3)
-    sample = tracking.unmeasured.sample
-    assert np.array_equal(sample[-4:], seen.gain) and not sample[:-4].any()
+    assert tracking.innovation == pytest.approx(most, rel=2e-3)
+
+
+@pytest.mark.parametrize("late", [1, *(pytest.param(i, marks=pytest.mark.slow) for i in (0, 2))])
+def test_an_outage_moves_a_flight_by_no_more_than_it_needs(late):
+    """Each earlier measurement alone is wrong; what that comes to in all is what noise can make of it."""
+    given = [*SOFT[1:], "tracking.R=[200,200]", OBSERVED, LOST, f"timing.delay_s={0.25 * late}"]
+    problem = load_scenario(TINY).with_assignments([*given, "system.disturbance_max=0.0"]).problem()
+    tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, 0.9)
+    seen, first, nodes = problem.system.observer, 250, 300
+    whole = type(tracking.flow).continuous(problem.system.A, problem.system.D, 0.0, 0.25)
+    held, runs = whole.input_map(problem.system.B), 2 * (first + 4)
+    noise = np.zeros((runs, nodes, 2))
+    for i, axis in np.ndindex(first + 4, 2):
+        noise[2 * i + axis, i, axis] = seen.noise[axis]
+    flown = []
+    for outage in (0, 4):  # updates that are not made; S steers what is estimated
+        x, estimate = np.zeros((runs, 4)), np.zeros((runs, 4))
+        shown, told, found = [x], [np.zeros((runs, 2))], []
+        for i in range(nodes):
+            x = x @ whole.phi.T + told[i] @ held.T
+            shown.append(x)
+            if (node := i + 1 - late) > 0:
+                estimate = estimate @ whole.phi.T + told[node - 1] @ held.T
+                learned = (shown[node] - estimate) @ seen.measures.T + noise[:, i]
+                estimate = estimate + learned @ seen.gain.T * (not first <= i < first + outage)
+            expected = estimate
+            for u in told[max(node, 0) :]:
+                expected = expected @ whole.phi.T + u @ held.T
+            told.append(-expected @ tracking.gain.T)
+            found.append(np.hstack([x, -x, told[-1], -told[-1]]))
+        flown.append(np.array(found))
+    reached = np.abs(flown[1] - flown[0]).sum(axis=1).max(axis=0)
+    need = np.concatenate(
+        [tracking.upset(np.vstack([np.eye(4), -np.eye(4)]))[-1], tracking.upset(tracking.commands)[-1]]
+    )
+    assert np.all(reached <= need) and np.all(reached > 0.5 * need)
 
 
 @pytest.mark.slow

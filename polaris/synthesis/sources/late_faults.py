@@ -104,11 +104,13 @@ def _within(loop: Loop) -> Array:
     return discretize(np.abs(loop.A), np.abs(loop.B), loop.h)[1] * (1 + ROUNDING)
 
 
-def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, Array], Array]) -> Array:
-    """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (1, n).
+def lost(
+    system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, list[Array]], Array]
+) -> Array:
+    """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (n,).
 
-    S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and boxes
-    (J, n) remains. Periods may be missed before and after.
+    S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and sets
+    remains (`Tracking.left`). Periods may be missed before and after.
     """
     timing, every = system.timing, np.eye(system.n)
     measured = system.measured + system.displaced
@@ -116,4 +118,4 @@ def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array
     found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
     first = np.max(carried, axis=0)
-    return np.asarray((found + left(every, first[None])[-1].T) * (1 + ROUNDING))
+    return np.asarray((found + left(every, [np.diag(first)])[-1, :, 0]) * (1 + ROUNDING))

@@ -66,11 +66,3 @@ def observed(loop: Loop, system: LinearSystem) -> tuple[Loop, Array]:
             channels = (*loop.channels[:i], replace(channel, sample=sample), *loop.channels[i + 1 :])
             loop = replace(loop, channels=channels)
     return loop, np.eye(loop.N)[N:]
-
-
-def not_updated(loop: Loop, system: LinearSystem, size: Array) -> Channel:
-    """Return the channel of updates (r,) that the observer does not make, each within a size, (r,)."""
-    assert system.observer is not None
-    sample = np.zeros((loop.N, len(size)))
-    sample[loop.N - loop.n :] = system.observer.gain
-    return Channel("unmeasured", size, sample=sample)

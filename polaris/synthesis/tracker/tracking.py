@@ -1,10 +1,9 @@
 """The tracking controller of section III-A: its error dynamics, and the tight error tube."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from reach.brief import brief
 from reach.numerics.errors import ReachError
@@ -17,7 +16,7 @@ from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
 from ..sources.late_faults import lost, moved, touched
-from ..sources.observer import not_updated, observed
+from ..sources.observer import observed
 from ..sources.source import remembers
 from .contraction import Contraction
 from .loop import Channel, Loop
@@ -159,24 +158,35 @@ class Tracking(Contraction):
         return self.system.u_max if self.profile is None else self.profile[0]
 
     @cached_property
-    def upsets(self) -> Array:
-        """Boxes of loop states, one of which holds what a fault that is isolated late has added, (J, N)."""
-        system, h, found = self.system, self.flow.h, [np.zeros((0, self.loop.N))]
+    def upsets(self) -> list[Array]:
+        """Generators of loop states, one matrix (N, k) for each kind of late fault, of what it has added."""
+        system, h, found = self.system, self.flow.h, list[Array]()
         try:
             with np.errstate(over="raise", invalid="raise"):
                 for fault in system.transients:
                     if len(fault.thrust):
-                        found.append(moved(system, fault, self.gain, self.loop))
+                        found += [np.diag(box) for box in moved(system, fault, self.gain, self.loop)]
                     elif self.loop.settled is None:
-                        found.append(lost(system, fault, h, self.left))
+                        found.append(np.diag(lost(system, fault, h, self.left)))
+                    else:
+                        found.append(self._unmade(touched(fault.lasts, h)))
         except (ReachError, FloatingPointError) as error:
             told = [(fault.name, fault.lasts) for fault in system.transients]
             raise ScenarioError("faults", told, "isolated so late are bounded by nothing") from error
-        return np.vstack(found)
+        return found
+
+    def _unmade(self, count: int) -> Array:
+        """Return generators of what so many updates in a row add that the observer does not make, (N, k)."""
+        system, seen = self.system, self.system.observer
+        assert seen is not None
+        blind = craft_loop(replace(system, observer=replace(seen, gain=0 * seen.gain)), self.flow.h)
+        sample = np.zeros((self.loop.N, len(seen.measures)))
+        sample[-system.n :] = seen.gain * self.innovation
+        return np.hstack(list(powers(blind.under(self.gain).F, count - 1) @ sample))
 
     @cached_property
-    def unmeasured(self) -> Channel:
-        """Channel of updates that the observer does not make in an outage of navigation."""
+    def innovation(self) -> Array:
+        """Bound on the difference between what is measured and what was expected, at all times, (r,)."""
         loop, seen = observed(self.loop, self.system)
         first, n = np.zeros(loop.N), self.system.n
         if self.system.observer is not None and self.system.observer.initial is not None:
@@ -186,36 +196,31 @@ class Tracking(Contraction):
         known = np.abs(limits.carried(seen)) @ first
         left = limits.remainder(seen) * np.max(first / limits.v)
         size = limits.from_rest(seen, self.system.u_max)[-1] + np.maximum(known.max(axis=0), left)
-        return not_updated(self.loop, self.system, size * (1 + ROUNDING))
+        return np.asarray(size * (1 + ROUNDING))
 
-    def left(self, rows: Array, boxes: Array) -> Array:
-        """Return what boxes (J, N) of the loop state need along rows up to l periods later.
+    def left(self, rows: Array, sets: list[Array]) -> Array:
+        """Return what sets of loop states need along rows up to l periods later.
 
-        Shape (memory + 3, r, J), by age and ever after, what lies between nodes included.
+        Of generators (N, k) each; the shape is (memory + 3, r, sets), by age and ever after. What lies
+        between nodes is included.
         """
         limits, plant = self.tightening, rows[:, : self.system.n]
 
         def reach(rows: Array) -> Array:
-            ever = np.multiply.outer(limits.remainder(rows), np.max(boxes / limits.v, axis=1))
-            return np.concatenate([np.abs(limits.carried(rows)) @ boxes.T, ever[None]])
+            norms = [np.max(np.abs(G).sum(axis=1) / limits.v) for G in sets]
+            each = [np.abs(limits.carried(rows) @ G).sum(axis=-1) for G in sets]
+            return np.concatenate(
+                [np.stack(each, axis=-1), np.multiply.outer(limits.remainder(rows), norms)[None]]
+            )
 
         between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
         return self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between
 
     def upset(self, rows: Array) -> Array:
         """Return what faults isolated late need along rows up to l periods later, (memory + 3, r)."""
-        most = self.left(rows, self.upsets).max(axis=-1, initial=0.0)
-        for fault in self.system.transients:
-            if not len(fault.thrust) and self.loop.settled is not None:
-                most = np.maximum(most, self._unmeasured(rows, touched(fault.lasts, self.flow.h)))
-        return np.asarray(most * (1 + ROUNDING))
-
-    def _unmeasured(self, rows: Array, count: int) -> Array:
-        """Bound what so many updates in a row that are not made need along rows at any age, shape (r,)."""
-        answer, size = self.response(self.unmeasured, rows), self.unmeasured.size
-        each = np.concatenate([answer.gains @ size, np.tile(answer.older @ size, (count, 1))])
-        most = sliding_window_view(each, count, axis=0).sum(axis=-1).max(axis=0)
-        return np.asarray(most + answer.between @ size)
+        if not self.upsets:
+            return np.zeros((self.memory + 3, len(rows)))
+        return np.asarray(self.left(rows, self.upsets).max(axis=-1) * (1 + ROUNDING))
 
     def whole(self, rows: Array) -> Array:
         """Pad rows of the tracking error, shape (r, n), to rows of the loop state, (r, N)."""
