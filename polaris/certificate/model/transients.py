@@ -1,7 +1,7 @@
 """What faults do until they are isolated: boxes of what they add to the states, and whether all are told."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -82,79 +82,56 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
     """Return bounds on what each kind of wrong thrust has added to the loop state, (N, 1) each.
 
     They hold at the node where S takes over, until no command rests on an older state, and for states of the
-    plant also in the period before.
+    plant also in the period before. A black box may answer with any command, a law with its steepest gain.
     """
-    plant, thrust = craft.plant, [each for each in document.transients if each.get("pushes")]
+    plant, found = craft.plant, list[arb_mat]()
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
-    gains += [_steepest(policy) for policy in networks if thrust]
+    gains += [_steepest(policy) for policy in networks if document.transients]
     most = [largest(each) for each in zip(*(K.entries() for K in gains), strict=True)]
-    asked, hidden = any(law.kind == "black_box" for law in document.laws), 0
-    if not remembers(document):
-        hidden = _periods(plant, document.timing.get("delay", 0.0)) + document.timing.get("missed", 0)
-    found = []
-    for fault in thrust:
-        lasts, count = arb(fault["lasts"]), _periods(plant, fault["lasts"])
-        spread = Spread.of(
-            craft,
-            None if asked else arb_mat(craft.gain.nrows(), craft.gain.ncols(), most),
-            lasts,
-            (count, hidden),
-        )
-        for push in fault["pushes"]:
-            size = [arb(x) for x in push]
-            found.append(spread.reached(column(sums(size, plant.thruster_part(size)))))
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class Spread:
-    """Growth of what wrong thrust adds to the loop state and to what laws see of it."""
-
-    craft: Craft
-    gain: arb_mat | None  # bounds on those of all laws, shape (m, n); none of black boxes
-    count: int  # periods in which the thrust is wrong
-    first: list[arb_mat]  # gains of errors of the inputs in the first of them, (N + n, m)
-    later: list[arb_mat]  # gains of commands, and of errors of the inputs in a whole period, (N + n, 2 m)
-
-    @classmethod
-    def of(cls, craft: Craft, gain: arb_mat | None, lasts: arb, periods: tuple[int, int]) -> "Spread":
-        """Over the periods of a fault, and those that commands are older than the state."""
-        count, power = periods[0], identity(craft.free.nrows())
-        begun, first, later = (
-            craft.last(lasts - (count - 1) * craft.plant.h),
-            list[arb_mat](),
-            list[arb_mat](),
-        )
-        for _ in range(sum(periods)):
+    asked = any(law.kind == "black_box" for law in document.laws)
+    gain = None if asked else arb_mat(plant.B.ncols(), plant.A.nrows(), most)
+    delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
+    hidden = 0 if remembers(document) else _periods(plant, delay) + missed
+    for fault in (each for each in document.transients if each.get("pushes")):
+        count, lasts = _periods(plant, fault["lasts"]), arb(fault["lasts"])
+        first, later = list[arb_mat](), list[arb_mat]()  # by periods since: of errors, and of commands beside
+        begun, power = craft.last(lasts - (count - 1) * plant.h), identity(craft.free.nrows())
+        while len(first) < count + hidden:
             rows = above(power, craft.sees * power)
             first.append(magnitude(begun.thrust_gains(rows)))
             later.append(magnitude(beside(rows * craft.held, craft.thrust_gains(rows))))
             power = power * craft.free
-        return cls(craft, gain, count, first, later)
+        for push in fault["pushes"]:
+            size = [arb(x) for x in push]
+            wrong = column(sums(size, plant.thruster_part(size)))
+            found.append(_spread(craft, gain, (first, later), wrong, count))
+    return found
 
-    def reached(self, wrong: arb_mat) -> arb_mat:
-        """Return what inputs that are wrong by so much, (m, 1), have added to the loop state, (N, 1)."""
-        plant, n, N, m = self.craft.plant, self.craft.plant.A.nrows(), self.craft.free.nrows(), wrong.nrows()
-        along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
-        apart = diagonal([arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
-        size = absolute(plant.A)
-        grown, pushed = (size * plant.h).exp(), exponential(size, plant.h)[1] * absolute(plant.B)
-        z, added, found = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
-        for i in range(len(self.first)):
-            command, limits = arb_mat(m, 1), [2 * top for top in plant.u_max]
-            if i:  # commands of the period in which it begins are made before
-                seen = limits if self.gain is None else (self.gain * column(z.entries()[N:])).entries()
-                command = column(
-                    [smallest(pair) for pair in zip(magnitude(column(seen)).entries(), limits, strict=True)]
-                )
-            error = apart * command + (wrong if i < self.count else arb_mat(m, 1))
-            added.append(above(command, error))
-            within = grown * column(z.entries()[:n]) + pushed * (command + error)
-            parts = (self.later[i - q] * added[q] for q in range(1, i + 1))
-            z = magnitude(sum(parts, self.first[i] * wrong))
-            if i + 1 >= self.count:
-                found += [z.entries()[:N], self.craft.lifted(within).entries()]
-        return column(_peak(found))
+
+def _spread(
+    craft: Craft, gain: arb_mat | None, gains: tuple[list[arb_mat], ...], wrong: arb_mat, count: int
+) -> arb_mat:
+    """Return what inputs that are wrong by so much, (m, 1), in some periods have added to the loop state.
+
+    `gain` bounds the answer of any law to what it sees, and twice the limits do; they alone without it.
+    """
+    plant, n, N, m = craft.plant, craft.plant.A.nrows(), craft.free.nrows(), wrong.nrows()
+    along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
+    apart = diagonal([arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
+    size, limits = absolute(plant.A), column([2 * top for top in plant.u_max])
+    grown, pushed = (size * plant.h).exp(), exponential(size, plant.h)[1] * absolute(plant.B)
+    z, added, found = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
+    for i, first in enumerate(gains[0]):
+        answer = limits if gain is None else magnitude(gain * column(z.entries()[N:]))
+        least = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
+        command = column(least) * int(i > 0)  # the first one is made before the fault
+        error = apart * command + wrong * int(i < count)
+        added.append(above(command, error))
+        within = grown * column(z.entries()[:n]) + pushed * (command + error)
+        z = magnitude(sum((gains[1][i - q] * added[q] for q in range(1, i + 1)), first * wrong))
+        if i + 1 >= count:
+            found += [z.entries()[:N], craft.lifted(within).entries()]
+    return column(_peak(found))
 
 
 def _steepest(policy: Policy) -> arb_mat:
@@ -181,12 +158,6 @@ def _periods(plant: Plant, time: float) -> int:
 def _peak(lists: list[list[arb]]) -> list[arb]:
     """The largest of each entry."""
     return [largest(each).upper() for each in zip(*lists, strict=True)]
-
-
-def _seen(document: Document, n: int) -> list[arb]:
-    """Errors of estimates when states are measured."""
-    measured = zip(document.measured or [0.0] * n, document.displaced, strict=True)
-    return [arb(x) + y for x, y in measured]
 
 
 def lost(document: Document, craft: Craft, memory: Memory) -> list[arb_mat]:

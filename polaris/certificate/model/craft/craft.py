@@ -51,11 +51,9 @@ class Craft:
         return replace(self, gain=gain, _along={})
 
     def last(self, duration: arb) -> Craft:
-        """The loop, with what is added in the last seconds of a period alone."""
+        """Return the loop with additions in the last seconds of a period alone."""
         since = (self.plant.h - duration).lower()
-        parts = [
-            (since if since > start else start, *rest) for start, *rest in self.parts if not rest[0] <= since
-        ]
+        parts = [(since if since > a else a, b, enters) for a, b, enters in self.parts if not b <= since]
         return replace(self, parts=parts, _along={})
 
     @property

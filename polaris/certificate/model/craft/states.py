@@ -147,8 +147,7 @@ def remembers(document: Document) -> bool:
     """
     lost = any(not fault.get("pushes") for fault in document.transients)
     phases = bool(document.error_by_step) and document.timing.get("delay", 0.0) > 0
-    several = document.timing.get("missed", 0) or (document.observer is None and (lost or phases))
-    return not several
+    return not (document.timing.get("missed", 0) or (document.observer is None and (lost or phases)))
 
 
 def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = True) -> Craft:
@@ -178,9 +177,8 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         first = stated.get("initial") or stated.get("settled") or document.measured or document.estimate
         M, base = matrix(stated["measures"]), None
         noisy = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
-        states.observer(
-            matrix(stated["gain"]) * int(observing), M, noisy, carry, sums(map(arb, first), moved)
-        )
+        L = matrix(stated["gain"]) * int(observing)
+        states.observer(L, M, noisy, carry, sums(map(arb, first), moved))
     elif delay:
         off = sums(measured, away)
     elif document.estimate:
