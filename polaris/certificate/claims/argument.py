@@ -44,7 +44,7 @@ class Argument:
         self.craft = craft_of(document, self.plant, self.gain)
         self.pilots = [Pilot.of(law, self.craft, document) for law in document.laws]
         networks = [pilot.policy for pilot in self.pilots if pilot.law.kind == "neural"]
-        self.upsets = moved(document, self.plant, networks)
+        self.upsets = moved(document, self.craft, networks)
 
     def run(self) -> None:
         """Check everything; returns only if every claim holds."""

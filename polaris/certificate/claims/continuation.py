@@ -16,7 +16,7 @@ from ..model.craft.memory import Memory
 from ..model.craft.needs import Needs
 from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits
-from ..model.transients import lost, misled, upset
+from ..model.transients import lost, upset
 from .coasting import prolonged
 from .recovery import Recovery
 
@@ -43,11 +43,14 @@ class Tracker:
         """Return what errors, and a fault that is isolated late, need along rows; `of` names the rows."""
         if of not in self._known:
             doc, needs = self.document, Needs(self.craft, self.memory, rows)
-            if boxes := [*self.upsets, *lost(doc, self.craft, self.memory)]:
-                off = [] if doc.observer is None else [misled(doc, self.craft.plant, len(self.memory.powers))]
-                needs = replace(needs, upset=upset(needs, boxes, *off))
+            if doc.transients:
+                needs = replace(needs, upset=upset(needs, [*self.upsets], self._outages))
             self._known[of] = needs
         return self._known[of]
+
+    @cached_property
+    def _outages(self) -> list[arb_mat]:
+        return lost(self.document, self.craft, self.memory)
 
     @property
     def commands(self) -> arb_mat:

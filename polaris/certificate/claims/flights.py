@@ -199,7 +199,7 @@ def fly(
     bows = base.bows(unit.rows) if departures is not None else []
     if barrier is not None:
         rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
-        added = [[arb(0)] * rows.nrows(), *((magnitude(rows) * x).entries() for x in upsets)]
+        added = [[arb(0)] * rows.nrows(), *((magnitude(craft.whole(rows)) * x).entries() for x in upsets)]
         most = [largest(each) for each in zip(*added, strict=True)]
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     z = merging.reduced(start).moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))

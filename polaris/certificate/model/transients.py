@@ -1,9 +1,7 @@
 """What faults do until they are isolated: boxes of what they add to the states, and whether all are told."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import repeat
 from math import ceil
 from typing import Any
 
@@ -11,7 +9,9 @@ from flint import arb, arb_mat
 
 from ..files.document import ROUNDED, Document
 from ..kernel.balls import (
+    above,
     absolute,
+    beside,
     column,
     diagonal,
     exponential,
@@ -21,18 +21,17 @@ from ..kernel.balls import (
     matrix,
     smallest,
     sums,
+    widths,
 )
 from ..kernel.motion import Plant
-from ..kernel.verdict import Rejected, Undecided
+from ..kernel.verdict import Rejected
 from .craft.craft import Craft
 from .craft.memory import Memory
 from .craft.needs import Needs
+from .craft.states import craft_of, remembers
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
 from .timing import predicted
-
-PARTS, LEFT, LONGEST = 4, 0.1, 4096
-"""Parts of an observer's period, what of an error it leaves that is followed no further, and its periods."""
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:
@@ -79,100 +78,60 @@ def check_withheld(
     return stored
 
 
-def moved(document: Document, plant: Plant, networks: list[Policy]) -> list[arb_mat]:
-    """Boxes, one of which holds what thrust that is not as commanded has added to the states, (n, 1) each.
+def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_mat]:
+    """Return bounds on what each kind of wrong thrust has added to the loop state, (N, 1) each.
 
-    Every law answers with no more than its gain times the deviation, whatever clips it; networks also with
-    no more than twice the limits from the first node after the fault on, so that of two bounds each entry is
-    the smaller; black boxes with that.
+    They hold at the node where S takes over, until no command rests on an older state, and for states of the
+    plant also in the period before. A black box may answer with any command, a law with its steepest gain.
     """
-    asked = any(law.kind == "black_box" for law in document.laws)
+    plant, found = craft.plant, list[arb_mat]()
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
-    found, both = [], gains + [_steepest(policy) for policy in networks if document.transients]
-    misleading = misled(document, plant, 0)
-    for each in document.transients:
-        lasts = arb(each["lasts"])
-        answered = ceil(float((lasts / plant.h).mid()) * (1 - WHOLE)) - 1
-        for push in each.get("pushes") or []:
-            size, off = [arb(x) for x in push], next(misleading)[0]
-            spread, limits = partial(_spread, document, plant), [2 * top for top in plant.u_max]
-            free = spread(lasts, gains, (size, off))
-            if answered > 0 and (asked or networks):
-                free += spread(answered * plant.h, gains, (limits, [0 * x for x in off]))
-            if networks and not asked:
-                pairs = zip(free.entries(), spread(lasts, both, (size, off)).entries(), strict=True)
-                free = column([smallest(x.upper() for x in pair) for pair in pairs])
-            found.append(free)
+    gains += [_steepest(policy) for policy in networks if document.transients]
+    most = [largest(each) for each in zip(*(K.entries() for K in gains), strict=True)]
+    asked = any(law.kind == "black_box" for law in document.laws)
+    gain = None if asked else arb_mat(plant.B.ncols(), plant.A.nrows(), most)
+    delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
+    hidden = 0 if remembers(document) else _periods(plant, delay) + missed
+    for fault in (each for each in document.transients if each.get("pushes")):
+        count, lasts = _periods(plant, fault["lasts"]), arb(fault["lasts"])
+        first, later = list[arb_mat](), list[arb_mat]()  # by periods since: of errors, and of commands beside
+        begun, power = craft.last(lasts - (count - 1) * plant.h), identity(craft.free.nrows())
+        while len(first) < count + hidden:
+            rows = above(power, craft.sees * power)
+            first.append(magnitude(begun.thrust_gains(rows)))
+            later.append(magnitude(beside(rows * craft.held, craft.thrust_gains(rows))))
+            power = power * craft.free
+        for push in fault["pushes"]:
+            size = [arb(x) for x in push]
+            wrong = column(sums(size, plant.thruster_part(size)))
+            found.append(_spread(craft, gain, (first, later), wrong, count))
     return found
 
 
 def _spread(
-    document: Document, plant: Plant, lasts: arb, gains: list[arb_mat], given: tuple[list[arb], list[arb]]
+    craft: Craft, gain: arb_mat | None, gains: tuple[list[arb_mat], ...], wrong: arb_mat, count: int
 ) -> arb_mat:
-    """The same under laws with gains up to these; `given` is how far inputs and estimates are off."""
-    n, m, (size, off) = plant.B.nrows(), plant.B.ncols(), given
-    most = arb_mat(m, n, [largest(each) for each in zip(*(K.entries() for K in gains), strict=True)])
-    along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
-    answer = diagonal([1 + arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
-    growth = absolute(plant.A) + absolute(plant.B) * answer * most
-    late = exponential(growth, lasts + _hidden(document, plant))[1] * absolute(plant.B)
-    wrong = [a + b for a, b in zip(size, plant.thruster_part(size), strict=True)]
-    return magnitude(late * (column(wrong) + answer * most * column(off)))
+    """Return what inputs that are wrong by so much, (m, 1), in some periods have added to the loop state.
 
-
-def misled(document: Document, plant: Plant, count: int) -> Iterator[list[list[arb]]]:
-    """How far estimates are off because an observer does not know of a fault, by period and then for ever.
-
-    One after another of all kinds of wrong thrust, from when S flies and no command is older, the first row
-    before, too; then of outages of navigation.
+    `gain` bounds the answer of any law to what it sees, and twice the limits do; they alone without it.
     """
-    n, delay = plant.A.nrows(), arb(document.timing.get("delay", 0.0))
-    if document.observer is None:
-        yield from repeat([[arb(0)] * n] * (count + 1))
-        return
-    rest = identity(n) - matrix(document.observer["gain"]) * matrix(document.observer["measures"])
-    loop, known = rest * exponential(plant.A, plant.h)[0], column(document.measured)
-    P, last = 1, magnitude(loop)
-    while not all(x < LEFT * y for x, y in zip((last * known).entries(), document.measured, strict=True)):
-        P, last = 2 * P, magnitude(loop ** (2 * P))
-        if P > LONGEST:
-            raise Undecided("system", "the observer does not forget its errors")
-    periods = float((delay / plant.h).mid())
-    off = abs(periods - round(periods)) > WHOLE  # measurements are not those of nodes
-    thrust = [each for each in document.transients if each.get("pushes")]
-    lasting = [ceil(float((arb(each["lasts"]) / plant.h).mid()) * (1 - WHOLE)) + off for each in thrust]
-    left, part = [identity(n)], replace(plant, h=plant.h / PARTS).open
-    while len(left) < count + P + max([1, *lasting]):
-        left.append(left[-1] * loop)
-    over = magnitude(exponential(plant.A, delay)[0])
-
-    def falling(each: list[arb_mat]) -> list[list[arb]]:
-        """Bounds that do not grow, from those of each period: what P more leave is less than all before."""
-        more = [_peak([x.entries() for x in each[count:]])]
-        more.append((last * column(more[0])).entries())
-        share = largest(x / y for x, y in zip(more[1], document.measured, strict=True))
-        found = [_peak([*more, [x * share * LEFT for x in document.measured]])]
-        for one in reversed(each[:count]):
-            found.append(_peak([found[-1], one.entries()]))
-        return [(over * column(one)).entries() for one in reversed(found)]
-
-    gains = [magnitude(part.unit_gains(rows * rest, PARTS)) for rows in left] if thrust else []
-    early = plant.unseen if delay > 0 else arb_mat(n, plant.B.ncols())
-    for each, length in zip(thrust, lasting, strict=True):
-        for push in each["pushes"]:
-            wrong = column(sums(map(arb, push), plant.thruster_part([arb(x) for x in push])))
-            one = [gain * wrong for gain in gains]
-            found = falling([sum(one[i : i + length], arb_mat(n, 1)) for i in range(count + P)])
-            yield [sums(found[0], (early * wrong).entries()), *found[1:]]
-    for each in document.transients:
-        if not each.get("pushes"):
-            box = column(predicted(plant, _seen(document, n), arb(each["lasts"]) + plant.h))
-            yield falling([magnitude(rows * rest) * box for rows in left[: count + P]])
-
-
-def _peak(lists: list[list[arb]]) -> list[arb]:
-    """The largest of each entry."""
-    return [largest(each).upper() for each in zip(*lists, strict=True)]
+    plant, n, N, m = craft.plant, craft.plant.A.nrows(), craft.free.nrows(), wrong.nrows()
+    along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
+    apart = diagonal([arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
+    size, limits = absolute(plant.A), column([2 * top for top in plant.u_max])
+    grown, pushed = (size * plant.h).exp(), exponential(size, plant.h)[1] * absolute(plant.B)
+    z, added, found = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
+    for i, first in enumerate(gains[0]):
+        answer = limits if gain is None else magnitude(gain * column(z.entries()[N:]))
+        least = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
+        command = column(least) * int(i > 0)  # the first one is made before the fault
+        error = apart * command + wrong * int(i < count)
+        added.append(above(command, error))
+        within = grown * column(z.entries()[:n]) + pushed * (command + error)
+        z = magnitude(sum((gains[1][i - q] * added[q] for q in range(1, i + 1)), first * wrong))
+        if i + 1 >= count:
+            found += [z.entries()[:N], craft.lifted(within).entries()]
+    return column(_peak(found))
 
 
 def _steepest(policy: Policy) -> arb_mat:
@@ -191,61 +150,67 @@ def _steepest(policy: Policy) -> arb_mat:
     return absolute(M)
 
 
-def _hidden(document: Document, plant: Plant) -> arb:
-    """For how long what happens may be hidden from commands."""
-    delay, missed = arb(document.timing.get("delay", 0.0)), document.timing.get("missed", 0)
-    periods: int = ceil(float((delay / plant.h).mid()) * (1 - WHOLE)) + missed
-    return plant.h * arb(periods)
+def _periods(plant: Plant, time: float) -> int:
+    """Periods that a time touches at most."""
+    return ceil(float((arb(time) / plant.h).mid()) * (1 - WHOLE))
 
 
-def _seen(document: Document, n: int) -> list[arb]:
-    """Errors of estimates when states are measured."""
-    measured = zip(document.measured or [0.0] * n, document.displaced, strict=True)
-    return [arb(x) + y for x, y in measured]
+def _peak(lists: list[list[arb]]) -> list[arb]:
+    """The largest of each entry."""
+    return [largest(each).upper() for each in zip(*lists, strict=True)]
 
 
 def lost(document: Document, craft: Craft, memory: Memory) -> list[arb_mat]:
-    """The same while navigation is lost: errors of predictions, and what is left of the first estimate's."""
+    """Return generators of what the loss of navigation adds to the loop state, (N, k) each."""
+    outages = [each["lasts"] for each in document.transients if not each.get("pushes")]
+    if document.observer is None:
+        return [diagonal(_predicted(document, craft, memory, lasts)) for lasts in outages]
+    return [_unmade(document, craft, memory, _periods(craft.plant, lasts)) for lasts in outages]
+
+
+def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -> list[arb]:
+    """Return errors of predictions while navigation is lost, and what is left of the first estimate's."""
     plant, n = craft.plant, craft.plant.A.nrows()
-    found = []
-    for each in document.transients:
-        if not each.get("pushes"):
-            age = arb(each["lasts"]) + document.timing.get("delay", 0.0)
-            age += plant.h * (2 * document.timing.get("missed", 0) + 1)
-            estimate = column(document.estimate or [0.0] * n)
-            carried = zip(estimate.entries(), (magnitude(plant.open.phi) * estimate).entries(), strict=True)
-            first = upset(Needs(craft, memory, identity(n)), [column([largest(pair) for pair in carried])])[
-                -1
-            ]
-            found.append(column(predicted(plant, _seen(document, n), age)) + column(first))
-    return found
+    age = arb(lasts) + document.timing.get("delay", 0.0)
+    age += plant.h * (2 * document.timing.get("missed", 0) + 1)
+    estimate = column(document.estimate or [0.0] * n)
+    first = column(_peak([estimate.entries(), (magnitude(plant.open.phi) * estimate).entries()]))
+    measured = sums(map(arb, document.measured or [0.0] * n), document.displaced)
+    return sums(predicted(plant, measured, age), Needs(craft, memory, identity(n)).ever(first))
 
 
-def upset(
-    needs: Needs, boxes: list[arb_mat], off: Iterable[list[list[arb]]] | None = None
-) -> list[list[arb]]:
-    """What errors in any of some boxes need along rows by the end of the period after node l + 1.
+def _unmade(document: Document, craft: Craft, memory: Memory, count: int) -> arb_mat:
+    """Return generators of what up to `count` updates in a row add that an observer does not make.
 
-    With what S makes of estimates that are `off`, for every box, where an observer has been misled.
+    Each leaves out its gain times what it would have learned, the measurement less its prediction in the
+    flight without the outage; until the next update is made, errors move as they do without one.
     """
-    found, misleading = [], None if off is None else iter(off)
-    for box in boxes:
-        most, steps = _peak([[arb(0)] * needs.rows.nrows(), needs.still(box)]), []
-        for lag in range(len(needs.carried)):
-            most = _peak([most, needs.boxed(box, lag)])
-            steps.append(most)
-        if misleading is not None:
-            steps = [sums(*pair) for pair in zip(steps, _answered(needs, next(misleading)), strict=True)]
-        found.append(steps)
-    steps = [_peak(list(each)) for each in zip(*found, strict=True)]
+    assert document.observer is not None
+    plant, M, update = craft.plant, matrix(document.observer["measures"]), craft.samples[0]
+    blind = craft_of(document, plant, craft.gain, observing=False)
+    thrust = plant.push(plant.thruster_part(plant.u_max))
+    rows, n = beside(arb_mat(M.nrows(), craft.free.ncols() - M.ncols()), M), M.ncols()
+    full, box = replace(craft, steady=[*craft.steady, *thrust], _along={}), column([arb(0)] * n + craft.box)
+    needs = Needs(full, replace(memory, profile=[], rates=[]), rows * blind.free)
+    each = [sums(more, needs.boxed(box, lag)) for lag, more in enumerate(needs.responses)]
+    known = _peak([*each, sums(needs.settled, needs.still(box))])
+    latest = replace(blind, steady=full.steady, _along={}).supports(rows)
+    adds = [update.adds * diagonal(sums(update.size, known, latest))]
+    while len(adds) < count:
+        adds.append(blind.F * adds[-1])
+    return beside(*adds)
+
+
+def upset(needs: Needs, boxes: list[arb_mat], others: Sequence[arb_mat] = ()) -> list[list[arb]]:
+    """Return needs along rows of what is in a box, or spanned by generators, by the end of a period.
+
+    That is the period after node l + 1, the state being added up to two periods after a hand-over.
+    """
+    worst, steps = [arb(0)] * needs.rows.nrows(), list[list[arb]]()
+    ever = [needs.still(each) for each in (*boxes, *(column(widths(each)) for each in others))]
+    for lag in range(len(needs.carried)):
+        now = [needs.boxed(box, lag) for box in boxes] + [needs.spanned(each, lag) for each in others]
+        worst = _peak([worst, *ever, *now])
+        steps.append(worst)
     last = len(steps) - 1
     return [steps[min(lag + 2, last)] for lag in range(last + 1)]
-
-
-def _answered(needs: Needs, off: list[list[arb]]) -> list[list[arb]]:
-    """What errors of estimates, by period, need along rows, and what they do to what is commanded itself."""
-    at, older, bent = needs.caused(needs.noise, off[: len(needs.carried)], True)
-    own, found = (absolute(needs.rows) * column(off[0])).entries(), list[list[arb]]()
-    for each in at[1:]:
-        found.append(_peak([*found[-1:], each]))
-    return [sums(each, older, bent, own) for each in found]

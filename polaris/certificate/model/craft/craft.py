@@ -50,6 +50,12 @@ class Craft:
         """The loop under another law."""
         return replace(self, gain=gain, _along={})
 
+    def last(self, duration: arb) -> Craft:
+        """Return the loop with additions in the last seconds of a period alone."""
+        since = (self.plant.h - duration).lower()
+        parts = [(since if since > a else a, b, enters) for a, b, enters in self.parts if not b <= since]
+        return replace(self, parts=parts, _along={})
+
     @property
     def motion(self) -> Motion:
         """Motion of the error alone, without commands."""
@@ -124,7 +130,7 @@ class Craft:
     @cached_property
     def spans(self) -> list[tuple[arb_mat, Motion]]:
         """Matrices by which what is added in each part of the period enters the state, and its motions."""
-        if len(self.parts) == 1:
+        if len(self.parts) == 1 and self.parts[0][0] == 0:
             return [(self.parts[0][2], self.motion)]
         plant = self.plant
         return [

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, largest, magnitude, sums
+from ...kernel.balls import above, column, identity, largest, magnitude, sums, widths
 from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
@@ -179,6 +179,11 @@ class Needs:
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
         return list(((magnitude(self.carried[lag]) + self.bend[lag]) * self.craft.lifted(size)).entries())
+
+    def spanned(self, generators: arb_mat, lag: int) -> list[arb]:
+        """Need of an undisturbed state that generators span at node l, and in the period after it."""
+        rates = column(widths(self.rates[0].carried[lag] * generators))
+        return sums(widths(self.carried[lag] * generators), (self.motion.bend(self.rows) * rates).entries())
 
     @cached_property
     def _most(self) -> arb_mat:

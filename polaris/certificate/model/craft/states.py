@@ -140,20 +140,21 @@ class States:
         return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, lag, base)
 
 
-def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
-    """Build the loop of the safety controller from a certificate.
+def remembers(document: Document) -> bool:
+    """Return True if delay, observer and carried impulses are states of the loop.
 
-    Delay and observer are states of it, but where any of several patterns of measurements may be met, and
-    beside faults: a box stands for the estimate then.
+    A box stands for the estimate where any of several patterns of measurements may be met.
     """
-    n, m, delay, stated = (
-        plant.A.nrows(),
-        plant.B.ncols(),
-        document.timing.get("delay", 0.0),
-        document.observer,
-    )
-    phases = bool(document.error_by_step) and delay > 0 and stated is None
-    if document.timing.get("missed", 0) or document.transients or phases:
+    lost = any(not fault.get("pushes") for fault in document.transients)
+    phases = bool(document.error_by_step) and document.timing.get("delay", 0.0) > 0
+    return not (document.timing.get("missed", 0) or (document.observer is None and (lost or phases)))
+
+
+def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = True) -> Craft:
+    """Build the loop of the safety controller from a certificate; without updates if not `observing`."""
+    n, m = plant.A.nrows(), plant.B.ncols()
+    delay, stated = document.timing.get("delay", 0.0), document.observer
+    if not remembers(document):
         most = plant.unseen * column(plant.thruster_part(plant.u_max)) if plant.hidden else arb_mat(n, 1)
         known = list(map(arb, document.calmest or [0.0] * n))
         off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
@@ -176,7 +177,8 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat) -> Craft:
         first = stated.get("initial") or stated.get("settled") or document.measured or document.estimate
         M, base = matrix(stated["measures"]), None
         noisy = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
-        states.observer(matrix(stated["gain"]), M, noisy, carry, sums(map(arb, first), moved))
+        L = matrix(stated["gain"]) * int(observing)
+        states.observer(L, M, noisy, carry, sums(map(arb, first), moved))
     elif delay:
         off = sums(measured, away)
     elif document.estimate:
