@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from ...model.craft import Array, Craft
 from ...model.scene.timed_polytope import TimedPolytope
-from ...model.system import Array, LinearSystem
 from ...synthesis.safety.carried_rows import error_tube
 from ...synthesis.safety.clearance import facet_room
 from ...synthesis.safety.demand import command_errors
@@ -42,7 +42,7 @@ class Claims:
     failing: bool = False
 
     @property
-    def system(self) -> LinearSystem:
+    def system(self) -> Craft:
         """What flies."""
         return self.schedule.safety.problem.system
 
@@ -217,7 +217,7 @@ def _look_closer(
     np.maximum.at(out.below[:, o], run, claims.floor[period, o] - least)
 
 
-def _pulsed(system: LinearSystem, before: Array, after: Array, h: float, s: Array) -> Array:
+def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> Array:
     """How far pulses take positions from where held inputs have them, at shares s of a period, (R, S, d).
 
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.

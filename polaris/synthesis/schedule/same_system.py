@@ -12,8 +12,9 @@ import numpy as np
 
 from reach.sets.zonotope import Zonotope
 
+from ...model.craft import Craft
 from ...model.errors import ScenarioError, SynthesisInfeasible
-from ...model.system import Array
+from ...model.system import Array, LinearSystem
 from ...model.tolerances import REFERENCE, ROUNDING
 from ..controllers.black_box import BlackBox
 from ..controllers.controllers import AffineController, AnyThrust, Controller, TubeSegment
@@ -115,6 +116,8 @@ def _same_parts(field: str, found: Any, wanted: Any) -> None:
     """Refuse what is not of the same kind with the same parts, its arrays to rounding, as what is wanted."""
     if found is wanted:
         return
+    if type(found) is LinearSystem:
+        found = Craft.of(found)
     if is_dataclass(wanted):
         if type(found) is not type(wanted):
             raise ScenarioError(field, type(found).__name__, f"must be of the kind {type(wanted).__name__}")

@@ -11,13 +11,13 @@ from scipy.linalg import expm
 from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
+from ...model.craft import Array, Craft
 from ...model.prediction import IN_PERIOD, forgetting, prediction_error, unseen_by
-from ...model.system import Array, LinearSystem
 from ...model.timing import WHOLE, Transient
 from ...model.tolerances import ROUNDING
 
 
-def moved(system: LinearSystem, fault: Transient, gain: Array, h: float, off: Array) -> Array:
+def moved(system: Craft, fault: Transient, gain: Array, h: float, off: Array) -> Array:
     """How far wrong thrust moves the states at most, whoever flies meanwhile, shape (J, n).
 
     Every law answers with no more than its gain times the deviation, whatever clips it (Gronwall's
@@ -37,14 +37,14 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, h: float, off: Ar
     return np.asarray(found)
 
 
-def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
+def hidden(system: Craft, gain: Array, h: float) -> Array:
     """What wrong thrust may add to states by the time that predictions know of it, shape (n,)."""
     ended = (replace(fault, lasts=0.0) for fault in system.transients if len(fault.thrust))
     found = (moved(system, fault, gain, h, np.zeros((1, system.n))).max(axis=0) for fault in ended)
     return np.asarray(np.max([np.zeros(system.n), *found], axis=0))
 
 
-def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, given: tuple[Array, Array]) -> Array:
+def _spread(system: Craft, lasts: float, h: float, gains: Array, given: tuple[Array, Array]) -> Array:
     """The same under laws with gains up to these; `given` is how far inputs (J, m) and estimates are off."""
     (wrong, off), timing, thrusters, n = given, system.timing, system.thrusters, system.n
     late = h * (ceil(timing.delay / h * (1 - WHOLE)) + timing.missed)
@@ -56,7 +56,7 @@ def _spread(system: LinearSystem, lasts: float, h: float, gains: Array, given: t
     return np.asarray((wrong + thrusters.part(wrong) + off @ gains.T @ answer.T) @ spread.T * (1 + ROUNDING))
 
 
-def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Array:
+def misled(system: Craft, fault: Transient, h: float, count: int) -> Array:
     """How far estimates are off because an observer does not know of a fault, shape (J, count, n).
 
     From the node on at which S flies because of it and no command is older, period by period, or ever after;
@@ -88,7 +88,7 @@ def misled(system: LinearSystem, fault: Transient, h: float, count: int) -> Arra
     return np.asarray(found * (1 + 10 * ROUNDING))
 
 
-def lost(system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, Array], Array]) -> Array:
+def lost(system: Craft, fault: Transient, h: float, left: Callable[[Array, Array], Array]) -> Array:
     """Error of predictions over a whole outage, and what is left of that of the first estimate, (1, n).
 
     S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and boxes
