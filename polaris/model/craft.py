@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -17,9 +16,6 @@ from .system import Array as Array  # for the many that need both
 from .system import LinearSystem, as_finite
 from .thrusters import Thrusters
 from .timing import WHOLE, Observer, Timing, Transient
-
-AT_ONCE: dict[str, Any] = {"timing": Timing(), "error_by_step": None, "observer": None}
-"""Fields of a craft whose commands rest on what is measured right then."""
 
 
 @brief
@@ -121,13 +117,11 @@ class Craft(LinearSystem):
         if self.timing == Timing():
             return self
         own = replace(self.thrusters, bit=self.timing.bit)
-        return replace(self, estimate_error=self.measured, thrusters=own, **AT_ONCE)
+        return replace(self.known_to(self.measured), observer=None, timing=Timing(), thrusters=own)
 
     def as_ideal(self) -> Craft:
         """Return the craft without errors of estimates and thrusters, and without late faults."""
-        if self.ideal:
-            return self
-        return replace(self, estimate_error=None, thrusters=Thrusters(), transients=(), **AT_ONCE)
+        return self if self.ideal else Craft(*(getattr(self, part.name) for part in fields(LinearSystem)))
 
     def at_step(self, k: int) -> Craft:
         """Return the craft with the errors of estimates that there may be in step k."""
@@ -152,8 +146,7 @@ class Craft(LinearSystem):
     def input_error(self, gain: Array, most: Array) -> Array:
         """Bound the difference of what is applied from what a clipped law commands on the exact state, (m,).
 
-        Commands are up to `most`, shape (m,). Two clipped commands differ by no more than the commands do
-        (docs/theory.md, Proposition 5).
+        Clipped commands, up to `most` (m,), differ no more than unclipped (docs/theory.md, Proposition 5).
         """
         return np.asarray(np.abs(gain) @ self.navigation + self.thrusters.error(most))
 

@@ -16,8 +16,7 @@ from .errors import ScenarioError
 
 Array = NDArray[np.float64]
 
-HILL_AXES = ("radial", "along-track", "cross-track")
-"""Axes of Hill's frame, in the order of position, velocity and thrust."""
+HILL_AXES = ("radial", "along-track", "cross-track")  # of position, velocity and thrust, in this order
 
 
 def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:

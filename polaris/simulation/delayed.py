@@ -9,8 +9,7 @@ from ..model.prediction import prediction_error, when_measured
 from ..synthesis.sources.source import remembers
 from .integration import Integrator
 
-PAST = 100
-"""Periods before the start whose noise counts, where an observer has long been at work."""
+PAST = 100  # periods before the start whose noise counts, where an observer has long been at work
 
 
 class Predicting(Integrator):

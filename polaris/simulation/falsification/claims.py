@@ -19,12 +19,8 @@ from ..run_metrics import Runs, cubic
 from ..simulate import flown_modes
 
 PARTS = 8  # parts of a period in which it is looked at closely
-
-LOOKED_AT = 4
-"""Periods of each run, those with the least margins at their ends, that are looked at so closely."""
-
+LOOKED_AT = 4  # periods of each run that are looked at so closely: those with the least margins at their ends
 EXACT_M = 1e-3  # length [m] by which simulated margins may fall short of proven ones: the integration's error
-
 EXACT_INPUT = 1e-6  # the same for inputs, as a share of their limits
 
 

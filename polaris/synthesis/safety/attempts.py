@@ -28,8 +28,7 @@ from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 
 AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no room
-AGAIN = 1000, 2
-"""Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
+AGAIN = 1000, 2  # linear programs of a plan with coasting: so many, or so many times those without it
 
 
 class Clock:

@@ -13,8 +13,7 @@ from ..tracker.tightening import Response
 from ..tracker.tracking import Tracking
 
 ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long
-LONGER = 3
-"""For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
+LONGER = 3  # memories for which bounds at the end of the tail are constant: a checker remembers longer
 
 Effects = list[tuple[Channel, Response]]
 """Channels, and what each adds along some rows."""
