@@ -1,3 +1,4 @@
+from .model.craft import Craft as Craft
 from .model.errors import ClockWarning as ClockWarning
 from .model.errors import NotCertified as NotCertified
 from .model.errors import OutOfTime as OutOfTime

@@ -87,16 +87,8 @@ def elliptical_nmt(
     Satisfies ``v_y = -2 eta r_x`` and ``v_x = eta r_y / 2`` (eq. 22). The ellipse has semi-minor
     axis `semi_minor` [m] radially and twice that along-track.
     """
-    eta, psi = mean_motion, np.asarray(phase, dtype=float)
+    eta, b, psi = mean_motion, semi_minor, np.asarray(phase, dtype=float)
     zeta = psi + cross_phase
-    return np.stack(
-        [
-            semi_minor * np.sin(psi),
-            2 * semi_minor * np.cos(psi),
-            cross_track * np.sin(zeta),
-            semi_minor * eta * np.cos(psi),
-            -2 * semi_minor * eta * np.sin(psi),
-            cross_track * eta * np.cos(zeta),
-        ],
-        axis=-1,
-    )
+    position = b * np.sin(psi), 2 * b * np.cos(psi), cross_track * np.sin(zeta)
+    velocity = b * eta * np.cos(psi), -2 * b * eta * np.sin(psi), cross_track * eta * np.cos(zeta)
+    return np.stack([*position, *velocity], axis=-1)

@@ -10,8 +10,8 @@ from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
+from .craft import Array, Craft
 from .errors import ScenarioError
-from .system import Array, LinearSystem
 from .timing import Observer, Timing
 
 PARTS = 32  # parts of a prediction over each of which integrals are bounded by the trapezoid rule
@@ -38,7 +38,7 @@ AT_NODES = 1e-6
 """Share of what pulses displace at most within a billionth of a period of its ends, where it is nothing."""
 
 
-def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau: float) -> Array:
+def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float) -> Array:
     """Bound on the error of the state predicted over tau [s] from an estimate, shape (n,).
 
     The prediction follows the model under the commands in force, which are known: what is left is the error
@@ -54,7 +54,7 @@ def prediction_error(system: LinearSystem, estimate: Array, thruster: Array, tau
     return np.asarray((carried + pushed) * (1 + ROUNDED))
 
 
-def unseen_by(system: LinearSystem, tau: float) -> Array:
+def unseen_by(system: Craft, tau: float) -> Array:
     """What a unit of errors of every input may add to a prediction over tau [s], shape (n, m)."""
     if not tau > 0:
         return np.zeros((system.n, system.m))
@@ -63,7 +63,7 @@ def unseen_by(system: LinearSystem, tau: float) -> Array:
     return np.asarray(gains * (1 + 10 * ROUNDED))
 
 
-def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
+def filtered(system: Craft, observer: Observer, h: float, moved: Array | float = 0.0) -> Array:
     """Bound on the errors of the estimates of an observer that has long been at work, shape (n,).
 
     Just after a measurement, with every pattern of missed periods that may be. `moved` bounds by how much
@@ -108,7 +108,7 @@ def filtered(system: LinearSystem, observer: Observer, h: float, moved: Array | 
     return found
 
 
-def forgetting(system: LinearSystem, observer: Observer, h: float) -> tuple[Array, Array, int]:
+def forgetting(system: Craft, observer: Observer, h: float) -> tuple[Array, Array, int]:
     """What a period makes of errors of the estimate, and bounds on what so many periods leave of them.
 
     Raises what `filtered` does.
@@ -125,7 +125,7 @@ def forgetting(system: LinearSystem, observer: Observer, h: float) -> tuple[Arra
         count *= 2
 
 
-def fading(system: LinearSystem, observer: Observer, h: float, steps: int, periods: int) -> Array:
+def fading(system: Craft, observer: Observer, h: float, steps: int, periods: int) -> Array:
     """What the first errors of an observer still add in steps of some periods, and ever after, (K + 1, n).
 
     Raises what `filtered` does.
@@ -136,7 +136,7 @@ def fading(system: LinearSystem, observer: Observer, h: float, steps: int, perio
     return np.vstack([left[:first].reshape(steps, periods, -1).max(axis=1), ever])
 
 
-def observing(system: LinearSystem, observer: Observer, h: float, moved: Array | float = 0.0) -> LinearSystem:
+def observing(system: Craft, observer: Observer, h: float, moved: Array | float = 0.0) -> Craft:
     """The system whose estimates are those of an observer; `moved` and errors are those of `filtered`."""
     found = filtered(system, observer, h, moved)
     if (left := observer.fading) is None:
@@ -145,7 +145,7 @@ def observing(system: LinearSystem, observer: Observer, h: float, moved: Array |
 
 
 def design(
-    system: LinearSystem, measures: Array, noise: Array, h: float, missed: int = 0, boxed: bool = False
+    system: Craft, measures: Array, noise: Array, h: float, missed: int = 0, boxed: bool = False
 ) -> Observer:
     """Design the observer of measurements (r, n) off by `noise` (r,) at most, with a steady Kalman gain.
 
@@ -173,9 +173,7 @@ def design(
     return found[int(np.argmin(worse))]
 
 
-def _designed(
-    system: LinearSystem, measures: Array, noise: Array, h: float, missed: int, share: float
-) -> Observer:
+def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float) -> Observer:
     """Design an observer for errors of thrusters under a share of their limits."""
     unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(share * system.u_max)])
     unknown = np.hstack([unknown, system.B * (UNSEEN * system.u_max)])
@@ -209,7 +207,7 @@ def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
     return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
 
 
-def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, Array]:
+def jitter_error(system: Craft, jitter: float, h: float) -> tuple[float, Array]:
     """What commands add that take effect up to `jitter` [s] early or late, renewed every h [s].
 
     An error of every input [N], and a displacement (n,) that does not add up (docs/theory.md, Lemma 6 (a)):
@@ -231,7 +229,7 @@ def jitter_error(system: LinearSystem, jitter: float, h: float) -> tuple[float, 
     return float(spread.max()), np.asarray(over @ spread * reach * (1 + ROUNDED))
 
 
-def pulse_error(system: LinearSystem, fired: Array, h: float) -> tuple[float, Array]:
+def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
     """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
 
     An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
@@ -249,7 +247,7 @@ def pulse_error(system: LinearSystem, fired: Array, h: float) -> tuple[float, Ar
     return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
 
 
-def _spreading(system: LinearSystem, h: float, field: str, given: object) -> Array:
+def _spreading(system: Craft, h: float, field: str, given: object) -> Array:
     """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
     A, B, n = system.A, system.B, system.n
     block = np.zeros((3 * n, 3 * n))
@@ -268,7 +266,7 @@ def when_measured(timing: Timing, h: float, away: Array) -> Array:
     return np.asarray(away + (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.pulsed or 0.0))
 
 
-def predicting(system: LinearSystem, timing: Timing, period: float | None) -> LinearSystem:
+def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     """The system whose controllers act on predictions, of every age that may occur, with jitter or pulses.
 
     Raises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -10,19 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from reach.brief import brief
-from reach.numerics.linear import discretize
 
 from .acceleration import acceleration_input
 from .errors import ScenarioError
-from .thrusters import Thrusters
-from .timing import WHOLE, Observer, Timing, Transient
 
 Array = NDArray[np.float64]
 
-HILL_AXES = ("radial", "along-track", "cross-track")
-"""Axes of Hill's frame, in the order of position, velocity and thrust."""
-AT_ONCE: dict[str, Any] = {"timing": Timing(), "error_by_step": None, "observer": None}
-"""Fields of a system whose commands rest on what is measured right then."""
+HILL_AXES = ("radial", "along-track", "cross-track")  # of position, velocity and thrust, in this order
 
 
 def as_finite(name: str, value: ArrayLike, ndim: int) -> Array:
@@ -68,19 +62,6 @@ class LinearSystem:
         is an acceleration.
     mean_motion : float, optional
         Orbital rate [rad/s] if the frame is Hill's, else None.
-    estimate_error : array_like, shape (n,), optional
-        How far each state may be from the estimate that controllers act on, at any time and however the
-        difference changes, a prediction included (`polaris.model.prediction`); zero by default.
-    error_by_step : array_like, shape (K + 1, n), optional
-        The same in each step of a schedule, and from its end on, of which `estimate_error` is the largest.
-    observer : Observer, optional
-        What makes the estimates, where their errors are worked out from those of measurements.
-    thrusters : Thrusters
-        How far what is applied may be from what is commanded; not at all by default.
-    timing : Timing
-        What `estimate_error` holds of delays, and how far clocks may be apart; at once by default.
-    transients : tuple of Transient
-        Faults that are isolated late, of which at most one occurs; none by default.
 
     Raises
     ------
@@ -97,12 +78,6 @@ class LinearSystem:
     mass: float = 1.0
     mean_motion: float | None = None
     state_names: tuple[str, ...] = ()
-    estimate_error: Array | None = None
-    thrusters: Thrusters = Thrusters()
-    timing: Timing = Timing()
-    error_by_step: Array | None = None
-    observer: Observer | None = None
-    transients: tuple[Transient, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -130,13 +105,6 @@ class LinearSystem:
         put(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
             raise ScenarioError("system.C", self.position.shape, f"must be (d, {n}) with d = 1, 2 or 3")
-        eta = np.zeros(n) if self.estimate_error is None else self.estimate_error
-        if self.error_by_step is not None:
-            put(self, "error_by_step", as_finite("navigation", self.error_by_step, 2))
-            eta = np.max(self.error_by_step, axis=0)
-        put(self, "estimate_error", as_finite("navigation", eta, 1))
-        if self.navigation.shape != (n,) or np.any(self.navigation < 0):
-            raise ScenarioError("navigation", self.navigation.tolist(), f"must be {n} numbers >= 0")
         if not self.state_names:
             put(self, "state_names", tuple(f"x{i}" for i in range(n)))
 
@@ -154,103 +122,6 @@ class LinearSystem:
     def p(self) -> int:
         """Number of disturbance channels."""
         return int(self.D.shape[1])
-
-    @property
-    def navigation(self) -> Array:
-        """Bound on the error of the estimate of every state, shape (n,)."""
-        assert self.estimate_error is not None
-        return self.estimate_error
-
-    @property
-    def measured(self) -> Array:
-        """Bounds on the errors of measured states, those of estimates where nothing else is known, (n,)."""
-        return np.array(self.timing.measured or self.navigation)
-
-    @property
-    def ideal(self) -> bool:
-        """Whether laws see the exact state, and what they command is what is applied, without late faults."""
-        return self.thrusters.exact and not np.any(self.navigation) and not self.transients
-
-    @property
-    def displaced(self) -> Array:
-        """How far each state may be from where all sets say it is (`Timing`), shape (n,)."""
-        return np.array(self.timing.displaced or np.zeros(self.n))
-
-    @property
-    def displaced_at_nodes(self) -> Array:
-        """The same at nodes, where pulses displace nothing, shape (n,)."""
-        return np.asarray(self.displaced - np.array(self.timing.pulsed or 0.0))
-
-    @cached_property
-    def adrift(self) -> Array:
-        """Rates of the states by impulses that are carried, and by their errors, as generators (n, ...)."""
-        if not self.timing.carried:
-            return np.zeros((self.n, 0))
-        held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
-        wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
-        return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
-
-    @cached_property
-    def carried_away(self) -> Array:
-        """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
-        if not self.timing.carried:
-            return np.zeros(self.n)
-        held = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period
-        away = held.sum(axis=1) + self.thrusters.along * np.abs(self.B).sum(axis=1)
-        return np.asarray(away * self.timing.carried * (1 + 1e-9))
-
-    @property
-    def prompt(self) -> LinearSystem:
-        """The same system if commands took effect at once: with the errors of measurements."""
-        if self.timing == Timing():
-            return self
-        own = replace(self.thrusters, bit=self.timing.bit)
-        return replace(self, estimate_error=self.measured, thrusters=own, **AT_ONCE)
-
-    def as_ideal(self) -> LinearSystem:
-        """The same system without errors of estimates and thrusters, and without faults known late."""
-        if self.ideal:
-            return self
-        return replace(self, estimate_error=None, thrusters=Thrusters(), transients=(), **AT_ONCE)
-
-    def at_step(self, k: int) -> LinearSystem:
-        """Return the system with the errors of estimates that there may be in step k."""
-        steps = self.error_by_step
-        return self if steps is None else self.known_to(steps[min(k, len(steps) - 1)])
-
-    def known_to(self, error: Array) -> LinearSystem:
-        """Return the system with errors of estimates, shape (n,), that are those of every step."""
-        return replace(self, estimate_error=error, error_by_step=None)
-
-    def estimate_off(self, most: Array | None = None) -> Array:
-        """Bounds on the errors of the estimate, shape (..., n).
-
-        `most` (..., m) bounds the commands of the periods before whose errors are not measured yet, if known
-        (docs/theory.md, Proposition 7 (b)).
-        """
-        if most is None or not self.timing.hidden or self.transients:
-            return self.navigation if most is None else self.navigation + np.zeros((*most.shape[:-1], 1))
-        spare = self.thrusters.part(self.u_max) - self.thrusters.part(np.minimum(most, self.u_max))
-        return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
-
-    def input_error(self, gain: Array, most: Array) -> Array:
-        """By how much what is applied may differ from what a law, clipped, would command on the exact state.
-
-        Under commands up to `most`, shape (m,). Two clipped commands differ by no more than the commands do
-        (docs/theory.md, Proposition 5).
-        """
-        return np.asarray(np.abs(gain) @ self.navigation + self.thrusters.error(most))
-
-    def spent(self, most: Array) -> Array:
-        """Bounds on what is applied, on average over time, under commands up to `most`, shape (..., m)."""
-        jitter, h = self.timing.jitter, self.timing.period
-        longer = 2 * jitter / h * (1 + WHOLE) if jitter else 0.0  # share of a period that a command may last
-        return np.asarray((1 + longer) * (most + self.prompt.thrusters.error(most)))
-
-    def error_map(self, error: Array) -> Array | None:
-        """Errors of inputs, and what is carried, as generators of the rate of the states; None for none."""
-        parts = [self.B * error] * bool(np.any(error)) + [self.adrift] * bool(self.timing.carried)
-        return np.hstack(parts) if parts else None
 
     @property
     def input_names(self) -> tuple[str, ...]:

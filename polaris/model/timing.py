@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from .keys import Key, NonNegative, Real, Whole
+from .system import Array
 from .thrusters import Thrusters
-
-Array = NDArray[np.float64]
 
 WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
 
@@ -104,21 +102,21 @@ class Transient:
 
     name: str  # kind of the fault
     lasts: float  # for how long at most [s]
-    thrust: NDArray[np.float64]
+    thrust: Array
     """Inputs that each thruster alone makes at its limit, of which one may fail [N], (N, m); none of them
     where it is navigation that is lost, and S flies on at once."""
     share: float  # of its thrust that is lost, or pushes without being asked to
-    gains: NDArray[np.float64]  # largest sizes of the entries of all experimental controllers' gains, (m, n)
+    gains: Array  # largest sizes of the entries of all experimental controllers' gains, (m, n)
     asked: bool = False  # whether black boxes fly, whose answers may be any
-    networks: NDArray[np.float64] | None = None  # the same of networks: how steep they are in the state
+    networks: Array | None = None  # the same of networks: how steep they are in the state
     after: float = 0.0  # so much longer [s] decisions on predictions go on that did not know of it
     unseen: int = 1  # periods since the last estimate after which S flies at the latest, where they are lost
 
     @property
-    def pushes(self) -> NDArray[np.float64]:
+    def pushes(self) -> Array:
         """How far inputs may be from what is commanded meanwhile: a row for each kind, shape (J, m) [N]."""
         return np.asarray(np.unique(np.abs(self.thrust) * self.share, axis=0))
 
-    def wrong(self, thrusters: Thrusters) -> NDArray[np.float64]:
+    def wrong(self, thrusters: Thrusters) -> Array:
         """The same with the errors that it brings along of thrusters."""
         return np.asarray(self.pushes + thrusters.part(self.pushes))

@@ -29,6 +29,5 @@ violation itself is not ignored: the end condition starts from the state really 
 
 TIME = 1e-9  # relative slack when asking whether one duration divides another
 
-
 FARTHEST = 1e6
 """Positions [m] and velocities [m/s] beyond this are taken for faults of the sensors, as nan is."""

@@ -27,8 +27,7 @@ SOLVERS = {
 """Who decides the separating facets, and what summaries call it."""
 IN_VIEW = "in_view"
 """Status of a plan that follows an experimental controller: certified, but the cheapest of nothing."""
-KNOWN = "known"
-"""Status of a plan that was found before, and is only read."""
+KNOWN = "known"  # status of a plan that was found before, and is only read
 
 
 @dataclass(frozen=True, eq=False)

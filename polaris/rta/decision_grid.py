@@ -11,9 +11,9 @@ from reach.brief import brief
 from reach.numerics.linear import discretize
 
 from ..model.checks import non_negative, of_kind, positive
+from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
 from ..model.scene.timed_polytope import TimedPolytope
-from ..model.system import Array, LinearSystem
 from ..synthesis.controllers.black_box import BlackBox
 from ..synthesis.controllers.controllers import Controller
 from ..synthesis.controllers.neural import NeuralController
@@ -113,7 +113,7 @@ class DecisionGrid:
         return replace(self, clearance=replace(self.clearance, unsafe=unsafe))
 
     @property
-    def system(self) -> LinearSystem:
+    def system(self) -> Craft:
         """What is controlled."""
         return self.tracking.system
 
@@ -253,7 +253,7 @@ def _at_nodes(arcs: Array) -> Array:
     return np.concatenate([arcs[:, :-1].reshape(-1, *arcs.shape[2:]), arcs[-1, -1:]])
 
 
-def met_by_decisions(system: LinearSystem, nodes: int, delay: int, h: float) -> LinearSystem:
+def met_by_decisions(system: Craft, nodes: int, delay: int, h: float) -> Craft:
     """Faults as decisions of so many periods of h [s] meet them, which take effect `delay` periods late."""
     if not (faults := system.transients):
         return system

@@ -9,10 +9,8 @@ from ..scenario.scenario import ScheduleScenario
 from ..synthesis.safety.get_safety import find_safety
 
 TABLES = ("navigation", "thrusters", "timing", "chaser")
-OTHERS = ("from_s", "within_m", "directions", "thrust_max_N", "matrix")
-"""Numbers in these tables that are no errors."""
-SHARES = tuple(2 ** (-i / 4) for i in range(81))
-"""Of a bound, with which a safe reference is looked for: from all of it to a millionth."""
+OTHERS = ("from_s", "within_m", "directions", "thrust_max_N", "matrix")  # tables' keys of no errors
+SHARES = tuple(2 ** (-i / 4) for i in range(81))  # of a bound for which a reference is sought, 1 to 1e-6
 
 Bounds = Mapping[str, Any]  # numbers, or lists of them, by their keys in the scenario
 

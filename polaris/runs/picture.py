@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
+from ..model.craft import Craft
 from ..model.scene.obstacle import Obstacle
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
@@ -98,7 +99,7 @@ class Picture:
     """One synthesis, to be drawn."""
 
     title: str
-    system: LinearSystem
+    system: Craft
     obstacles: tuple[Obstacle, ...]
     goal: Any
     initial_set: Zonotope

@@ -9,6 +9,7 @@ import numpy as np
 from reach.networks.onnx_file import read_onnx
 from reach.numerics.errors import ReachError
 
+from ..model.craft import Craft
 from ..model.errors import OutOfTime, ScenarioError
 from ..model.hill import elliptical_nmt
 from ..model.scene.obstacle import Obstacle
@@ -47,7 +48,7 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 
 
 def read_policies(
-    model: ScenarioModel, system: LinearSystem, unsafe: Sequence[Obstacle], folder: Path | None
+    model: ScenarioModel, system: Craft, unsafe: Sequence[Obstacle], folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
     """Networks of a scenario and their files, by the name of their controller.
 

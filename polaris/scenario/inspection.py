@@ -16,9 +16,9 @@ from ..inspection.flights.sampling import InitialConditions
 from ..inspection.flights.simulation import BatchFilter, Errors
 from ..inspection.inspection import Inspection
 from ..model.checks import counted
+from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
 from ..model.prediction import prediction_error
-from ..model.system import Array
 from .base import Scenario, kept
 from .reading import did_you_mean
 from .tables import inspection as models
@@ -169,7 +169,7 @@ class FlightScenario(FilteredScenario):
             part = getattr(model, table)
             if (value := getattr(part, key)) != type(part).model_fields[key].default:
                 raise ScenarioError(f"{table}.{key}", value, "is for schedules only")
-        system = replace(self.inspection().system, w_max=push)
+        system = Craft.of(replace(self.inspection().system, w_max=push))
         errors = model.thrusters.build(system, model.flight.period_s)
         eta, worst = model.navigation.build(system), errors.error(system.u_max)
         eta = prediction_error(system, eta, worst, model.timing.delay_s)

@@ -14,8 +14,8 @@ from reach.numerics.files import read_regular
 from reach.sets.zonotope import Zonotope
 
 from ..model.checks import counted
+from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem
 from ..model.tolerances import ROUNDING
 from . import rules
 from .base import Scenario, kept
@@ -101,9 +101,9 @@ class ScheduleScenario(Scenario):
         return self.model.simulation
 
     @kept
-    def system(self) -> LinearSystem:
+    def system(self) -> Craft:
         """The controlled system, how well its state is known and how late, and its thrusters."""
-        model, system = self.model, self.model.system.build()
+        model, system = self.model, Craft.of(self.model.system.build())
         if model.thrusters is not None:
             system = replace(system, thrusters=model.thrusters.build(system, self.period()))
         allocation, limits = self.allocation(), system.u_max

@@ -4,13 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from ..model.craft import Array, Craft
 from ..model.prediction import prediction_error, when_measured
-from ..model.system import Array, LinearSystem
 from ..synthesis.sources.source import remembers
 from .integration import Integrator
 
-PAST = 100
-"""Periods before the start whose noise counts, where an observer has long been at work."""
+PAST = 100  # periods before the start whose noise counts, where an observer has long been at work
 
 
 class Predicting(Integrator):
@@ -55,7 +54,7 @@ class Predicting(Integrator):
         self.noise = self._noise() / np.maximum(self.known, 1e-300)
         self.measured = -1
 
-    def known_to(self, system: LinearSystem) -> Array:
+    def known_to(self, system: Craft) -> Array:
         """Bounds on the errors of predictions in a step, whatever was commanded before, shape (n,)."""
         return system.navigation
 
@@ -153,7 +152,7 @@ class Predicting(Integrator):
         """What is commanded depends on more than the state."""
 
 
-def flies(system: LinearSystem) -> type[Integrator]:
+def flies(system: Craft) -> type[Integrator]:
     """Return the kind of flight that attacks fly.
 
     Observer and delay are flown as they are on board where they are states of the loop that is proven; else

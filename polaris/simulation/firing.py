@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import expm
 
-from ..model.system import Array, LinearSystem
+from ..model.craft import Array, Craft
 from ..model.thrusters import Thrusters
 from .failing import Failing
 
@@ -18,7 +18,7 @@ class Firing:
     is `left` (R, m) [N s] if it is carried. What fails is `failing`.
     """
 
-    system: LinearSystem
+    system: Craft
     thrusters: Thrusters
     fired: Array
     asked: Array  # without errors, (R, m)

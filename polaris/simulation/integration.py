@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from reach.numerics.linear import discretize
 
-from ..model.system import Array, LinearSystem
+from ..model.craft import Array, Craft
 from ..synthesis.controllers.black_box import BlackBox
 from ..synthesis.controllers.controllers import AffineController, AnyThrust
 from ..synthesis.controllers.neural import NeuralController
@@ -17,7 +17,7 @@ from .firing import Firing
 from .run_metrics import Runs
 
 
-def columns(system: LinearSystem, told: int = 0) -> tuple[slice, slice, slice, slice]:
+def columns(system: Craft, told: int = 0) -> tuple[slice, slice, slice, slice]:
     """Columns of w, errors of estimates and thrusters where not exact, and shares of what networks hear."""
     first = system.p
     second = first + system.n * bool(np.any(system.navigation))
@@ -70,7 +70,7 @@ class Integrator(Firing):
         cells = [self.known_to(self.system.at_step(k)) for k in range(len(self.modes))]
         return np.repeat(np.array(cells)[:, None], self.steps_per_cell, axis=0)
 
-    def known_to(self, system: LinearSystem) -> Array:
+    def known_to(self, system: Craft) -> Array:
         """The same in a step, shape (n,)."""
         return system.estimate_off(0 * system.u_max)
 

@@ -33,7 +33,6 @@ DEFINITIONS = {
 }
 """What each number of a summary means, and how it joins the runs."""
 
-
 CONFIDENCE = 0.95  # of every interval and bound
 
 POSSIBLE = {"experimental_share": (0.0, 1.0)} | dict.fromkeys(

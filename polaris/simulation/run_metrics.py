@@ -17,8 +17,7 @@ from ..synthesis.schedule.schedule import Schedule
 from .failing import Failing
 from .metrics import Metrics
 
-PART = 250
-"""Runs evaluated at a time, to bound the memory used."""
+PART = 250  # runs evaluated at a time, to bound the memory used
 
 
 @brief

@@ -21,8 +21,8 @@ from polaris.certificate.model.craft.scheduled import Scheduled as CheckedSchedu
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
 from polaris.certificate.model.timing import carried_away
+from polaris.model.craft import Craft
 from polaris.model.prediction import design, fading, predicting
-from polaris.model.system import LinearSystem
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.synthesis.safety.carried_rows import CarriedRows
@@ -52,7 +52,7 @@ def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=
     P = solve_continuous_are(A, B, np.diag([1.0, 1, 2, 2]), 2 * eye)
     errors = Thrusters(0.1, 0.05, 0.004) if proportional else Thrusters()
     known = None if observer else np.array([0.01, 0.02, 0.004, 0.003])
-    system = LinearSystem(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
+    system = Craft(A, B, 0.7 * B, [1.0, 1.2], 0.03, estimate_error=known, thrusters=errors)
     if observer:
         system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
     timing = Timing(delay=delay * H, missed=missed, carried=carried, jitter=jitter, fired=fired)

@@ -1,12 +1,14 @@
 """What a proof is put together from is about one system, one time grid and one reference, or is refused."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
 
 from polaris.model.errors import ScenarioError
 from polaris.model.scene.obstacles import BoxObstacle
+from polaris.model.system import LinearSystem
+from polaris.model.thrusters import Thrusters
 from polaris.planning.reference import Reference
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.controllers.controllers import AffineController, AnyThrust, TubeSegment, construct_s
@@ -14,6 +16,7 @@ from polaris.synthesis.safety.ball_sets import BallSets
 from polaris.synthesis.safety.clearance import best_facets
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
 from polaris.synthesis.schedule.rules import SwitchingRules
+from polaris.synthesis.schedule.same_system import check_controller
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.tracker.feedback import Feedback
 from polaris.synthesis.tracker.tracking import Tracking
@@ -87,6 +90,17 @@ def test_an_equal_system_is_as_good_as_the_same():
     law = AnyThrust("any", replace(safety.problem.system), safety.reference, safety.tracking)
     assert proof(law).guarantee == "proved"
     assert proof(Own(law)).modes.tolist() == proof(law).modes.tolist()
+
+
+def test_a_plain_system_counts_as_one_without_errors():
+    safety, law = small_safety(), small_controllers()["coasting"]
+    craft = safety.problem.system
+    plain = LinearSystem(*(getattr(craft, part.name) for part in fields(LinearSystem)))
+    again = replace(law, system=plain, own=replace(law.own, system=plain))
+    assert proof(again).modes.tolist() == proof(law).modes.tolist()
+    wrong = replace(craft, thrusters=Thrusters(along=0.1))
+    with pytest.raises(ScenarioError, match=r"system\.thrusters\.along: got 0\.0; must be"):
+        check_controller(again, replace(safety, problem=replace(safety.problem, system=wrong)))
 
 
 def grids():

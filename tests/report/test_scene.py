@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from polaris.model.craft import Craft
 from polaris.model.hill import clohessy_wiltshire
 from polaris.model.scene.keep_in import KeepInCone, KeepInPolytope
 from polaris.model.scene.obstacle import RigidObstacle
 from polaris.model.scene.obstacles import BallObstacle, BoxObstacle, PolytopeObstacle
 from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.scene.shapes import Polytope
-from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, Goal, GoalConditions, LinearNMT, StationaryPoint
 from polaris.planning.reference import Reference
 from polaris.report.html.scene import scene_data
@@ -30,7 +30,7 @@ def integrator(d):
     zero, one = np.zeros((d, d)), np.eye(d)
     A = np.block([[zero, one], [zero, zero]])
     B = np.vstack([zero, one])
-    return LinearSystem(A, B, B, np.ones(d), 0.01)
+    return Craft(A, B, B, np.ones(d), 0.01)
 
 
 def picture(system, obstacles, goal):
@@ -43,7 +43,7 @@ def picture(system, obstacles, goal):
     tube = TubePicture(centre, generators, np.full((K, Q, d), 0.1))
     return Picture(
         "drift",
-        system,
+        Craft.of(system),
         tuple(obstacles),
         goal,
         Zonotope.box(start, np.full(2 * d, 2.0)),

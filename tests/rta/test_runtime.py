@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from polaris.model.craft import Craft
 from polaris.model.errors import ScenarioError
-from polaris.model.system import LinearSystem
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
 from polaris.rta.online.decision_log import DecisionLog, plain, read_log, restored
@@ -504,7 +504,7 @@ def test_the_box_always_contains_the_true_state(seed, n, told, exact):
     """Any stable or unstable motion, inputs held for parts of a period, missed and delayed measurements."""
     rng = np.random.default_rng(seed)
     A, B, D = rng.normal(size=(n, n)), rng.normal(size=(n, 2)), rng.normal(size=(n, 1))
-    system = LinearSystem(A, B, D, rng.uniform(0.1, 1, 2), rng.uniform(0, 0.3), C=np.eye(n)[:1])
+    system = Craft(A, B, D, rng.uniform(0.1, 1, 2), rng.uniform(0, 0.3), C=np.eye(n)[:1])
     half = np.zeros(n) if exact else rng.uniform(0, 0.2, n)
     box = BoxFilter(BoxMotion(system, 0.2, 1.0), -np.ones(n), np.ones(n))
     x, t, parts = rng.uniform(-1, 1, n), 0.0, 4
@@ -539,7 +539,7 @@ def _exact(B, A, h):
 
 
 def test_a_motion_too_fast_to_bound_is_refused():
-    system = LinearSystem(np.eye(1) * 50, np.ones((1, 1)), np.ones((1, 1)), np.ones(1))
+    system = Craft(np.eye(1) * 50, np.ones((1, 1)), np.ones((1, 1)), np.ones(1))
     with pytest.raises(ScenarioError, match="memory"):
         BoxMotion(system, 1.0, 10.0)
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...model.checks import non_negative, of_kind
+from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
 from ...model.prediction import prediction_error
-from ...model.system import Array
 from ...model.thrusters import Thrusters
 from ..inspection import Inspection
 from ..vectors import length
@@ -62,7 +62,7 @@ class Uncertainty:
 
     def predicted(self, inspection: Inspection) -> Array:
         """Bounds (6,) on the errors of a state that is moved to when the call was due."""
-        system = replace(inspection.system, w_max=self.disturbance)
+        system = Craft.of(replace(inspection.system, w_max=self.disturbance))
         worst = self.thrusters.error(system.u_max)
         return prediction_error(system, self.estimate, worst, self.jitter)
 

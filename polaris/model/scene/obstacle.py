@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from ..checks import halfspaces, positive, whole
+from ..craft import Craft
 from ..errors import ScenarioError, quoted
 from ..keys import Key, Matrix, Name, Vector, Whole, check_fields
 from ..system import Array, LinearSystem
@@ -224,7 +225,7 @@ class RigidObstacle(Anchored):
     def _v(self) -> Array:
         return np.zeros(len(self.anchor)) if self.velocity is None else np.asarray(self.velocity, dtype=float)
 
-    def whereabouts(self, system: LinearSystem, h: float, count: int) -> tuple[Array, Array]:
+    def whereabouts(self, system: Craft, h: float, count: int) -> tuple[Array, Array]:
         """Box of position [m] and velocity [m/s] every h [s]: middle and half-widths, (count, 2d).
 
         What is not known of it is how late the clock is by which it moves.

@@ -17,9 +17,9 @@ from math import factorial, log, sqrt
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
 from ...model.foreign import Unreadable, kind_of, settled
-from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING, TIME
 
 FARTHEST_MOTION = 20.0
@@ -68,7 +68,7 @@ class BoxMotion:
     of ``TIME period``; the rounding is booked. A `ScenarioError` says that the motion is too fast for that.
     """
 
-    def __init__(self, system: LinearSystem, period: float, longest: float) -> None:
+    def __init__(self, system: Craft, period: float, longest: float) -> None:
         self.system, self.longest, self._grain = system, longest, TIME * period
         wrong = (fault.wrong(system.thrusters) for fault in system.transients)
         self.unasked = np.vstack([np.zeros((1, system.m)), *wrong]).max(axis=0)  # by faults not isolated yet

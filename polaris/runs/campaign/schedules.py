@@ -38,8 +38,7 @@ KEPT = 4  # schedules a process keeps; cases come one after the other, so few ar
 
 _lock = threading.Lock()
 
-MEANS = ("min_distance_m", "mean_distance_m", "experimental_share", "delta_v_m_s")
-"""Columns whose mean is told with an interval."""
+MEANS = ("min_distance_m", "mean_distance_m", "experimental_share", "delta_v_m_s")  # told with intervals
 
 WORST: dict[str, Callable[[Array], Any]] = {
     "min_distance_m": np.min,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...model.craft import Craft
 from ...model.errors import escape_controls
 from ...model.files import read_text
 from ...model.system import LinearSystem
@@ -136,7 +137,7 @@ def _observer(observer: Observer) -> dict[str, Any]:
     return {key: x for key, x in told.items() if x is not None and key not in unsaid}
 
 
-def errors_of(system: LinearSystem) -> dict[str, Any]:
+def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
     unsaid = "period", "unseen"  # nothing is derived from them

@@ -9,6 +9,7 @@ import numpy as np
 from ...model import keys as f
 from ...model.allocation import Allocation, axis_pairs
 from ...model.checks import MAX_STEPS
+from ...model.craft import Craft
 from ...model.errors import ScenarioError
 from ...model.prediction import predicting
 from ...model.system import Array, LinearSystem
@@ -75,9 +76,7 @@ class Timing(Described, makes=Delays):
     """See `polaris.model.timing.Timing`."""
 
 
-def timed(
-    system: LinearSystem, timing: Delays, period: float, thrusters: Thrusters | None, limits: Array
-) -> LinearSystem:
+def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | None, limits: Array) -> Craft:
     """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
     made = thrusters or Thrusters()
     fired = () if made.pulse == "held" else tuple(limits.tolist())

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...model import keys as f
+from ...model.craft import Craft
 from ...model.errors import ScenarioError
 from ...model.prediction import design, fading, observing
 from ...model.scene.keep_in import INSTANT, KeepInPolytope, during
@@ -83,8 +84,8 @@ class Measurement(ScenarioPart):
         return np.eye(6)[: len(noise)], noise
 
     def known(
-        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing, late: bool
-    ) -> LinearSystem:
+        self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
+    ) -> Craft:
         """The system whose estimates are an observer's; see `Navigation.known`."""
         if timing.missed > MOST_MISSED:
             rule = f"must be at most {MOST_MISSED} with an observer"
@@ -114,8 +115,8 @@ class Navigation(Estimate):
     """What an observer measures, in the place of bounds on what it estimates."""
 
     def known(
-        self, system: LinearSystem, horizon: tuple[int, float], period: float, timing: Timing, late: bool
-    ) -> LinearSystem:
+        self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
+    ) -> Craft:
         """The system with these errors of estimates.
 
         `horizon` is the number of steps and their length [s]; `late` is True if faults are isolated late.

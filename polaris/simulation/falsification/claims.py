@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from ...model.craft import Array, Craft
 from ...model.scene.timed_polytope import TimedPolytope
-from ...model.system import Array, LinearSystem
 from ...synthesis.safety.carried_rows import error_tube
 from ...synthesis.safety.clearance import facet_room
 from ...synthesis.safety.demand import command_errors
@@ -19,12 +19,8 @@ from ..run_metrics import Runs, cubic
 from ..simulate import flown_modes
 
 PARTS = 8  # parts of a period in which it is looked at closely
-
-LOOKED_AT = 4
-"""Periods of each run, those with the least margins at their ends, that are looked at so closely."""
-
+LOOKED_AT = 4  # periods of each run that are looked at so closely: those with the least margins at their ends
 EXACT_M = 1e-3  # length [m] by which simulated margins may fall short of proven ones: the integration's error
-
 EXACT_INPUT = 1e-6  # the same for inputs, as a share of their limits
 
 
@@ -42,7 +38,7 @@ class Claims:
     failing: bool = False
 
     @property
-    def system(self) -> LinearSystem:
+    def system(self) -> Craft:
         """What flies."""
         return self.schedule.safety.problem.system
 
@@ -217,7 +213,7 @@ def _look_closer(
     np.maximum.at(out.below[:, o], run, claims.floor[period, o] - least)
 
 
-def _pulsed(system: LinearSystem, before: Array, after: Array, h: float, s: Array) -> Array:
+def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> Array:
     """How far pulses take positions from where held inputs have them, at shares s of a period, (R, S, d).
 
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.

@@ -19,26 +19,13 @@ from .claims import Attained, Claims, attained
 from .drifting import drifted, stopped
 from .violations import Failure, Found, broken, confirm, overspent
 
-BATCH = 100_000
-"""States of all runs flown at a time: few enough that they stay near the processor."""
-
-ELITES = 12
-"""Attacks kept per limit."""
-
-FAILING_EVERY = 3
-"""Every so many batches something fails in every flight, where faults are isolated late."""
-
-ABORT_EVERY = 4
-"""Every so many batches the flight is aborted, at the start of one of the steps from which that is proven."""
-
-TAIL_EVERY = 8
-"""Every so many batches S flies on after T, and in the last one if it has not before."""
-
-SMALLEST = 50
-"""Fewest runs in a batch, but for the last."""
-
-ROUND = ("worst", "again", "again", "mutate", "mutate", "random", "spending")
-"""One round of the search, a batch each."""
+BATCH = 100_000  # states of all runs flown at a time; more do not stay near the processor
+ELITES = 12  # attacks kept per limit
+FAILING_EVERY = 3  # batches until something fails in every flight, where faults are isolated late
+ABORT_EVERY = 4  # batches until the flight is aborted, at the start of a step from which that is proven
+TAIL_EVERY = 8  # batches until S flies on after T; in the last one it does so if it has not before
+SMALLEST = 50  # fewest runs in a batch, but for the last
+ROUND = ("worst", "again", "again", "mutate", "mutate", "random", "spending")  # one batch each
 
 
 @brief

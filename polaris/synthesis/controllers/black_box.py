@@ -17,8 +17,8 @@ from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
+from ...model.craft import Array, Craft
 from ...model.errors import NoAnswer, PolarisError
-from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.tracking import Tracking
@@ -89,7 +89,7 @@ class BlackBox:
     """
 
     name: str
-    system: LinearSystem
+    system: Craft
     reference: Reference
     tracking: Tracking
     ask: Ask
@@ -99,6 +99,7 @@ class BlackBox:
     fits: Mapping[int, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "system", Craft.of(self.system))
         if hasattr(self.ask, "reset"):
             object.__setattr__(self, "memory", True)
 

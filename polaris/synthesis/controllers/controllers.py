@@ -15,7 +15,7 @@ from reach.brief import brief
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
-from ...model.system import Array, LinearSystem
+from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.affine_law import AffineLaw, clipped_step
@@ -100,7 +100,7 @@ class AffineController(AffineLaw):
     ----------
     name : str
         Name in tables and figures.
-    system : LinearSystem
+    system : Craft or LinearSystem
         What it controls.
     gain : ndarray, shape (m, n)
         Lambda_U.
@@ -218,9 +218,12 @@ class AnyThrust:
     """
 
     name: str
-    system: LinearSystem
+    system: Craft
     reference: Reference
     tracking: Tracking
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "system", Craft.of(self.system))
 
     def along(self, reference: Reference, tracking: Tracking) -> "AnyThrust":
         """The same beside another safe reference."""

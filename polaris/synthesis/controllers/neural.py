@@ -18,8 +18,8 @@ from reach.numerics.rounding import gamma
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow
 
+from ...model.craft import Array, Craft
 from ...model.scene.obstacle import Obstacle
-from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.feedback import Feedback
@@ -41,7 +41,7 @@ class NeuralController:
     ----------
     name : str
         Name in tables and figures.
-    system : LinearSystem
+    system : Craft or LinearSystem
         What it controls.
     policy : Policy
     reference, own : Reference
@@ -59,7 +59,7 @@ class NeuralController:
     """
 
     name: str
-    system: LinearSystem
+    system: Craft
     policy: Policy
     reference: Reference
     own: Reference
@@ -67,6 +67,7 @@ class NeuralController:
     unsafe: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "system", Craft.of(self.system))
         self.policy.check(self.senses, self.name)
 
     @property
@@ -208,7 +209,7 @@ class NeuralController:
         return np.array([z.c for z in sets]), np.array([z.half_widths for z in sets]) * (1 + WIDER)
 
 
-def misapplied(system: LinearSystem, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
+def misapplied(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
     """What errors of thrusters add by the next node, and until then, (n,): commands up to `most` are held."""
     if system.thrusters.exact and not system.timing.carried:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)

@@ -9,10 +9,10 @@ from reach.brief import brief
 from reach.networks.network import Network
 from reach.networks.precision import MORE
 
+from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
 from ...model.scene.obstacle import RigidObstacle
 from ...model.scene.satellite import SatelliteObstacle
-from ...model.system import Array, LinearSystem
 from ...model.tolerances import ROUNDING
 
 OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
@@ -23,13 +23,11 @@ OF_BODY = ("position", "velocity", "relative_position", "relative_velocity")
 class Senses:
     """Everything that a policy may read, from the state and what it is told of bodies."""
 
-    system: LinearSystem
+    system: Craft
     bodies: tuple[RigidObstacle | SatelliteObstacle, ...]  # of each, position [m] and velocity [m/s]
 
     @classmethod
-    def of(
-        cls, system: LinearSystem, inputs: tuple[str, ...], unsafe: Iterable[object], field: str
-    ) -> "Senses":
+    def of(cls, system: Craft, inputs: tuple[str, ...], unsafe: Iterable[object], field: str) -> "Senses":
         """Those that some inputs need, of a scene with some unsafe sets; names the field if one is none."""
         known = {item.name: item for item in unsafe if isinstance(item, RigidObstacle | SatelliteObstacle)}
         named = dict.fromkeys(name.partition(":")[2] for name in inputs)
@@ -115,7 +113,7 @@ class Policy:
             if np.shape(given) != (size,):
                 raise ScenarioError(f"{field}.{name}", np.size(given), f"must have {size} numbers")
 
-    def steepest(self, system: LinearSystem, unsafe: Iterable[object]) -> Array:
+    def steepest(self, system: Craft, unsafe: Iterable[object]) -> Array:
         """Largest size of every entry of its derivative by the state, shape (m, n), in a scene."""
         senses, n = Senses.of(system, self.inputs, unsafe, "inputs"), system.n
         others = (np.zeros((n, size)) for size in (1, system.m, 2 * system.d * len(senses.bodies)))

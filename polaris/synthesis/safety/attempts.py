@@ -9,10 +9,10 @@ import numpy as np
 
 from reach.sets.zonotope import Zonotope
 
+from ...model.craft import Array, Craft
 from ...model.errors import ClockWarning, NotCertified, OutOfTime, SynthesisInfeasible
 from ...model.scene.obstacles import perceive
 from ...model.scene.timed_polytope import TimedPolytope
-from ...model.system import Array, LinearSystem
 from ...model.tolerances import SOLVER_BOOK_INPUT, SOLVER_BOOK_M
 from ...planning.problem import Plan, PlannerOptions, PlanProblem
 from ...planning.recheck import path_bounds
@@ -28,8 +28,7 @@ from .problem import Problem
 from .recoverable import Margin, RecoverableSet
 
 AFRESH = 2  # how often it is planned again where bows between nodes or errors by the time leave no room
-AGAIN = 1000, 2
-"""Linear programs allowed to a plan with coasting: so many, or so many times those of the plan without."""
+AGAIN = 1000, 2  # linear programs of a plan with coasting: so many, or so many times those without it
 
 
 class Clock:
@@ -223,7 +222,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     )
 
 
-def errors_alone(tracking: Tracking, axis: int, other: LinearSystem) -> float:
+def errors_alone(tracking: Tracking, axis: int, other: Craft) -> float:
     """What S demands of an input, once settled, beyond what it would in a system with fewer errors."""
     better = replace(tracking, system=other)
     most = (each.disturbance(each.commands)[-1][axis] + each.worst_noise[axis] for each in (tracking, better))

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...model.system import Array, LinearSystem
+from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
 from ..tracker.loop import Channel
@@ -13,8 +13,7 @@ from ..tracker.tightening import Response
 from ..tracker.tracking import Tracking
 
 ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long
-LONGER = 3
-"""For how many memories bounds at the end of the tail are constant: a checker remembers longer."""
+LONGER = 3  # memories for which bounds at the end of the tail are constant: a checker remembers longer
 
 Effects = list[tuple[Channel, Response]]
 """Channels, and what each adds along some rows."""
@@ -109,7 +108,7 @@ def errors_by_cell(by_step: Array, cells: int, planned: int) -> Array:
     return np.asarray(by_step[at])
 
 
-def command_errors(system: LinearSystem, gain: Array, cells: int, planned: int) -> Array:
+def command_errors(system: Craft, gain: Array, cells: int, planned: int) -> Array:
     """By how much commands may differ in each cell from those on the exact state, shape (cells, m)."""
     rows = system.navigation[None] if system.error_by_step is None else system.error_by_step
     return errors_by_cell(rows, cells, planned) @ np.abs(gain).T

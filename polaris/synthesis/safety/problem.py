@@ -14,6 +14,7 @@ from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package 
 from ...model.acceleration import velocities
 from ...model.allocation import Allocation
 from ...model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
+from ...model.craft import Craft
 from ...model.errors import ScenarioError
 from ...model.system import Array, LinearSystem
 from ...planning.goals import Goal
@@ -46,8 +47,8 @@ class Problem:
 
     Parameters
     ----------
-    system : LinearSystem
-        What is controlled.
+    system : Craft or LinearSystem
+        Controlled system; one without errors unless it is a `Craft`.
     initial_set : Zonotope
         Theta, in absolute coordinates (m, m/s).
     unsafe : tuple of obstacles
@@ -104,7 +105,7 @@ class Problem:
         Thrusters that make the inputs in every fault, where that is what their limits come from.
     """
 
-    system: LinearSystem
+    system: Craft
     initial_set: Zonotope
     unsafe: tuple[Any, ...]
     K: int
@@ -132,6 +133,7 @@ class Problem:
     allocation: Allocation | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "system", Craft.of(self.system))
         if not isinstance(self.initial_set, Zonotope):
             raise ScenarioError("initial_set", type(self.initial_set).__name__, "must be a reach.Zonotope")
         if self.initial_set.batch or self.initial_set.dim != self.system.n:

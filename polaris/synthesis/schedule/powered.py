@@ -33,8 +33,7 @@ from .takeover import SPARE, Branch, Takeover, Way
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
 PROGRAMS = 300  # most linear programs that the plan of one branch takes
-TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"
-"""What is told of an abort in a step, in the order of `PoweredSafety.told`."""
+TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"  # of an abort in a step, as in `PoweredSafety.told`
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 
 from reach.sets.zonotope import Zonotope
 
+from ...model.craft import Craft
 from ...model.errors import ScenarioError, SynthesisInfeasible
 from ...model.system import Array
 from ...model.tolerances import REFERENCE, ROUNDING
@@ -55,13 +56,14 @@ def check_controller(controller: Controller, safety: Safety) -> None:
     ):
         rule = "must be a Controller: a name in text, and fly and command (AnyThrust is one)"
         raise ScenarioError("experimental", type(controller).__name__, rule)
-    name, problem = controller.name, safety.problem
+    name, problem, K = controller.name, safety.problem, safety.problem.K
     reference = getattr(controller, "reference", safety.reference)
     tracking = getattr(controller, "tracking", safety.tracking)
     if reference is not safety.reference or tracking is not safety.tracking:
         rule = "was built on the reference of another Safety; build it on this one's"
         raise ScenarioError("experimental", name, rule)
-    _same_parts(f"{name}.system", getattr(controller, "system", problem.system), problem.system)
+    system, own = getattr(controller, "system", problem.system), getattr(controller, "own", reference)
+    _same_parts(f"{name}.system", Craft.of(system), problem.system)
     for fault in problem.system.transients:
         within = isinstance(controller, AffineController) and np.all(np.abs(controller.gain) <= fault.gains)
         if isinstance(controller, NeuralController) and fault.networks is not None:
@@ -70,16 +72,11 @@ def check_controller(controller: Controller, safety: Safety) -> None:
         if not within and not anything:
             rule = f"{fault.name} isolated late needs any thrust, or a law that the problem knows of"
             raise ScenarioError(f"{name}.gain", type(controller).__name__, rule)
-    own, K = getattr(controller, "own", reference), problem.K
-    _same_parts(f"{name}.own.system", own.system, problem.system)
+    _same_parts(f"{name}.own.system", Craft.of(own.system), problem.system)
     _same(f"{name}.own.delta", own.delta, problem.delta, "step of the problem")
     shapes = (max(own.cells, K) + 1, problem.system.n), (max(own.cells, K), problem.system.m)
-    _same(
-        f"{name}.own.chi and nu",
-        (np.shape(own.chi), np.shape(own.nu)),
-        shapes,
-        f"shapes of a path of {K} steps or more",
-    )
+    given = np.shape(own.chi), np.shape(own.nu)
+    _same(f"{name}.own.chi and nu", given, shapes, f"shapes of a path of {K} steps or more")
     if not (np.all(np.isfinite(own.chi)) and np.all(np.isfinite(own.nu))):
         raise ScenarioError(f"{name}.own", "nan or inf", "must be finite numbers")
 

@@ -21,8 +21,7 @@ from .search import Branch, Search
 from .worth import Worth, as_good
 
 LARGE = 0.15  # errors of thrusters, as a share of what is commanded, from which on less feedback is tried too
-DEARER = (0.0, 0.3, 3.0)
-"""What is added to the price of velocity change, in turn, while no schedule keeps the budget."""
+DEARER = (0.0, 0.3, 3.0)  # added in turn to the price of velocity change while no schedule keeps the budget
 
 
 def synthesize(

@@ -25,8 +25,7 @@ from ..tracker.affine_law import clipped_map
 FREE = 0  # a step in which any thrust within the limits is allowed, as under S
 PARTS = 4  # held inputs in which the thrust of a free step is enclosed (Proposition 9 (c) covers the rest)
 EACH = 60  # most linear programs for one question; left open, it counts as possible
-OPEN = 1e-6
-"""Share of the scene's size by which a path may miss a facet that its linear program does not state."""
+OPEN = 1e-6  # share of the scene's size by which a path may miss a facet that its program does not state
 STRETCH = (8, 4, 2, 1)  # steps by which a window of an impossible flight is stretched, one after the other
 Held = tuple[int, ...]  # mode whose law every step obeys, or `FREE`
 

@@ -2,7 +2,7 @@
 
 from functools import reduce
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ..tracker.loop import Loop
 from .delay import Delay
 from .disturbance import Disturbance
@@ -17,13 +17,13 @@ SOURCES = (Delay, CarriedImpulse, Filter, Estimate, Disturbance, ImpulseDrift, T
 late act once in a flight and extend none (`late_faults`)."""
 
 
-def sources(system: LinearSystem, h: float) -> tuple[Source, ...]:
+def sources(system: Craft, h: float) -> tuple[Source, ...]:
     """Return the sources that a system declares, its law renewed every h [s], in the order of `SOURCES`."""
     kinds: tuple[type[Source], ...] = SOURCES
     return tuple(source for kind in kinds if (source := kind.of(system, h)) is not None)
 
 
-def craft_loop(system: LinearSystem, h: float) -> Loop:
+def craft_loop(system: Craft, h: float) -> Loop:
     """Build the loop of a craft whose law is renewed every h [s].
 
     Errors of navigation that depend on the step of the flight count with their least (`step_errors`).

@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 from scipy.linalg import expm
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ..tracker.loop import Array, Loop
 from .source import remembers
 
@@ -26,7 +26,7 @@ class Delay:
     seconds: float
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "Delay | None":
+    def of(cls, system: Craft, h: float) -> "Delay | None":
         """Return the delay where the loop remembers it."""
         return cls(system.timing.delay) if system.timing.delay > 0 and remembers(system) else None
 

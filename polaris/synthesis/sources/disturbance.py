@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ..tracker.loop import Array, Channel, Loop
 
 
@@ -16,7 +16,7 @@ class Disturbance:
     w_max: float
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "Disturbance":
+    def of(cls, system: Craft, h: float) -> "Disturbance":
         """Return the disturbance, which there always is."""
         return cls(system.D, system.w_max)
 

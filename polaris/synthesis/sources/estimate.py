@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...model.craft import Craft
 from ...model.prediction import when_measured
-from ...model.system import LinearSystem
 from ...model.thrusters import Thrusters
 from ..tracker.loop import Array, Channel, Loop
 from .source import remembers
@@ -25,7 +25,7 @@ class Estimate:
     lag: int = 0
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "Estimate | None":
+    def of(cls, system: Craft, h: float) -> "Estimate | None":
         """Return the box of estimates as they are measured, or as a whole where the loop has no states."""
         timing, steps = system.timing, system.error_by_step
         known = system if steps is None else system.known_to(np.min(steps, axis=0))
@@ -52,12 +52,12 @@ class Estimate:
         return np.asarray(self.thrusters.part(u) @ self.unseen.T)
 
 
-def displaced(system: LinearSystem, h: float) -> Array:
+def displaced(system: Craft, h: float) -> Array:
     """Bounds on what jitter and pulses displace states by as they are measured, shape (n,)."""
     return when_measured(system.timing, h, system.displaced_at_nodes - system.carried_away)
 
 
-def step_errors(system: LinearSystem) -> Array:
+def step_errors(system: Craft) -> Array:
     """Bounds on what estimates are off by in each step, and ever after, beside the loop's own, (K + 1, n)."""
     if system.error_by_step is None or (remembers(system) and system.observer is not None):
         return np.zeros((1, system.n))  # first errors of an observer are states of the loop

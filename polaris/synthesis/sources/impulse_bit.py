@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ..tracker.loop import Array, Channel, Loop
 from .source import remembers
 
@@ -21,7 +21,7 @@ class CarriedImpulse:
     along: float = 0.0
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "CarriedImpulse | None":
+    def of(cls, system: Craft, h: float) -> "CarriedImpulse | None":
         """Return the carried impulse where the loop remembers it."""
         carried = system.timing.carried
         return cls(carried, system.thrusters.along) if carried and remembers(system) else None
@@ -48,7 +48,7 @@ class ImpulseDrift:
     drift: Array
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "ImpulseDrift | None":
+    def of(cls, system: Craft, h: float) -> "ImpulseDrift | None":
         """Return the drift where a box stands for the estimate."""
         return cls(system.adrift) if system.timing.carried and not remembers(system) else None
 

@@ -8,8 +8,8 @@ from scipy.linalg import expm
 
 from reach.numerics.linear import discretize, growth, powers
 
+from ...model.craft import Array, Craft
 from ...model.prediction import prediction_error
-from ...model.system import Array, LinearSystem
 from ...model.timing import WHOLE, Transient
 from ...model.tolerances import ROUNDING
 from ..tracker.loop import Loop, along
@@ -21,7 +21,7 @@ def touched(seconds: float, h: float) -> int:
     return ceil(seconds / h * (1 - WHOLE))
 
 
-def moved(system: LinearSystem, fault: Transient, gain: Array, loop: Loop) -> Array:
+def moved(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
     """Bound what wrong thrust adds to the loop state until S flies, whoever flies meanwhile, shape (J, N).
 
     One row for each kind of wrong thrust. Where a box stands for estimates, commands that do not know of it
@@ -37,7 +37,7 @@ def moved(system: LinearSystem, fault: Transient, gain: Array, loop: Loop) -> Ar
     return found
 
 
-def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
+def hidden(system: Craft, gain: Array, h: float) -> Array:
     """Bound what wrong thrust adds to the states by the time that predictions know of it, shape (n,)."""
     loop, pushed = Loop.of(system.A, system.B, h), [h] * _late(system, h)
     faults = (fault for fault in system.transients if len(fault.thrust))
@@ -45,13 +45,13 @@ def hidden(system: LinearSystem, gain: Array, h: float) -> Array:
     return np.asarray(np.max([np.zeros(system.n), *found], axis=0))
 
 
-def _late(system: LinearSystem, h: float) -> int:
+def _late(system: Craft, h: float) -> int:
     """Return how many periods before a command what was added in them may be unknown."""
     return touched(system.timing.delay, h) + system.timing.missed
 
 
 def _added(
-    system: LinearSystem, fault: Transient, loop: Loop, pushed: list[float], gain: Array | None = None
+    system: Craft, fault: Transient, loop: Loop, pushed: list[float], gain: Array | None = None
 ) -> Array:
     """Bound what a fault has added to the loop state by the end of each period, shape (periods + 1, J, N).
 
@@ -104,9 +104,7 @@ def _within(loop: Loop) -> Array:
     return discretize(np.abs(loop.A), np.abs(loop.B), loop.h)[1] * (1 + ROUNDING)
 
 
-def lost(
-    system: LinearSystem, fault: Transient, h: float, left: Callable[[Array, list[Array]], Array]
-) -> Array:
+def lost(system: Craft, fault: Transient, h: float, left: Callable[[Array, list[Array]], Array]) -> Array:
     """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (n,).
 
     S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and sets

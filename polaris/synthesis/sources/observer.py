@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ...model.timing import Observer
 from ..tracker.loop import Array, Channel, Loop
 from .estimate import displaced
@@ -23,7 +23,7 @@ class Filter:
     settled: Array | None = None
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "Filter | None":
+    def of(cls, system: Craft, h: float) -> "Filter | None":
         """Return the observer where the loop remembers it."""
         seen = system.observer
         if seen is None or not remembers(system):

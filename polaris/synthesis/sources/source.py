@@ -2,7 +2,7 @@
 
 from typing import Protocol, Self
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ..tracker.loop import Loop
 
 
@@ -10,14 +10,14 @@ class Source(Protocol):
     """One way in which a flight differs from its model."""
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> Self | None:
+    def of(cls, system: Craft, h: float) -> Self | None:
         """Return the source as a system declares it, its law renewed every h [s]; None where it does not."""
 
     def extend(self, loop: Loop) -> Loop:
         """Return the loop with the states and channels of this source."""
 
 
-def remembers(system: LinearSystem) -> bool:
+def remembers(system: Craft) -> bool:
     """Return True if delay and observer are states of the loop, False if a box stands for the estimate.
 
     A box it is where any of several patterns of measurements may be met, and where navigation of which only

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...model.system import LinearSystem
+from ...model.craft import Craft
 from ...model.thrusters import Thrusters
 from ..tracker.loop import Channel, Loop
 
@@ -18,7 +18,7 @@ class ThrusterErrors:
     errors: Thrusters
 
     @classmethod
-    def of(cls, system: LinearSystem, h: float) -> "ThrusterErrors | None":
+    def of(cls, system: Craft, h: float) -> "ThrusterErrors | None":
         """Return the errors of thrusters, with what jitter and pulses add to each input."""
         return None if system.thrusters.exact else cls(system.thrusters)
 

@@ -11,8 +11,8 @@ from reach.numerics.relaxation import clip_relaxation
 from reach.sets.zonotope import Zonotope
 from reach.tubes.flow import LinearFlow, merged
 
+from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
-from ...model.system import Array, LinearSystem
 from ...planning.reference import Reference
 from .feedback import Feedback
 from .loop import Channel, ClosedLoop
@@ -34,7 +34,7 @@ class AffineLaw:
     """
 
     name: str
-    system: LinearSystem
+    system: Craft
     gain: Array
     reference: Reference
     own: Reference
@@ -45,6 +45,7 @@ class AffineLaw:
     _levels: dict[tuple[bytes, ...], "AffineLaw"] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "system", Craft.of(self.system))
         shape = (self.system.m, self.system.n)
         if np.shape(self.gain) != shape or not np.all(np.isfinite(self.gain)):
             raise ScenarioError(f"{self.name}.gain", np.shape(self.gain), f"must be finite, of shape {shape}")

@@ -9,8 +9,8 @@ from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
+from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
-from ...model.system import Array, LinearSystem
 from .feedback import Feedback
 
 LEFT_OVER, WITH_PROFILE = 1e-3, 1e-5
@@ -24,8 +24,8 @@ class Contraction:
 
     Parameters
     ----------
-    system : LinearSystem
-        What is controlled.
+    system : Craft or LinearSystem
+        Controlled system; one without errors unless it is a `Craft`.
     gain : ndarray, shape (m, n)
         Lambda.
     feedback : Feedback
@@ -38,11 +38,14 @@ class Contraction:
         that the thrusters have, at all times.
     """
 
-    system: LinearSystem
+    system: Craft
     gain: Array
     feedback: Feedback
     delta: float
     level: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "system", Craft.of(self.system))
 
     @cached_property
     def flow(self) -> LinearFlow:

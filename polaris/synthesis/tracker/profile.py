@@ -8,8 +8,7 @@ from ...model.system import Array
 
 ROUNDS = 60  # most rounds of a bound that grows with the errors which it allows
 SETTLED, SPARE = 1e-4, 2e-3  # relative change at which it counts as settled, and what is added to it then
-SLOWER = 1.5
-"""By how much slower the demand of sets that an experimental controller leaves falls than that of a ball."""
+SLOWER = 1.5  # ratio of decay times: demand of sets that U leaves to that of a ball
 
 
 def profile(norms: Array, level: Array, left: Array, u_max: Array, pushed: Callable[[Array], Array]) -> Array:

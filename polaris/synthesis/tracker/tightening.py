@@ -16,8 +16,7 @@ from ...model.errors import ScenarioError
 from ...model.tolerances import ROUNDING
 from .loop import Array, Channel, ClosedLoop
 
-LEFT_OVER = 1e-5
-"""Share of a loop state that is left after the settling horizon; smaller: more rows, smaller tails."""
+LEFT_OVER = 1e-5  # share of a loop state left after the settling horizon; smaller: more rows, smaller tails
 LONGEST = 6000  # periods of a settling horizon, at most
 
 

@@ -1,0 +1,162 @@
+"""A linear system with what its navigation, timing and thrusters may do wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from reach.brief import brief
+from reach.numerics.linear import discretize
+
+from .checks import of_kind
+from .errors import ScenarioError
+from .system import Array as Array  # for the many that need both
+from .system import LinearSystem, as_finite
+from .thrusters import Thrusters
+from .timing import WHOLE, Observer, Timing, Transient
+
+
+@brief
+@dataclass(frozen=True, eq=False)
+class Craft(LinearSystem):
+    """A linear system with what its navigation, timing and thrusters may do wrong; by default nothing.
+
+    Parameters
+    ----------
+    estimate_error : array_like, shape (n,), optional
+        Bounds on the errors of the estimate that controllers act on, at any time and however they change,
+        those of a prediction included (`polaris.model.prediction`).
+    thrusters : Thrusters
+        Errors of what is applied.
+    timing : Timing
+        Delays, of which `estimate_error` holds the effect, and errors of clocks.
+    error_by_step : array_like, shape (K + 1, n), optional
+        Bounds in each step of a schedule and from its end on, of which `estimate_error` is the largest.
+    observer : Observer, optional
+        Source of the estimates, where their errors are worked out from those of measurements.
+    transients : tuple of Transient
+        Faults that are isolated late, of which at most one occurs.
+
+    Other parameters are those of `LinearSystem`.
+    """
+
+    estimate_error: Array | None = None
+    thrusters: Thrusters = Thrusters()
+    timing: Timing = Timing()
+    error_by_step: Array | None = None
+    observer: Observer | None = None
+    transients: tuple[Transient, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        put, eta = object.__setattr__, self.estimate_error
+        if self.error_by_step is not None:
+            put(self, "error_by_step", as_finite("navigation", self.error_by_step, 2))
+            eta = np.max(self.error_by_step, axis=0)
+        put(self, "estimate_error", as_finite("navigation", np.zeros(self.n) if eta is None else eta, 1))
+        if self.navigation.shape != (self.n,) or np.any(self.navigation < 0):
+            raise ScenarioError("navigation", self.navigation.tolist(), f"must be {self.n} numbers >= 0")
+
+    @classmethod
+    def of(cls, system: LinearSystem) -> Craft:
+        """Return a craft as it is, and any other linear system as a craft without errors."""
+        if isinstance(system, cls):
+            return system
+        of_kind("system", system, LinearSystem)
+        return cls(*(getattr(system, part.name) for part in fields(LinearSystem)))
+
+    @property
+    def navigation(self) -> Array:
+        """Bound on the error of the estimate of every state, shape (n,)."""
+        assert self.estimate_error is not None
+        return self.estimate_error
+
+    @property
+    def measured(self) -> Array:
+        """Bounds on the errors of measured states, those of the estimate where no others are known, (n,)."""
+        return np.array(self.timing.measured or self.navigation)
+
+    @property
+    def ideal(self) -> bool:
+        """True if laws see the exact state and their commands are applied exactly, without late faults."""
+        return self.thrusters.exact and not np.any(self.navigation) and not self.transients
+
+    @property
+    def displaced(self) -> Array:
+        """State offset: bounds on the distance of the true state from the modelled one (`Timing`), (n,)."""
+        return np.array(self.timing.displaced or np.zeros(self.n))
+
+    @property
+    def displaced_at_nodes(self) -> Array:
+        """State offset at nodes, where pulses displace nothing, shape (n,)."""
+        return np.asarray(self.displaced - np.array(self.timing.pulsed or 0.0))
+
+    @cached_property
+    def adrift(self) -> Array:
+        """Rates of the states by carried impulses and their errors, as generators (n, ...)."""
+        if not self.timing.carried:
+            return np.zeros((self.n, 0))
+        held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
+        wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
+        return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
+
+    @cached_property
+    def carried_away(self) -> Array:
+        """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
+        if not self.timing.carried:
+            return np.zeros(self.n)
+        held = discretize(np.abs(self.A), np.abs(self.B), self.timing.period)[1] / self.timing.period
+        away = held.sum(axis=1) + self.thrusters.along * np.abs(self.B).sum(axis=1)
+        return np.asarray(away * self.timing.carried * (1 + 1e-9))
+
+    @property
+    def prompt(self) -> Craft:
+        """Craft whose commands take effect at once: with the errors of measurements."""
+        if self.timing == Timing():
+            return self
+        own = replace(self.thrusters, bit=self.timing.bit)
+        return replace(self.known_to(self.measured), observer=None, timing=Timing(), thrusters=own)
+
+    def as_ideal(self) -> Craft:
+        """Return the craft without errors of estimates and thrusters, and without late faults."""
+        return self if self.ideal else Craft(*(getattr(self, part.name) for part in fields(LinearSystem)))
+
+    def at_step(self, k: int) -> Craft:
+        """Return the craft with the errors of estimates that there may be in step k."""
+        steps = self.error_by_step
+        return self if steps is None else self.known_to(steps[min(k, len(steps) - 1)])
+
+    def known_to(self, error: Array) -> Craft:
+        """Return the craft with errors of estimates, shape (n,), that are those of every step."""
+        return replace(self, estimate_error=error, error_by_step=None)
+
+    def estimate_off(self, most: Array | None = None) -> Array:
+        """Return bounds on the errors of the estimate, shape (..., n).
+
+        `most` (..., m) bounds the commands of the periods before whose errors are not measured yet, if known
+        (docs/theory.md, Proposition 7 (b)).
+        """
+        if most is None or not self.timing.hidden or self.transients:
+            return self.navigation if most is None else self.navigation + np.zeros((*most.shape[:-1], 1))
+        spare = self.thrusters.part(self.u_max) - self.thrusters.part(np.minimum(most, self.u_max))
+        return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
+
+    def input_error(self, gain: Array, most: Array) -> Array:
+        """Bound the difference of what is applied from what a clipped law commands on the exact state, (m,).
+
+        Clipped commands, up to `most` (m,), differ no more than unclipped (docs/theory.md, Proposition 5).
+        """
+        return np.asarray(np.abs(gain) @ self.navigation + self.thrusters.error(most))
+
+    def spent(self, most: Array) -> Array:
+        """Return bounds on what is applied, on average over time, under commands up to `most`, (..., m)."""
+        jitter, h = self.timing.jitter, self.timing.period
+        longer = 2 * jitter / h * (1 + WHOLE) if jitter else 0.0  # share of a period that a command may last
+        return np.asarray((1 + longer) * (most + self.prompt.thrusters.error(most)))
+
+    def error_map(self, error: Array) -> Array | None:
+        """Return errors of inputs and what is carried, as generators of the rate of the states, or None."""
+        parts = [self.B * error] * bool(np.any(error)) + [self.adrift] * bool(self.timing.carried)
+        return np.hstack(parts) if parts else None
