@@ -34,7 +34,7 @@ def moved(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
     if fault.after > 0:  # meanwhile nobody's answer counts
         longer = pushed + [loop.h] * (touched(fault.after, loop.h) + _late(system, loop.h))
         found = np.maximum(found, _added(system, fault, loop, longer)[-1])
-    return found
+    return np.asarray(found)
 
 
 def hidden(system: Craft, gain: Array, h: float) -> Array:
@@ -81,8 +81,8 @@ def _added(
                 answer = np.minimum(nodes[i, :, N:] @ steep.T, answer)
         error, push = answer @ own, wrong * (length > 0)
         ages = slice(0, len(pushed) - i)
-        each = (gains[ages] @ u.T for gains, u in ((held, answer), (enter[h], error), (enter[length], push)))
-        nodes[i + 1 :] += sum(each).transpose(0, 2, 1) * (1 + ROUNDING)
+        added = held[ages] @ answer.T + enter[h][ages] @ error.T + enter[length][ages] @ push.T
+        nodes[i + 1 :] += added.transpose(0, 2, 1) * (1 + ROUNDING)
         found[i + 1] = nodes[i + 1, :, :N]
         found[i + 1, :, :n] = np.maximum(  # the plant's states count at whatever instant of a period
             found[i + 1, :, :n], nodes[i, :, :n] @ over.T + (answer + error + push) @ within.T

@@ -47,7 +47,7 @@ class Filter:
         return replace(loop, navigated=offset, settled=self.settled)
 
 
-def observed(loop: Loop, system: LinearSystem) -> tuple[Loop, Array]:
+def observed(loop: Loop, system: Craft) -> tuple[Loop, Array]:
     """Return the loop with what each update adds to the estimate through the gain, and its rows, (r, N + r).
 
     It is the difference between what is measured and what was expected.

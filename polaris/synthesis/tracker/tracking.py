@@ -214,7 +214,7 @@ class Tracking(Contraction):
             )
 
         between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
-        return self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between
+        return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)
 
     def upset(self, rows: Array) -> Array:
         """Return what faults isolated late need along rows up to l periods later, (memory + 3, r)."""
