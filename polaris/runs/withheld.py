@@ -3,6 +3,7 @@
 from functools import lru_cache
 from typing import Any
 
+from ..synthesis.controllers.controllers import fly_states
 from ..synthesis.safety.recoverable import Margin
 from ..synthesis.schedule.schedule import Schedule
 
@@ -21,7 +22,7 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
         for law in schedule.controllers[1:] if step.mode == 0 else ():
-            tube = law.fly(starts[step.k], step.k)
+            tube = fly_states(law, starts[step.k], step.k, schedule.controllers[0])
             if tube.refused or not ideal.holds(step.k, tube.nodes, tube.bow):
                 continue
             if not safety.recoverable.holds(step.k, tube.nodes, tube.bow):

@@ -13,7 +13,7 @@ from ..kernel.balls import above, magnitude
 from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
-from ..model.craft.needs import Needs
+from ..model.craft.needs import Differences, Needs
 from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits
 from ..model.transients import lost, upset
@@ -49,7 +49,7 @@ class Tracker:
         return self._known[of]
 
     @cached_property
-    def _outages(self) -> list[arb_mat]:
+    def _outages(self) -> list[Differences]:
         return lost(self.document, self.craft, self.memory)
 
     @property

@@ -1,7 +1,6 @@
 """What faults do until they are isolated: boxes of what they add to the states, and whether all are told."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -21,17 +20,16 @@ from ..kernel.balls import (
     matrix,
     smallest,
     sums,
-    widths,
 )
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected
 from .craft.craft import Craft
 from .craft.memory import Memory
-from .craft.needs import Needs
+from .craft.needs import Differences, Needs, difference_along
 from .craft.states import craft_of, remembers
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
-from .timing import predicted
+from .timing import carried_away, predicted
 
 
 def check_transients(document: Document, scenario: dict[str, Any]) -> None:
@@ -160,12 +158,13 @@ def _peak(lists: list[list[arb]]) -> list[arb]:
     return [largest(each).upper() for each in zip(*lists, strict=True)]
 
 
-def lost(document: Document, craft: Craft, memory: Memory) -> list[arb_mat]:
-    """Return generators of what the loss of navigation adds to the loop state, (N, k) each."""
+def lost(document: Document, craft: Craft, memory: Memory) -> list[Differences]:
+    """Return what the loss of navigation adds to the loop state; in no more than one of them it is lost."""
     outages = [each["lasts"] for each in document.transients if not each.get("pushes")]
-    if document.observer is None:
-        return [diagonal(_predicted(document, craft, memory, lasts)) for lasts in outages]
-    return [_unmade(document, craft, memory, _periods(craft.plant, lasts)) for lasts in outages]
+    if document.observer is not None:
+        return [_unmade(document, craft, _periods(craft.plant, lasts)) for lasts in outages]
+    boxes = (diagonal(_predicted(document, craft, memory, lasts)) for lasts in outages)
+    return [[(box, arb_mat(box.nrows(), 0))] for box in boxes]
 
 
 def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -> list[arb]:
@@ -179,37 +178,37 @@ def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -
     return sums(predicted(plant, measured, age), Needs(craft, memory, identity(n)).ever(first))
 
 
-def _unmade(document: Document, craft: Craft, memory: Memory, count: int) -> arb_mat:
-    """Return generators of what up to `count` updates in a row add that an observer does not make.
+def _unmade(document: Document, craft: Craft, count: int) -> Differences:
+    """Return the difference that up to `count` updates in a row make which an observer does not make.
 
-    Each leaves out its gain times what it would have learned, the measurement less its prediction in the
-    flight without the outage; until the next update is made, errors move as they do without one.
+    The other flight has the same disturbances and errors, and measures exactly meanwhile. They differ first
+    in the update after a node at which the observer's error is within its bounds.
     """
-    assert document.observer is not None
-    plant, M, update = craft.plant, matrix(document.observer["measures"]), craft.samples[0]
-    blind = craft_of(document, plant, craft.gain, observing=False)
-    thrust = plant.push(plant.thruster_part(plant.u_max))
-    rows, n = beside(arb_mat(M.nrows(), craft.free.ncols() - M.ncols()), M), M.ncols()
-    full, box = replace(craft, steady=[*craft.steady, *thrust], _along={}), column([arb(0)] * n + craft.box)
-    needs = Needs(full, replace(memory, profile=[], rates=[]), rows * blind.free)
-    each = [sums(more, needs.boxed(box, lag)) for lag, more in enumerate(needs.responses)]
-    known = _peak([*each, sums(needs.settled, needs.still(box))])
-    latest = replace(blind, steady=full.steady, _along={}).supports(rows)
-    adds = [update.adds * diagonal(sums(update.size, known, latest))]
-    while len(adds) < count:
-        adds.append(blind.F * adds[-1])
-    return beside(*adds)
+    plant, blind = craft.plant, craft_of(document, craft.plant, craft.gain, observing=False)
+    error = sums(map(arb, document.measured), carried_away(plant))
+    n, box = len(error), [*craft.box[: -len(error)], *error]
+    start = above(arb_mat(n, len(box)), diagonal(box))
+    pushes = plant.thruster_error(plant.u_max)
+    added = [beside(*each.added(pushes)[1:]) for each in (craft, blind)]  # measurements are the first
+    first = second = identity(n + len(box))
+    found = []
+    for _ in range(count):
+        more = second * added[1] - first * added[0]
+        first, second = craft.F * first, blind.F * second
+        found.append((more, (second - first) * start))
+    return found
 
 
-def upset(needs: Needs, boxes: list[arb_mat], others: Sequence[arb_mat] = ()) -> list[list[arb]]:
-    """Return needs along rows of what is in a box, or spanned by generators, by the end of a period.
+def upset(needs: Needs, boxes: list[arb_mat], others: Sequence[Differences] = ()) -> list[list[arb]]:
+    """Return needs along rows of what is in a box, or a difference of two flights, by the end of a period.
 
     That is the period after node l + 1, the state being added up to two periods after a hand-over.
     """
     worst, steps = [arb(0)] * needs.rows.nrows(), list[list[arb]]()
-    ever = [needs.still(each) for each in (*boxes, *(column(widths(each)) for each in others))]
+    whole = [difference_along(identity(needs.carried[0].ncols()), each) for each in others]
+    ever = [needs.still(each) for each in (*boxes, *(column(each) for each in whole))]
     for lag in range(len(needs.carried)):
-        now = [needs.boxed(box, lag) for box in boxes] + [needs.spanned(each, lag) for each in others]
+        now = [needs.boxed(box, lag) for box in boxes] + [needs.difference(each, lag) for each in others]
         worst = _peak([worst, *ever, *now])
         steps.append(worst)
     last = len(steps) - 1

@@ -45,24 +45,3 @@ class Filter:
         size = self.observer.noise + measures @ self.away + measures @ offset
         loop = loop.with_channels(Channel(MEASUREMENT, size, sample=sample))
         return replace(loop, navigated=offset, settled=self.settled)
-
-
-def observed(loop: Loop, system: Craft) -> tuple[Loop, Array]:
-    """Return the loop with what each update adds to the estimate through the gain, and its rows, (r, N + r).
-
-    It is the difference between what is measured and what was expected.
-    """
-    seen, n, N = system.observer, loop.n, loop.N
-    assert seen is not None
-    count = len(seen.measures)
-    own = loop.shown.copy()
-    own[:, N - n :] -= expm(loop.A * loop.h)
-    now = dict(zip([(a, b) for a, b, _ in loop.enter], loop.shown_now, strict=True))
-    loop = loop.with_states(np.hstack([seen.measures @ own, np.zeros((count, count))]))
-    loop = loop.entering(slice(N, N + count), lambda a, b: seen.measures @ now[a, b])
-    for i, channel in enumerate(loop.channels):
-        if channel.name == MEASUREMENT and channel.sample is not None:
-            sample = np.vstack([channel.sample[:N], np.eye(count)])
-            channels = (*loop.channels[:i], replace(channel, sample=sample), *loop.channels[i + 1 :])
-            loop = replace(loop, channels=channels)
-    return loop, np.eye(loop.N)[N:]

@@ -1,5 +1,6 @@
 """The tracking controller of section III-A: its error dynamics, and the tight error tube."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,8 +16,7 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
-from ..sources.late_faults import lost, moved, touched
-from ..sources.observer import observed
+from ..sources.late_faults import Difference, lost, moved, touched, unmade
 from ..sources.source import remembers
 from .contraction import Contraction
 from .loop import Channel, Loop
@@ -158,16 +158,16 @@ class Tracking(Contraction):
         return self.system.u_max if self.profile is None else self.profile[0]
 
     @cached_property
-    def upsets(self) -> list[Array]:
-        """Generators of loop states, one matrix (N, k) for each kind of late fault, of what it has added."""
-        system, h, found = self.system, self.flow.h, list[Array]()
+    def upsets(self) -> list[Difference]:
+        """Differences of loop states, one for each kind of late fault, that it makes until S knows of it."""
+        system, h, found = self.system, self.flow.h, list[Difference]()
         try:
             with np.errstate(over="raise", invalid="raise"):
                 for fault in system.transients:
                     if len(fault.thrust):
-                        found += [np.diag(box) for box in moved(system, fault, self.gain, self.loop)]
+                        found += map(Difference.within, moved(system, fault, self.gain, self.loop))
                     elif self.loop.settled is None:
-                        found.append(np.diag(lost(system, fault, h, self.left)))
+                        found.append(Difference.within(lost(system, fault, h, self.left)))
                     else:
                         found.append(self._unmade(touched(fault.lasts, h)))
         except (ReachError, FloatingPointError) as error:
@@ -175,43 +175,24 @@ class Tracking(Contraction):
             raise ScenarioError("faults", told, "isolated so late are bounded by nothing") from error
         return found
 
-    def _unmade(self, count: int) -> Array:
-        """Return generators of what so many updates in a row add that the observer does not make, (N, k)."""
+    def _unmade(self, count: int) -> Difference:
+        """Return the difference that up to so many updates in a row make which the observer does not make."""
         system, seen = self.system, self.system.observer
         assert seen is not None
         blind = craft_loop(replace(system, observer=replace(seen, gain=0 * seen.gain)), self.flow.h)
-        sample = np.zeros((self.loop.N, len(seen.measures)))
-        sample[-system.n :] = seen.gain * self.innovation
-        return np.hstack(list(powers(blind.under(self.gain).F, count - 1) @ sample))
+        return unmade(self.tightening.closed, blind.under(self.gain), system.u_max, self.remembered, count)
 
-    @cached_property
-    def innovation(self) -> Array:
-        """Bound on the difference between what is measured and what was expected, at all times, (r,)."""
-        loop, seen = observed(self.loop, self.system)
-        first, n = np.zeros(loop.N), self.system.n
-        if self.system.observer is not None and self.system.observer.initial is not None:
-            first[self.loop.N - n : self.loop.N] = self.at_start[-n:]
-        scale = np.resize(self.tightening.scale, loop.N)
-        limits = Tightening(loop.under(self.gain), self.system.u_max, scale)
-        known = np.abs(limits.carried(seen)) @ first
-        left = limits.remainder(seen) * np.max(first / limits.v)
-        size = limits.from_rest(seen, self.system.u_max)[-1] + np.maximum(known.max(axis=0), left)
-        return np.asarray(size * (1 + ROUNDING))
+    def left(self, rows: Array, sets: Sequence[Difference]) -> Array:
+        """Return what differences of loop states need along rows up to l periods later.
 
-    def left(self, rows: Array, sets: list[Array]) -> Array:
-        """Return what sets of loop states need along rows up to l periods later.
-
-        Of generators (N, k) each; the shape is (memory + 3, r, sets), by age and ever after. What lies
-        between nodes is included.
+        Shape (memory + 3, r, sets), by age and ever after, what lies between nodes included.
         """
         limits, plant = self.tightening, rows[:, : self.system.n]
+        norms = [np.max(each.along(np.eye(self.loop.N)) / limits.v) for each in sets]
 
         def reach(rows: Array) -> Array:
-            norms = [np.max(np.abs(G).sum(axis=1) / limits.v) for G in sets]
-            each = [np.abs(limits.carried(rows) @ G).sum(axis=-1) for G in sets]
-            return np.concatenate(
-                [np.stack(each, axis=-1), np.multiply.outer(limits.remainder(rows), norms)[None]]
-            )
+            each, ever = [some.along(limits.carried(rows)) for some in sets], limits.remainder(rows)
+            return np.concatenate([np.stack(each, axis=-1), np.multiply.outer(ever, norms)[None]])
 
         between = limits.bend(plant) @ reach(limits.closed.rates).max(axis=0)
         return np.asarray(self._by_age(np.maximum.accumulate(reach(self.whole(rows)))) + between)

@@ -16,6 +16,9 @@ from .memory import Gains, Memory
 
 FEW = 8  # generators per dimension of sets whose intersample bounds are made: with more, hardly smaller ones
 
+Differences = list[tuple[arb_mat, arb_mat]]
+"""Differences of flights after each number of periods: what one adds to those of fewer, and of the start."""
+
 
 @dataclass(frozen=True, eq=False)
 class Needs:
@@ -180,10 +183,12 @@ class Needs:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
         return list(((magnitude(self.carried[lag]) + self.bend[lag]) * self.craft.lifted(size)).entries())
 
-    def spanned(self, generators: arb_mat, lag: int) -> list[arb]:
-        """Need of an undisturbed state that generators span at node l, and in the period after it."""
-        rates = column(widths(self.rates[0].carried[lag] * generators))
-        return sums(widths(self.carried[lag] * generators), (self.motion.bend(self.rows) * rates).entries())
+    def difference(self, flights: Differences, lag: int) -> list[arb]:
+        """Need of a difference of two flights at node l, and in the period after it."""
+        rates = column(difference_along(self.rates[0].carried[lag], flights))
+        return sums(
+            difference_along(self.carried[lag], flights), (self.motion.bend(self.rows) * rates).entries()
+        )
 
     @cached_property
     def _most(self) -> arb_mat:
@@ -230,6 +235,15 @@ class Bows:
             rate = self._start.image(self.needs.rates[0].carried[lag])
             self._known[lag] = self.needs.along.closer_bow(rate)
         return self._known[lag]
+
+
+def difference_along(rows: arb_mat, flights: Differences) -> list[arb]:
+    """Support along rows of the loop state of a difference of two flights, the largest."""
+    total = most = [arb(0)] * rows.nrows()
+    for more, start in flights:
+        total = sums(total, widths(rows * more))
+        most = [largest(pair) for pair in zip(most, sums(total, widths(rows * start)), strict=True)]
+    return most
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
