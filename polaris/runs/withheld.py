@@ -12,9 +12,8 @@ from ..synthesis.schedule.schedule import Schedule
 def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     """Return, as data, the steps that each late fault keeps from experimental controllers (Proposition 8).
 
-    Of a step it is told who could fly it without such faults and cannot with them, and what is short with
-    this fault alone. What all of them need is the largest of what they need one by one, so one alone is in
-    the way; but where errors of thrusters grow with commands, that may be the one that leaves least.
+    Each names the controller that could fly it without late faults, and what is short with this fault alone.
+    One alone is in the way; where errors of thrusters grow with commands, it is the one that leaves least.
     """
     safety, faults = schedule.safety, schedule.safety.problem.system.transients
     told = [dict[str, Any](fault=each.name, lasts_s=each.lasts, steps=[]) for each in faults]
