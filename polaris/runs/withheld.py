@@ -21,7 +21,7 @@ def withheld(schedule: Schedule) -> list[dict[str, Any]]:
     ideal, alone = safety.under(()), [safety.under((fault,)) for fault in faults]
     for step in schedule.steps if faults else ():
         for law in schedule.controllers[1:] if step.mode == 0 else ():
-            tube = fly_states(law, starts[step.k], step.k, schedule.controllers[0])
+            tube = fly_states(law, starts[step.k], step.k, safety.controller)
             if tube.refused or not ideal.holds(step.k, tube.nodes, tube.bow):
                 continue
             if not safety.recoverable.holds(step.k, tube.nodes, tube.bow):

@@ -174,7 +174,7 @@ def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -
     age += plant.h * (2 * document.timing.get("missed", 0) + 1)
     estimate = column(document.estimate or [0.0] * n)
     first = column(_peak([estimate.entries(), (magnitude(plant.open.phi) * estimate).entries()]))
-    measured = sums(map(arb, document.measured or [0.0] * n), document.displaced)
+    measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
     return sums(predicted(plant, measured, age), Needs(craft, memory, identity(n)).ever(first))
 
 

@@ -16,7 +16,8 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
-from ..sources.late_faults import Difference, lost, moved, touched, unmade
+from ..sources.late_faults import moved, touched
+from ..sources.outages import Difference, lost, unmade
 from ..sources.source import remembers
 from .contraction import Contraction
 from .loop import Channel, Loop

@@ -1,0 +1,80 @@
+"""Differences between flights with an outage of navigation and without it (docs/theory.md, Proposition 8)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from ...model.craft import Array, Craft
+from ...model.prediction import prediction_error
+from ...model.timing import Transient
+from ...model.tolerances import ROUNDING
+from ..tracker.loop import ClosedLoop
+from ..tracker.period_sets import rates_added, sampled_added
+from .observer import MEASUREMENT
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """Difference of the loop states of two flights, after any number of periods up to some.
+
+    Attributes
+    ----------
+    added : list of ndarray, shape (N, g)
+        Generators of what each further period adds to the difference.
+    start : list of ndarray, shape (N, s)
+        Generators of what the states at the start make of it, by the number of periods.
+    """
+
+    added: list[Array]
+    start: list[Array]
+
+    @classmethod
+    def within(cls, box: Array) -> "Difference":
+        """Build a difference within a box, shape (N,)."""
+        return cls([np.diag(box)], [np.zeros((len(box), 0))])
+
+    def along(self, rows: Array) -> Array:
+        """Return its support along rows (..., N), shape (...)."""
+        total = most = np.zeros(rows.shape[:-1])
+        for added, start in zip(self.added, self.start, strict=True):
+            total = total + np.abs(rows @ added).sum(axis=-1)
+            most = np.maximum(most, total + np.abs(rows @ start).sum(axis=-1))
+        return np.asarray(most)
+
+
+def lost(
+    system: Craft, fault: Transient, h: float, left: Callable[[Array, list[Difference]], Array]
+) -> Array:
+    """Bound errors of predictions over a whole outage, and what is left of the first estimate's, (n,).
+
+    S steers what is predicted, exactly as a loop without disturbance, in which `left` of some rows and sets
+    remains (`Tracking.left`). Periods may be missed before and after.
+    """
+    timing, every = system.timing, np.eye(system.n)
+    measured = system.measured + system.displaced
+    age = fault.lasts + timing.delay + h * (2 * timing.missed + 1)
+    found = prediction_error(system, measured, system.thrusters.error(system.u_max), age)
+    carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
+    first = np.max(carried, axis=0)
+    return np.asarray((found + left(every, [Difference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
+
+
+def unmade(closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Array, count: int) -> Difference:
+    """Return the difference that up to so many updates in a row make which an observer does not make.
+
+    The other flight has the same disturbances and errors, and measures exactly meanwhile. The loop is `blind`
+    without updates, and other states than the tracking error are `remembered`, (N - n,).
+    """
+    channels = [each for each in closed.loop.channels if each.name != MEASUREMENT]
+    sized = [(c, c.size if c.share is None else c.size + c.share(u_max)) for c in channels]
+    once, other = (
+        np.hstack([rates_added(each.loop, sized), sampled_added(each, sized)]) for each in (closed, blind)
+    )
+    first, second, found = np.eye(closed.loop.N), np.eye(closed.loop.N), Difference([], [])
+    for _ in range(count):
+        found.added.append((second @ other - first @ once) * (1 + ROUNDING))
+        first, second = closed.F @ first, blind.F @ second
+        found.start.append((second - first)[:, closed.loop.n :] * remembered * (1 + ROUNDING))
+    return found
