@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, largest, magnitude, sums, widths
+from ...kernel.balls import above, column, identity, largest, magnitude, sums
 from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
@@ -239,11 +239,11 @@ class Bows:
 
 def difference_along(rows: arb_mat, flights: Differences) -> list[arb]:
     """Support along rows of the loop state of a difference of two flights, the largest."""
-    total = most = [arb(0)] * rows.nrows()
+    total = most = arb_mat(rows.nrows(), 1)
     for more, start in flights:
-        total = sums(total, widths(rows * more))
-        most = [largest(pair) for pair in zip(most, sums(total, widths(rows * start)), strict=True)]
-    return most
+        total = total + magnitude(rows * more) * column([1.0] * more.ncols())
+        most = _larger(most, total + magnitude(rows * start) * column([1.0] * start.ncols()))
+    return list(most.entries())
 
 
 def _larger(a: arb_mat, b: arb_mat) -> arb_mat:
