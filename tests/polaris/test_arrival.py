@@ -158,7 +158,7 @@ def test_the_checker_derives_the_planner_s_rows(kind):
 def at_end(schedule, errors):
     """S along the tail of a schedule, from errors at its end and no sooner."""
     T = schedule.safety.problem.K * schedule.safety.clearance.q
-    return Tail(schedule.safety, (HandOver(errors, T, T),))
+    return Tail(schedule.safety, held=(HandOver(errors, T, T),))
 
 
 def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
@@ -171,7 +171,7 @@ def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
     system = safety.problem.system
-    most = commanded(safety, tail.held, tail.T, tail.T + 1)[:, 0]
+    most = commanded(tail.commands, tail.held, tail.T, tail.T + 1)[:, 0]
     ends = system.spent(np.minimum(most, system.u_max)).sum(axis=1)
     once = tail.correcting(1) * system.mass / safety.tracking.flow.h
     assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends
@@ -194,7 +194,7 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
     short = replace(
         schedule.safety, reference=replace(schedule.safety.reference, **cut(schedule.safety, after=0))
     )
-    assert Tail(short, tail.held).arrival(0.0).reached is False
+    assert Tail(short, held=tail.held).arrival(0.0).reached is False
     assert replace(at_end(schedule, schedule.final), safety=short).arrival(0.0).reached is True
 
 

@@ -62,14 +62,14 @@ class HandOver:
     errors: Zonotope
     first: int
     last: int
-    box: bool = False  # what bends between nodes is bounded by the size of the set alone
+    box: arb_mat | None = None  # its size (N, 1), which alone bounds what bends between nodes
     _since: dict[tuple[Needs, int, bool], list[arb]] = field(default_factory=dict, repr=False)
     _bows: dict[Needs, Bows] = field(default_factory=dict, repr=False)
 
     @classmethod
     def within(cls, size: arb_mat, first: int, last: int) -> "HandOver":
-        """From any error up to a size (n, 1)."""
-        return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, box=True)
+        """From any loop state up to a size (N, 1)."""
+        return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, size)
 
     def need(self, needs: Needs, lag: int, around: bool) -> list[arb]:
         """What errors alone need along rows after so many periods; `around` in those next to the node."""
@@ -77,8 +77,8 @@ class HandOver:
         if key not in self._since:
             if lag > needs.memory.periods:
                 self._since[key] = needs.still(self.errors.size())
-            elif around and self.box:
-                self._since[key] = needs.boxed(self.errors.size(), lag)
+            elif around and self.box is not None:
+                self._since[key] = needs.boxed(self.box, lag)
             else:
                 bows = self._bows.setdefault(needs, Bows(needs, self.errors))
                 more = [bows.next_to(lag)] if around else []
@@ -107,8 +107,7 @@ class Continuation:
             last, found = needs.memory.periods + 1, []
             pushed = needs.disturbed if around else needs.at_nodes
             for each in handed:
-                ages = range(max(node - each.last, 0), max(node - each.first, 0) + 1)
-                lags = {min(lag, last) for lag in ages}
+                lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
                 known = [sums(each.need(needs, lag, around), pushed[lag]) for lag in lags]
                 found.append([largest(x).upper() for x in zip(*known, strict=True)])
             parts = [[smallest(x) for x in zip(*found, strict=True)]]

@@ -14,9 +14,9 @@ from flint import arb
 from ..files.artefacts import Stated
 from ..files.document import Document
 from ..files.parts import Branch, Way
-from ..kernel.balls import column, largest, magnitude, plain, require
+from ..kernel.balls import largest, magnitude, plain, require
 from ..kernel.verdict import Rejected
-from ..kernel.zonotopes import Zonotope
+from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.needs import Needs
 from ..model.plants import within_limits
 from ..model.timing import owed
@@ -35,24 +35,26 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], sta
 
     It keeps to the budget and to the scenario's tank. The sets are those that the schedule reaches.
     """
-    document, before = tracker.document, arb(0)
-    powered = document.powered
+    document, powered, before = tracker.document, tracker.document.powered, arb(0)
     assert powered is not None
-    takeovers, since = dict[int, Takeover](), 0
+    takeovers, since = list[Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
         step = sum((spell.spent for spell in flown[k].spells), arb(0)) / document.mass
+        if mode or k == since:  # in later steps S has taken over already
+            handed = HandOver.within(widest(reached), k * document.q, k * document.q + len(reached) - 1)
         if way is not None:
-            first = (k if mode else since) * document.q
-            takeovers[k] = Takeover(way, k, first, reached, before + step if mode else before)
+            takeovers.append(Takeover(way, k, reached, handed, before + step if mode else before))
         before += step
         since = k + 1 if mode else since
     facets = [row for branch in powered.branches for row in branch.facets]
     for place, branch in enumerate(powered.branches):
-        served = [taken for taken in takeovers.values() if taken.way.branch == place]
+        served = [taken for taken in takeovers if taken.way.branch == place]
         if served:
             along = Along.of(branched(document, branch), branch, tracker, facets, stated)
-            along.flight.keeps({taken.first + i: z for taken in served for i, z in enumerate(taken.sets)})
+            along.flight.keeps(
+                {taken.handed.first + i: z for taken in served for i, z in enumerate(taken.sets)}
+            )
             for taken in served:
                 along.arrives(taken)
                 along.affords(taken, powered.budget, stated)
@@ -65,15 +67,9 @@ class Takeover:
 
     way: Way
     k: int
-    first: int
     sets: list[Zonotope]
+    handed: HandOver  # a box of all errors there
     before: arb  # bound on the velocity change until then [m/s]
-
-    @cached_property
-    def handed(self) -> tuple[HandOver]:
-        """A box of all errors there."""
-        size = [largest(x) for x in zip(*(z.size().entries() for z in self.sets), strict=True)]
-        return (HandOver.within(column(size), self.first, self.first + len(self.sets) - 1),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,14 +126,16 @@ class Along:
         doc = self.flight.document
         if not doc.steps <= cell <= doc.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        return Arrival(self.flight, taken.handed, arb(0)).distance(*self._orbit, (cell - doc.steps) * doc.q)
+        return Arrival(self.flight, (taken.handed,), arb(0)).distance(
+            *self._orbit, (cell - doc.steps) * doc.q
+        )
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
         doc, tracker = self.flight.document, self.flight.tracker
         plant, needs = tracker.craft.plant, tracker.needs("commands", tracker.commands)
         periods, unasked = range(taken.k * doc.q, cell * doc.q), [arb(0)]
-        total = sum((self.flight.spent(needs, taken.handed, i) for i in periods), owed(plant))
+        total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), owed(plant))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [sum(push, arb(0)) + sum(plant.thruster_part(push), arb(0)) for push in pushes]

@@ -87,6 +87,11 @@ class Nearness:
         return PathRows(self.safety.clearance, self.rows[0], self.failing, between=False)
 
     @cached_property
+    def commands(self) -> PathRows:
+        """S's commands along the path."""
+        return PathRows(self.safety.clearance, self.safety.tracking.commands, self.failing)
+
+    @cached_property
     def tolerance(self) -> float:
         """What counts as reached [m]: as given, or see `Arrival`."""
         problem, tracking, rows = self.safety.problem, self.safety.tracking, self.rows[0]
@@ -106,11 +111,10 @@ class Nearness:
 
 
 @dataclass(frozen=True, eq=False)
-class Tail:
+class Tail(Nearness):
     """S from T on, along the coasting tail."""
 
-    safety: Safety
-    held: Sequence[HandOver]  # sets that each hold all errors where S takes over for good, the last one at T
+    held: Sequence[HandOver] = ()  # sets that each hold all errors where S takes over for good, one at T last
     spells: list[Spell] = field(default_factory=list)  # steps that S has flown, as far as they are asked for
 
     @property
@@ -150,7 +154,7 @@ class Tail:
         """Bound S's velocity change over so many periods after T [m/s]; the reference coasts."""
         tracking, system = self.safety.tracking, self.safety.problem.system
         flown = spent(self.until(nodes), nodes) * tracking.flow.h / system.mass
-        return min(tracked(self.safety, self.held, self.T, self.T + nodes), flown) * (1 + spare(tracking))
+        return min(tracked(self.commands, self.held, self.T, self.T + nodes), flown) * (1 + spare(tracking))
 
     def drift(self, x: Array, node: int) -> float | None:
         """Bound the along-track drift per orbit, ``6 pi |2 x + v_y / eta|``, at a node after T [m]."""
@@ -169,21 +173,20 @@ class Tail:
         `taken` bounds the velocity change [m/s] until T.
         """
         problem, tracking, reference = self.safety.problem, self.safety.tracking, self.safety.reference
-        goal = Nearness(self.safety)
-        seconds = velocity_times(problem, goal.rows[0])
+        seconds = velocity_times(problem, self.rows[0])
         cells = reference.fine(tracking.feedback.nodes_per_cell)[problem.K :]
         states = np.concatenate([reference.chi[problem.K][None], *(cell[1:] for cell in cells)])
-        most = goal.distance(states, self.needs(goal.along, len(states)))
-        within = np.flatnonzero(most * (1 + CHECKED) <= goal.tolerance)
+        most = self.distance(states, self.needs(self.along, len(states)))
+        within = np.flatnonzero(most * (1 + CHECKED) <= self.tolerance)
         best = int(within[0]) if len(within) else int(np.argmin(most))
-        middle = goal.along.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
+        middle = self.along.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
-        near = bool(np.min(goal.distance(states, middle, 0.0)) <= goal.tolerance)
+        near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
         return Arrival(
             reached=True if len(within) else "not_proven" if near else False,
             by=problem.K * problem.delta + best * tracking.flow.h if len(within) else None,
             distance=float(most[best]),
-            tolerance=goal.tolerance,
+            tolerance=self.tolerance,
             drift=self.drift(states[best], best),
             delta_v=(taken * (1 + spare(tracking)) + self.correcting(best)) * (1 + ROUNDING),
             velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
@@ -198,7 +201,7 @@ class Tail:
         nodes = tracking.memory + 2
         if self.safety.reference.cells * self.safety.clearance.q < self.T + nodes:
             return None
-        most = commanded(self.safety, self.held, self.T, self.T + nodes)[1, -1]
+        most = commanded(self.commands, self.held, self.T, self.T + nodes)[1, -1]
         if not np.all(most <= system.u_max):
             return None
         rate = float(system.spent(most).sum()) / system.mass * (1 + spare(tracking))

@@ -201,7 +201,7 @@ class Schedule:
         last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
         handed = self.steps[last - 1].tube.end if last else self.safety.start
         T = len(self.steps) * q
-        return Tail(self.safety, (HandOver(handed, last * q, last * q), HandOver(self.final, T, T)))
+        return Tail(self.safety, held=(HandOver(handed, last * q, last * q), HandOver(self.final, T, T)))
 
     @cached_property
     def arrival(self) -> Arrival:

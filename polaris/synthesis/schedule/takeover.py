@@ -75,7 +75,7 @@ class Branch:
 
     @cached_property
     def goal(self) -> Nearness:
-        """Distance from the orbit, a fault included."""
+        """Distance from the orbit, and S's commands, a fault included."""
         return Nearness(self.safety, failing=True)
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> Way:
@@ -115,7 +115,7 @@ class Branch:
     def _spent(self, taken: Takeover, end: int) -> float:
         """Bound on S's velocity change from an abort in a step until the start of a cell [m/s]."""
         system, q = self.safety.problem.system, self.safety.clearance.q
-        spent = tracked(self.safety, [taken.handed], taken.k * q, end * q, failing=True)
+        spent = tracked(self.goal.commands, [taken.handed], taken.k * q, end * q)
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         more = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
         more += system.thrusters.made(system.m * system.timing.carried)
