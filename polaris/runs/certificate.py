@@ -95,7 +95,7 @@ def _powered(schedule: Schedule) -> dict[str, Any]:
             "inputs": each.safety.reference.nu[each.step : each.safety.problem.K],
             "facets": each.safety.clearance.facets,
             "tail": each.safety.reference.chi[each.safety.problem.K],
-            "tolerance": float(each.goal[2]),
+            "tolerance": float(each.goal.tolerance),
             "horizon": each.safety.end.horizon,
         }
         for each in powered.branches

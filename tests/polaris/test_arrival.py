@@ -28,10 +28,12 @@ from polaris.model.hill import cw_matrix
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box, EllipticalNMT, LinearNMT, StationaryPoint
 from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.safety.continuation import HandOver, PathRows
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import SOON, _weights, distance, velocity_times
 from polaris.synthesis.safety.problem import require_velocities
-from polaris.synthesis.schedule.arrival import _commanded, _correcting, _needs, arrival, spare
+from polaris.synthesis.schedule.arrival import Tail
+from polaris.synthesis.schedule.spending import commanded
 
 from ..sizes import fewer
 from .forging import CERTIFICATE, COARSE, QUARTER, Forger, Lie, make
@@ -66,11 +68,12 @@ def forgers(tmp_path_factory):
 def test_settled_commands_count_no_sooner_than_all_that_was_commanded_before_has_faded():
     given = ["thrusters.magnitude_error=0.05", "thrusters.mass_error=0.02"]
     safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
-    tracking, rows = safety.tracking, safety.tracking.system.position
+    tracking, T = safety.tracking, safety.problem.K * safety.clearance.q
+    rows = PathRows(safety.clearance, tracking.system.position, failing=False, between=False)
     last, long = len(tracking.transitions) - 1, tracking.long
-    need, _ = _needs(safety, ((safety.start, 0),), rows, long + 2)
-    at_first = tracking.responses(rows, tracking.profile)[-1] + safety.clearance.tail_need(rows, long + 2)
-    least = at_first * (1 + spare(tracking)) * (1 - 1e-12)
+    need = rows.needs(HandOver(safety.start, T, T), T, T + long + 2)[0]
+    path = rows.path[0, np.minimum(T + np.arange(long + 2), rows.path.shape[1] - 1)]
+    least = (tracking.responses(rows.rows, tracking.profile)[-1] + path) * (1 - 1e-12)
     assert last < long and np.all(need[last + 1 : long + 1] >= least[last + 1 : long + 1])
     assert np.all(need[long + 1] < least[long + 1])
 
@@ -152,19 +155,25 @@ def test_the_checker_derives_the_planner_s_rows(kind):
 # -- what is claimed ----------------------------------------------------------------------------------
 
 
+def at_end(schedule, errors):
+    """S along the tail of a schedule, from errors at its end and no sooner."""
+    T = schedule.safety.problem.K * schedule.safety.clearance.q
+    return Tail(schedule.safety, held=(HandOver(errors, T, T),))
+
+
 def test_the_velocity_change_goes_on_for_as_long_as_s_corrects():
     """Beyond the memory of the loop, too, where the need is the same in every period."""
     _, schedule = synthesised()
-    safety, final = schedule.safety, schedule.final
-    late = safety.tracking.memory + 5
-    after = SimpleNamespace(
-        until=lambda nodes: [SimpleNamespace(law=None, errors=(), most=np.full((nodes, 1), 1e9))]
-    )
-    spent = [_correcting(safety, ((final, 0),), nodes, after) for nodes in (0, late, late + 10, late + 20)]
+    safety, tail = schedule.safety, at_end(schedule, schedule.final)
+    late, q = safety.tracking.memory + 5, safety.clearance.q
+    dear = SimpleNamespace(law=None, errors=(), most=np.full((q, 1), 1e9))
+    tail.spells.extend([dear] * (late + 20))
+    spent = [tail.correcting(nodes) for nodes in (0, late, late + 10, late + 20)]
     assert spent[0] == 0 and spent[1] > 0
-    most, system = _commanded(safety, ((final, 0),), 1), safety.problem.system
+    system = safety.problem.system
+    most = commanded(tail.commands, tail.held, tail.T, tail.T + 1)[:, 0]
     ends = system.spent(np.minimum(most, system.u_max)).sum(axis=1)
-    once = _correcting(safety, ((final, 0),), 1, after) * system.mass / safety.tracking.flow.h
+    once = tail.correcting(1) * system.mass / safety.tracking.flow.h
     assert once == pytest.approx(ends.max(), rel=1e-6)  # a period counts with the larger of its ends
     assert ends[0] > ends[1] * 1.001
     assert spent[2] - spent[1] == pytest.approx(spent[3] - spent[2], rel=1e-9)
@@ -176,20 +185,23 @@ def test_the_middle_of_the_tube_counts_and_not_the_reference():
     _, schedule = synthesised()
     off = schedule.final + np.array([30.0, 0.0, 0.0, 0.0])
     rows = schedule.safety.problem.goal.conditions.E
-    need, centre = _needs(schedule.safety, ((off, 0),), rows, schedule.safety.tracking.memory)
+    along = PathRows(schedule.safety.clearance, rows, between=False)
+    tail = at_end(schedule, off)
+    need = tail.needs(along, schedule.safety.tracking.memory)
+    centre = along.table.carried[: len(need), :, : len(off.c)] @ off.c
     assert np.abs(centre[0]).max() == pytest.approx(30, rel=0.1)
     assert np.all(need >= centre) and np.all(np.diff(np.abs(centre[:, 0]))[-3:] <= 0)
     short = replace(
         schedule.safety, reference=replace(schedule.safety.reference, **cut(schedule.safety, after=0))
     )
-    assert arrival(short, ((off, 0),), 0.0).reached is False
-    assert arrival(short, ((schedule.final, 0),), 0.0).reached is True
+    assert Tail(short, held=tail.held).arrival(0.0).reached is False
+    assert replace(at_end(schedule, schedule.final), safety=short).arrival(0.0).reached is True
 
 
 def test_the_disturbance_is_followed_from_the_hand_over_on(tmp_path):
     """Seed 11: twice as far from the set at T, which encloses what S alone keeps smaller."""
     _, schedule = random_scene(11, tmp_path)
-    both, last = schedule.arrival, arrival(schedule.safety, ((schedule.final, 0),), 0.0)
+    both, last = schedule.arrival, at_end(schedule, schedule.final).arrival(0.0)
     assert both.reached is last.reached is True
     assert both.distance < 0.6 * last.distance
 
@@ -227,7 +239,8 @@ def derived(forger):
     tracker = Tracker.of(document, argument.craft, [], sets)
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
-    held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
+    nodes = [k * document.q for k in (last, document.steps)]
+    held = tuple(checked.HandOver(sets[node // document.q], node, node) for node in nodes)
     found = checked.Arrival(
         Continuation(document, path, tracker), held, taken, argument.pilots[0], Merging(80, argument.n)
     )
@@ -418,16 +431,15 @@ def test_random_scenes_are_verified_and_their_forgeries_are_not(start, tmp_path)
 def test_a_node_that_is_not_named_is_looked_for_among_those_whose_velocity_change_is_claimed():
     """However many later nodes seem nearer to the goal."""
     rows = SimpleNamespace(over=lambda node: [arb(node)], distance=lambda found: 1 / (1 + found[0]))
-    needs = SimpleNamespace(carried=[matrix([[0.0]])], responses=[[arb(0)]])
-    final = SimpleNamespace(size=lambda: matrix([[0.0]]), c=matrix([[0.0]]))
     tail = SimpleNamespace(
-        held=[(final, 0)],
-        flight=SimpleNamespace(tracker=SimpleNamespace(memory=SimpleNamespace(periods=-1))),
+        held=(),
+        flight=SimpleNamespace(need=lambda needs, held, node: [arb(0)]),
         spent=arb(2),
         correcting=arb,
+        _first=7,
         _last=2 * checked.MOST,
         _state=lambda node: node,
     )
     claim = {"distance_m": 2.0, "delta_v_max_m_s": 7.0}
-    assert checked.Arrival._likely(tail, rows, needs, claim) == [5, 4, 3, 2, 1, 0]
-    assert max(checked.Arrival._likely(tail, rows, needs, claim | {"delta_v_max_m_s": 1e9})) == tail._last
+    assert checked.Arrival._likely(tail, rows, None, claim) == [5, 4, 3, 2, 1, 0]
+    assert max(checked.Arrival._likely(tail, rows, None, claim | {"delta_v_max_m_s": 1e9})) == tail._last

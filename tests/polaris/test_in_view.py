@@ -150,7 +150,7 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
         later = [np.vstack([np.full((k, len(body.normals)), -np.inf), each]) for k, each in enumerate(tables)]
         at = np.maximum(np.max(later, axis=0), 0.0)
         assert np.allclose(need, at) and lack.shape == (K, 1) and np.all(lack >= 0)
-        room = facet_room(tracking, safety.reference, body, q).min(axis=1)[:K]
+        room = facet_room(tracking, safety.reference, body).min(axis=1)[:K]
         assert np.array_equal(lack[:, 0] > 0, np.all(need > room, axis=1))
 
 

@@ -30,8 +30,9 @@ from polaris.simulation.simulate import simulate
 from polaris.synthesis.safety.demand import command_errors
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import distance
+from polaris.synthesis.schedule.arrival import SPARE
 from polaris.synthesis.schedule.synthesize import synthesize
-from polaris.synthesis.schedule.takeover import SPARE, Branch, Takeover
+from polaris.synthesis.schedule.takeover import Branch, Takeover
 from reach.sets.zonotope import Zonotope
 
 from ..sizes import fewer
@@ -162,13 +163,15 @@ def test_the_tank_counts_what_the_schedule_has_spent_before(tiny):
 
 def test_a_tank_counts_the_step_in_which_u_is_aborted_and_of_s_all_before():
     start, size = Zonotope(np.zeros(1), np.eye(1)), SPARE + 1
-    safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2))
-    tube = SimpleNamespace(states=Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1))), end=start)
+    one = SimpleNamespace(system=SimpleNamespace(n=1))
+    safety = SimpleNamespace(start=start, clearance=SimpleNamespace(q=2), tracking=one)
+    sets = Zonotope(np.zeros((3, 1)), np.ones((3, 1, 1)))
+    tube = SimpleNamespace(states=sets, bow=np.zeros((2, 1)), end=start)
     taken = Takeover.each(
         safety, [(0, tube), (1, tube), (0, tube), (1, tube)], np.array([1.0, 2.0, 4.0, 8.0])
     )
     assert [each.spent for each in taken] == pytest.approx([0, 3 * size, 3 * size, 15 * size])
-    assert [(each.first, each.last) for each in taken] == [(0, 0), (2, 4), (4, 4), (6, 8)]
+    assert [each.handed[1:] for each in taken] == [(0, 0), (2, 4), (4, 4), (6, 8)]
 
 
 def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
@@ -176,9 +179,9 @@ def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
     given = [LATE, "feedback.period_s=0.25"]
     safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
     branch, tracking, reference = Branch(0, safety), safety.tracking, safety.reference
-    rows, sides, _ = branch.goal
+    rows, sides = branch.goal.rows
     one = Zonotope(safety.start.c[None], safety.start.G[None])
-    off = branch._reached(Takeover(0, -100_000, one, None, 0.0), None)[1]
+    off = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]
     states = reference.chi[safety.problem.K :] @ rows.T - sides + tracking.upset(rows)[-1]
     least = distance(safety.problem.goal.conditions, states + tracking.settled(rows)).min()
     assert off >= least > distance(safety.problem.goal.conditions, states - tracking.upset(rows)[-1]).min()

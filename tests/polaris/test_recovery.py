@@ -12,7 +12,7 @@ from flint import arb
 
 from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.arrival import Arrival
-from polaris.certificate.claims.continuation import Continuation
+from polaris.certificate.claims.continuation import Continuation, HandOver
 from polaris.certificate.claims.recovery import Recovery
 from polaris.certificate.files.artefacts import Stated
 from polaris.certificate.kernel.balls import column, identity, matrix
@@ -148,11 +148,11 @@ def test_a_goal_is_missed_by_what_displaces_states_at_nodes_and_commands_are_not
     needs, found = recovery().needs, []
     start = Zonotope(column([arb(0)]), identity(1))
     for away, jump in ((0.0, 0.0), (0.3, 0.0), (0.0, 0.2)):
-        document = SimpleNamespace(at_nodes=[away], profile=[])
-        tracker = SimpleNamespace(memory=needs.memory)
-        flight = SimpleNamespace(document=document, tracker=tracker, jump=column([arb(jump)]), scheduled=None)
-        arrival = Arrival(flight, ((start, 0),), arb(0))
-        both = [float(arrival._at(needs, node, around)[0]) for around in (False, True)]
+        document = SimpleNamespace(at_nodes=[away], profile=[], error_by_step=[], steps=2, q=3, cells=2)
+        path, tracker = SimpleNamespace(jump=column([arb(jump)])), SimpleNamespace(craft=needs.craft)
+        flight, handed = Continuation(document, path, tracker), (HandOver(start, 6, 6),)
+        arrival = Arrival(flight, handed, arb(0))
+        both = [float(flight.need(needs, handed, 6 + node, around)[0]) for around in (False, True)]
         found.append((*both, float(arrival.holding(needs))))
     (still, asked, held), (moved, asked_too, held_too), (jumped, more, _) = found
     assert moved >= still + 0.3 * (1 - 1e-12) and held_too >= held + 0.3 * (1 - 1e-12)

@@ -16,7 +16,7 @@ from ..model.plants import plant_of, within_limits
 from ..model.transients import moved
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path
-from .continuation import Continuation, Tracker
+from .continuation import Continuation, HandOver, Tracker
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .powered import check_aborts
@@ -79,7 +79,7 @@ class Argument:
         self.recoverability(flight, sets, flown)
         if self.stated.goal is not None:
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
-            held = ((sets[last], (self.K - last) * doc.q), (sets[-1], 0))
+            held = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))
             arrival = Arrival(flight, held, spent(flown) / doc.mass, self.pilots[0], merging)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.budget is not None:

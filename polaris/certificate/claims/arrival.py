@@ -3,7 +3,6 @@
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 from flint import arb, arb_mat
@@ -11,9 +10,9 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..kernel.balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
 from ..kernel.verdict import Rejected, Undecided
-from ..kernel.zonotopes import Merging, Zonotope
-from ..model.craft.needs import Bows, Needs
-from .continuation import Continuation
+from ..kernel.zonotopes import Merging
+from ..model.craft.needs import Needs
+from .continuation import Continuation, HandOver
 from .flights import Flown, Pilot, fly
 from .goal_rows import Weighted
 from .recovery import TOLD_SLACK
@@ -31,21 +30,18 @@ MOST = 300  # nodes at which a distance is looked for that is claimed of none in
 class Arrival:
     """S along the tail.
 
-    `held` are sets that each hold all errors, at the last hand-over to S and at T, with how many nodes it is
-    until T; `spent` bounds the velocity change until T [m/s].
+    `held` are sets that each hold all errors, at the last hand-over to S and at T; `spent` bounds the
+    velocity change until T [m/s].
     """
 
     flight: Continuation
-    held: tuple[tuple[Zonotope, int], ...]
+    held: tuple[HandOver, ...]
     spent: arb
     pilot: Pilot | None = None  # S, where it is flown on
     merging: Merging | None = None  # of the sets that it flies
     _flown: list[Flown] = field(default_factory=list, repr=False)
     _joint: dict[int, arb] = field(default_factory=dict, repr=False)
-    _known: dict[int, list[arb]] = field(default_factory=dict, repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
-    _bowed: dict[tuple[Needs, int], Bows] = field(default_factory=dict, repr=False)
-    _caused: dict[Needs, list[list[arb]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def document(self) -> Document:
@@ -75,7 +71,7 @@ class Arrival:
         refusals: list[Rejected | Undecided] = []
         for node in nodes:
             try:
-                distance = self._distance(rows, needs, node)
+                distance = self.distance(rows, needs, node)
                 self.no_less("distance from the goal", claim["distance_m"], distance)
                 if reached:
                     spare = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
@@ -109,7 +105,11 @@ class Arrival:
         """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
         most = sums(needs.settled, off, *needs.upset[-1:])
-        return largest(sums(most, self.from_thrust(needs, self._last)) if self.flight.scheduled else most)
+        return largest(
+            sums(most, self.flight.from_thrust(needs, self._first + self._last))
+            if self.flight.scheduled
+            else most
+        )
 
     def tolerated(self, tolerance: float, spec: dict[str, Any], scale: float, settled: arb) -> None:
         """Refuse a tolerance of more than the scenario gives; or more than its default may be."""
@@ -128,31 +128,28 @@ class Arrival:
         raise Rejected("goal", f"{by:.6g} s is no instant of the tail")
 
     @property
+    def _first(self) -> int:
+        """The node at T."""
+        return self.document.steps * self.document.q
+
+    @property
     def _last(self) -> int:
         """The last node of the tail."""
         return (self.document.cells - self.document.steps) * self.document.q
 
     def _likely(self, rows: Weighted, needs: Needs, claim: dict[str, Any]) -> list[int]:
-        """Nodes at which flights may come as near to the goal as is claimed, the likeliest first."""
-        final, claimed = self.held[-1][0], claim["distance_m"]
-        limit = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK)
-        size, found = final.size(), list[tuple[float, int]]()
-        far = 1
+        """Nodes until which flights may spend as much as is claimed, those nearest to the goal first."""
+        limit, far = arb(claim["delta_v_max_m_s"]) * (1 + TOLD_SLACK), 1
         while far < self._last and not self.spent + self.correcting(far) > limit:
             far *= 2
         every = range(min(far, self._last) + 1)
         late = bisect_right(every, limit, key=lambda node: self.spent + self.correcting(node))
-        for node in every[: max(late, 1)]:
-            lag = min(node, self.flight.tracker.memory.periods)
-            middle = rows.over(self._state(node))
-            if node <= self.flight.tracker.memory.periods:
-                middle = sums(middle, (needs.carried[lag] * final.c).entries())
-            if not rows.distance(middle) > arb(claimed) * (1 + TOLD_SLACK):
-                reach = (magnitude(needs.carried[lag]) * size).entries()
-                found.append((float(rows.distance(sums(middle, reach, needs.responses[lag])).mid()), node))
-        if not found:
-            raise Rejected("goal", f"not even the middle of the flights comes as near as {claimed:.6g} m")
-        return [node for _, node in sorted(found)[:MOST]]
+
+        def near(node: int) -> float:
+            need = self.flight.need(needs, self.held, self._first + node)
+            return float(rows.distance(sums(rows.over(self._state(node)), need)).mid())
+
+        return sorted(every[: max(late, 1)], key=near)[:MOST]
 
     def no_less(self, what: str, claimed: float, derived: arb) -> None:
         """Refuse a bound that is told as less than what is derived, by more than figures are exact to."""
@@ -163,41 +160,20 @@ class Arrival:
         """S from T on, for at least so many periods."""
         doc = self.document
         jump = diagonal(self.flight.jump.entries())
-        reached = self.held[-1][0].grown(self.flight.tracker.craft.lifted(jump))
+        reached = self.held[-1].errors.grown(self.flight.tracker.craft.lifted(jump))
         assert self.pilot is not None and self.merging is not None
         while len(self._flown) * doc.q < nodes:
             k, start = doc.steps + len(self._flown), self._flown[-1].end if self._flown else reached
             self._flown.append(fly(self.pilot, start, k, self.flight.path, None, self.merging))
         return self._flown
 
-    def _at(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
-        """What errors need along rows at a node after T; `around` in the periods on both sides of it, too."""
-        found, periods, jump = [], self.flight.tracker.memory.periods, self.flight.jump
-        for place, (z, since) in enumerate(self.held):
-            lag = since + node
-            parts = [(needs.disturbed if around else needs.at_nodes)[min(lag, periods + 1)]]
-            if lag > periods:
-                parts.append(needs.still(z.size()))
-            else:
-                parts.append(z.support(needs.carried[lag]))
-                parts += [self._bows(needs, place).next_to(lag)] if around else []
-            found.append(sums(*parts))
-        least = [smallest(x.upper() for x in each) for each in zip(*found, strict=True)]
-        least = sums(least, self.from_thrust(needs, node)) if self.flight.scheduled else least
-        if not around:  # commands do not answer to what is displaced
-            least = sums(least, (magnitude(needs.rows) * column(self.document.at_nodes)).entries())
-        if node > periods:
-            return sums(least, needs.still(jump))
-        at_node = magnitude(needs.carried[node]) * needs.craft.lifted(jump)
-        least = sums(least, needs.boxed(jump, node) if around else at_node.entries())
-        if around or not self.document.profile or node == self._last:
+    def _at(self, needs: Needs, node: int) -> list[arb]:
+        """What errors need along rows at a node after T."""
+        least = self.flight.need(needs, self.held, self._first + node)
+        if self.pilot is None or not self.document.profile or node == self._last:
             return least
         pairs = zip(least, self._flown_at(needs.rows, node), strict=True)
         return [smallest(pair) for pair in pairs]
-
-    def _bows(self, needs: Needs, place: int) -> Bows:
-        """Intersample bounds of a set that is held, made once."""
-        return self._bowed.setdefault((needs, place), Bows(needs, self.held[place][0]))
 
     def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
         """What errors need along rows at a node after T in the sets that S flies then."""
@@ -207,29 +183,13 @@ class Arrival:
         whole = self.flight.tracker.craft.whole(rows)
         return sums(z.support(whole), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
-    def from_thrust(self, needs: Needs, node: int) -> list[arb]:
-        """What errors of scheduled commands add along rows from a node of the tail on."""
-        if needs not in self._caused:
-            assert self.flight.scheduled is not None
-            first = min(self.document.steps, self.document.cells - 1)
-            tail = self.flight.scheduled.along(needs.given)[first:]
-            q = self.document.q
-            later = [tail[-1][-1]] * (len(tail) * q + 1)
-            most = later[-1]
-            for cell, place in product(reversed(range(len(tail))), reversed(range(q + 1))):
-                most = [largest(pair) for pair in zip(most, tail[cell][place], strict=True)]
-                later[cell * q + place] = most
-            self._caused[needs] = later
-        later = self._caused[needs]
-        return later[min(node, len(later) - 1)]
-
     def _state(self, node: int) -> arb_mat:
         """State of the reference at a node of the tail."""
         cell, place = divmod(node, self.document.q)
         arcs, at = self.flight.path.arcs, self.document.steps + cell
         return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
 
-    def _distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
+    def distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
         """How far a flight may be from the goal at a node."""
         return rows.distance(sums(rows.over(self._state(node)), self._at(needs, node)))
 
@@ -250,31 +210,17 @@ class Arrival:
 
     def correcting(self, nodes: int) -> arb:
         """Bound on S's velocity change over periods after T [m/s]."""
-        doc, plant = self.document, self.flight.tracker.craft.plant
         for node in range(len(self._summed) - 1, nodes):
-            most = self.tops(node, doc.inputs[doc.steps + node // doc.q])
-            tops = [smallest(pair) for pair in zip(plant.u_max, most, strict=True)]
-            self._summed.append(self._summed[-1] + plant.spent(tops))
+            more = self.flight.spent(self._commands, self.held, self._first + node)
+            self._summed.append(self._summed[-1] + more)
         if nodes not in self._joint:
             self._joint[nodes] = spent(self.after(nodes), nodes)
-        return smallest([self._summed[nodes], self._joint[nodes]]) / doc.mass
+        return smallest([self._summed[nodes], self._joint[nodes]]) / self.document.mass
 
-    def tops(self, node: int, u: list[float]) -> list[arb]:
-        """What S commands at most in the period after a node, about inputs u of the reference."""
-        m, first, last = len(u), self._thrust(node), self._thrust(node + 1)
-        doc = self.document
-        error = self.flight.tracker.craft.noise_in(doc, doc.steps)
-        ends = zip(first[:m], first[m:], last[:m], last[m:], strict=True)
-        return [
-            (largest(parts) + abs(x) + wrong).upper() for x, wrong, parts in zip(u, error, ends, strict=True)
-        ]
+    def tops(self, node: int) -> list[arb]:
+        """What S commands at most in the period after a node."""
+        return self.flight.commanded(self._commands, self.held, self._first + node)
 
     @cached_property
     def _commands(self) -> Needs:
         return Needs(self.flight.tracker.craft, self.flight.tracker.memory, self.flight.tracker.commands)
-
-    def _thrust(self, node: int) -> list[arb]:
-        """What S commands for errors, of both signs, in the periods on both sides of a node."""
-        if node not in self._known:
-            self._known[node] = self._at(self._commands, node, around=True)
-        return self._known[node]

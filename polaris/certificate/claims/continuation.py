@@ -5,15 +5,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from flint import arb_mat
+from flint import arb, arb_mat
 
 from ..files.document import Document
 from ..kernel.arcs import Path
-from ..kernel.balls import above, magnitude
+from ..kernel.balls import above, column, diagonal, largest, magnitude, smallest, sums
 from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
-from ..model.craft.needs import Differences, Needs
+from ..model.craft.needs import Bows, Differences, Needs
 from ..model.craft.scheduled import Scheduled
 from ..model.limits import Limits
 from ..model.transients import lost, upset
@@ -59,6 +59,37 @@ class Tracker:
 
 
 @dataclass(frozen=True, eq=False)
+class HandOver:
+    """Set that holds all errors where S takes over, at some node from `first` to `last`."""
+
+    errors: Zonotope
+    first: int
+    last: int
+    box: arb_mat | None = None  # its size (N, 1), which alone bounds what bends between nodes
+    _since: dict[tuple[Needs, int, bool], list[arb]] = field(default_factory=dict, repr=False)
+    _bows: dict[Needs, Bows] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def within(cls, size: arb_mat, first: int, last: int) -> "HandOver":
+        """From any loop state up to a size (N, 1)."""
+        return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, size)
+
+    def need(self, needs: Needs, lag: int, around: bool) -> list[arb]:
+        """What errors alone need along rows after so many periods; `around` in those next to the node."""
+        key = needs, lag, around
+        if key not in self._since:
+            if lag > needs.memory.periods:
+                self._since[key] = needs.still(self.errors.size())
+            elif around and self.box is not None:
+                self._since[key] = needs.boxed(self.box, lag)
+            else:
+                bows = self._bows.setdefault(needs, Bows(needs, self.errors))
+                more = [bows.next_to(lag)] if around else []
+                self._since[key] = sums(self.errors.support(needs.carried[lag]), *more)
+        return self._since[key]
+
+
+@dataclass(frozen=True, eq=False)
 class Continuation:
     """The tracker along one path, which the document has for its reference."""
 
@@ -66,6 +97,61 @@ class Continuation:
     path: Path
     tracker: Tracker
     facets: Sequence[list[int]] = ()  # others of the same tracker, so that rows of limits are the same
+    _known: dict[Any, list[arb]] = field(default_factory=dict, repr=False)
+    _caused: dict[Needs, list[list[arb]]] = field(default_factory=dict, repr=False)
+
+    def need(self, needs: Needs, handed: tuple[HandOver, ...], node: int, around: bool = False) -> list[arb]:
+        """What errors need along rows at a node; `around` in the periods on both sides of it, too.
+
+        Each of the sets holds all errors that S may have taken over.
+        """
+        key = needs, handed, node, around
+        if key not in self._known:
+            last, found = needs.memory.periods + 1, []
+            pushed = needs.disturbed if around else needs.at_nodes
+            for each in handed:
+                lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
+                known = [sums(each.need(needs, lag, around), pushed[lag]) for lag in lags]
+                found.append([largest(x).upper() for x in zip(*known, strict=True)])
+            parts = [[smallest(x) for x in zip(*found, strict=True)]]
+            if self.scheduled:
+                parts.append(self.from_thrust(needs, node))
+            if not around:  # commands do not answer to what is displaced
+                parts.append((magnitude(needs.rows) * column(self.document.at_nodes)).entries())
+            if (since := node - self.document.steps * self.document.q) >= 0:
+                parts.append(self._jump.need(needs, min(since, last), around))
+            self._known[key] = sums(*parts)
+        return self._known[key]
+
+    def from_thrust(self, needs: Needs, node: int) -> list[arb]:
+        """What errors by the time of the flight add along rows: at a node, in the tail from it on."""
+        if needs not in self._caused:
+            assert self.scheduled is not None
+            cells, T = self.scheduled.along(needs.given), self.document.steps * self.document.q
+            nodes = [each for cell in cells for each in cell[:-1]] + [cells[-1][-1]]
+            for at in range(len(nodes) - 2, T - 1, -1):
+                nodes[at] = [largest(pair) for pair in zip(nodes[at], nodes[at + 1], strict=True)]
+            self._caused[needs] = nodes
+        return self._caused[needs][min(node, len(self._caused[needs]) - 1)]
+
+    def commanded(self, needs: Needs, handed: tuple[HandOver, ...], period: int) -> list[arb]:
+        """What S commands at most in a period [N], by what errors need along `Tracker.commands`."""
+        doc, m = self.document, len(self.document.u_max)
+        cell, ends = period // doc.q, [self.need(needs, handed, period + i, around=True) for i in (0, 1)]
+        known = zip(doc.inputs[min(cell, doc.cells - 1)], self.tracker.craft.noise_in(doc, cell), strict=True)
+        tops = [largest([end[i] for end in ends for i in (axis, m + axis)]) for axis in range(m)]
+        return [(top + abs(u) + error).upper() for top, (u, error) in zip(tops, known, strict=True)]
+
+    def spent(self, needs: Needs, handed: tuple[HandOver, ...], period: int) -> arb:
+        """Bound on what S spends in a period [N s]."""
+        plant = self.tracker.craft.plant
+        pairs = zip(plant.u_max, self.commanded(needs, handed, period), strict=True)
+        return plant.spent([smallest(pair) for pair in pairs])
+
+    @cached_property
+    def _jump(self) -> HandOver:
+        """Step of the reference at the start of the tail, as an error from then on."""
+        return HandOver.within(self.tracker.craft.lifted(self.jump), 0, 0)
 
     @cached_property
     def further(self) -> tuple[Path, list[list[int]]]:

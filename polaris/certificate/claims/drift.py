@@ -6,7 +6,7 @@ shown period by period (`Departures`), that the drift from each stays clear, ove
 step, facet by facet (`clear`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
 
@@ -100,6 +100,9 @@ class Drifts:
 
     document: Document
     plant: Plant
+    _known: dict[tuple[int, int], tuple[arb_mat, arb_mat, list[arb]]] = field(
+        default_factory=dict, repr=False
+    )
 
     @cached_property
     def _claim(self) -> Abort:
@@ -146,10 +149,6 @@ class Drifts:
             pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))
             self._known[key] = row, motion.bend(row * self.plant.A), pushed
         return self._known[key]
-
-    @cached_property
-    def _known(self) -> dict[tuple[int, int], tuple[arb_mat, arb_mat, list[arb]]]:
-        return {}
 
     def check(self, least: float | None) -> str:
         """Every drift that the certificate calls clear is; returns what was confirmed."""

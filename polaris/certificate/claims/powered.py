@@ -9,20 +9,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from flint import arb, arb_mat
+from flint import arb
 
 from ..files.artefacts import Stated
 from ..files.document import Document
 from ..files.parts import Branch, Way
-from ..kernel.balls import absolute, column, largest, magnitude, plain, require, smallest, sums
+from ..kernel.balls import largest, magnitude, plain, require
 from ..kernel.verdict import Rejected
-from ..kernel.zonotopes import Zonotope
+from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.needs import Needs
 from ..model.plants import within_limits
 from ..model.timing import owed
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, check_end, flown_path
-from .continuation import Continuation, Tracker
+from .continuation import Continuation, HandOver, Tracker
 from .flights import Flown
 from .goal_rows import Weighted
 from .recovery import TOLD_SLACK
@@ -35,24 +35,26 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], sta
 
     It keeps to the budget and to the scenario's tank. The sets are those that the schedule reaches.
     """
-    document, before = tracker.document, arb(0)
-    powered = document.powered
+    document, powered, before = tracker.document, tracker.document.powered, arb(0)
     assert powered is not None
-    takeovers, since = dict[int, Takeover](), 0
+    takeovers, since = list[Takeover](), 0
     for k, (mode, way) in enumerate(zip(document.modes, powered.steps, strict=True)):
         reached = [sets[k], *flown[k].nodes, sets[k + 1]] if mode else [sets[since]]
         step = sum((spell.spent for spell in flown[k].spells), arb(0)) / document.mass
+        if mode or k == since:  # in later steps S has taken over already
+            handed = HandOver.within(widest(reached), k * document.q, k * document.q + len(reached) - 1)
         if way is not None:
-            first = (k if mode else since) * document.q
-            takeovers[k] = Takeover(way, k, first, reached, before + step if mode else before)
+            takeovers.append(Takeover(way, k, reached, handed, before + step if mode else before))
         before += step
         since = k + 1 if mode else since
     facets = [row for branch in powered.branches for row in branch.facets]
     for place, branch in enumerate(powered.branches):
-        served = [taken for taken in takeovers.values() if taken.way.branch == place]
+        served = [taken for taken in takeovers if taken.way.branch == place]
         if served:
             along = Along.of(branched(document, branch), branch, tracker, facets, stated)
-            along.flight.keeps({taken.first + i: z for taken in served for i, z in enumerate(taken.sets)})
+            along.flight.keeps(
+                {taken.handed.first + i: z for taken in served for i, z in enumerate(taken.sets)}
+            )
             for taken in served:
                 along.arrives(taken)
                 along.affords(taken, powered.budget, stated)
@@ -65,19 +67,9 @@ class Takeover:
 
     way: Way
     k: int
-    first: int
     sets: list[Zonotope]
+    handed: HandOver  # a box of all errors there
     before: arb  # bound on the velocity change until then [m/s]
-
-    @cached_property
-    def size(self) -> arb_mat:
-        """Bound on all errors there, shape (n, 1)."""
-        each = zip(*(z.size().entries() for z in self.sets), strict=True)
-        return column([largest(x) for x in each])
-
-    def window(self, node: int, until: int) -> range:
-        """How many periods it may be since the takeover, between two nodes."""
-        return range(max(node - self.first - len(self.sets) + 1, 0), max(until - self.first, 0) + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,31 +94,15 @@ class Along:
         return cls(Continuation(doc, path, tracker, facets), branch, stated.orbit)
 
     @cached_property
-    def _commands(self) -> tuple[Needs, list[arb]]:
-        """What errors need of commands, and what the jump into the tail does."""
-        tracker = self.flight.tracker
-        needs = tracker.needs("commands", tracker.commands)
-        return needs, needs.ever(self.flight.jump)
-
-    @cached_property
-    def _caused(self) -> list[list[arb]]:
-        """What errors by the time of the flight need of commands in every cell; empty without any."""
-        if self.flight.scheduled is None:
-            return []
-        every = self.flight.scheduled.along(self._commands[0].given)
-        return [[largest(each) for each in zip(*nodes, strict=True)] for nodes in every]
-
-    @cached_property
-    def _orbit(self) -> tuple[Weighted, Needs, list[arb], Arrival]:
-        """Rows of the orbit, what errors need along them, and what they need besides in the tail."""
+    def _orbit(self) -> tuple[Weighted, Needs]:
+        """Rows of the orbit, and what errors need along them."""
         doc, spec = self.flight.document, self.orbit
         assert spec is not None
         arrival = Arrival(self.flight, (), arb(0))
         rows = Weighted.of(spec, arrival.soon, doc)
         needs = self.flight.tracker.needs(("orbit", doc.steps), rows.rows)
         arrival.tolerated(self.branch.tolerance, spec, rows.scale, arrival.holding(needs))
-        away = (absolute(rows.rows) * column(doc.at_nodes)).entries()
-        return rows, needs, sums(needs.ever(self.flight.jump), away), arrival
+        return rows, needs
 
     def arrives(self, taken: Takeover) -> None:
         """Check that the orbit, if it is known, is reached when it is claimed to be."""
@@ -147,43 +123,24 @@ class Along:
 
     def distance(self, taken: Takeover, cell: int) -> arb:
         """How far flights that are aborted in a step may be from the orbit at the start of a cell."""
-        doc, arcs = self.flight.document, self.flight.path.arcs
+        doc = self.flight.document
         if not doc.steps <= cell <= doc.cells:
             raise Rejected(CLAIM, f"cell {cell} is not one of the tail of its branch")
-        rows, needs, more, arrival = self._orbit
-        state = arcs[cell].nodes[0] if cell < len(arcs) else arcs[-1].nodes[-1]
-        parts = [rows.over(state), self._most(needs, taken, cell, cell), more]
-        parts += [arrival.from_thrust(needs, (cell - doc.steps) * doc.q)] if self.flight.scheduled else []
-        return rows.distance(sums(*parts))
+        return Arrival(self.flight, (taken.handed,), arb(0)).distance(
+            *self._orbit, (cell - doc.steps) * doc.q
+        )
 
     def spent(self, taken: Takeover, cell: int) -> arb:
         """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
-        doc, craft = self.flight.document, self.flight.tracker.craft
-        plant, m = craft.plant, len(doc.u_max)
-        (needs, jump), total, unasked = self._commands, owed(plant), [arb(0)]
-        for c in range(taken.k, cell):
-            known = craft.noise_in(doc, c)
-            parts = [self._most(needs, taken, c, c + 1), *self._caused[c : c + 1], *[jump] * (c >= doc.steps)]
-            need = sums(*parts)
-            both = zip(need[:m], need[m:], doc.inputs[c], known, plant.u_max, strict=True)
-            tops = [smallest((top, largest((a, b)) + abs(u) + e)) for a, b, u, e, top in both]
-            total += plant.spent(tops) * doc.q
+        doc, tracker = self.flight.document, self.flight.tracker
+        plant, needs = tracker.craft.plant, tracker.needs("commands", tracker.commands)
+        periods, unasked = range(taken.k * doc.q, cell * doc.q), [arb(0)]
+        total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), owed(plant))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [sum(push, arb(0)) + sum(plant.thruster_part(push), arb(0)) for push in pushes]
             unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
         return (total + largest(unasked)) / doc.mass
-
-    def _most(self, needs: Needs, taken: Takeover, cell: int, until: int) -> list[arb]:
-        """What errors of an abort in a step need along rows between the starts of two cells, or at one."""
-        q, periods, found = self.flight.document.q, self.flight.tracker.memory.periods, []
-        lags = taken.window(cell * q, until * q)
-        pushed = needs.disturbed if until > cell else needs.at_nodes
-        for lag in lags[: max(periods + 1 - lags[0], 0)]:
-            found.append(sums(needs.boxed(taken.size, lag), pushed[lag]))
-        if lags[-1] > periods:
-            found.append(sums(needs.still(taken.size), pushed[-1]))
-        return [largest(each).upper() for each in zip(*found, strict=True)]
 
 
 def branched(document: Document, branch: Branch) -> Document:

@@ -18,7 +18,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     if any(any(u) for u in doc.inputs[doc.steps :]):
         raise Rejected("upkeep", "the tail does not coast")
     later = range(node, max(node, arrival.flight.tracker.memory.periods + 1) + 1)
-    most = list(map(largest, zip(*(arrival.tops(at, [0.0] * len(doc.u_max)) for at in later), strict=True)))
+    most = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
     for top, x in zip(plant.u_max, most, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
     rate = plant.spent(most) / plant.h / doc.mass

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ...synthesis.safety.goal_rows import distance
 from ...synthesis.schedule.schedule import Schedule
 from ..run_metrics import Runs
 from .attacks import Attack, Attacker
@@ -28,11 +27,11 @@ def exceeded(schedule: Schedule, step: int, runs: Runs) -> tuple[Failure, int]:
     assert powered is not None
     way = powered.ways[step]
     assert way.branch is not None
-    safety, (rows, sides, tolerance) = runs.schedule.safety, powered.branches[way.branch].goal
+    safety, goal = runs.schedule.safety, powered.branches[way.branch].goal
     q, h, mass = safety.clearance.q, safety.tracking.flow.h, safety.problem.system.mass
-    off = distance(safety.problem.goal.conditions, runs.states[:, way.cell * q] @ rows.T - sides)
+    off = goal.distance(runs.states[:, way.cell * q], np.zeros(1), 0.0)
     pushed = np.abs(runs.inputs[:, step * q : way.cell * q]).sum(axis=(1, 2)) * h / mass
-    parts = {"orbit": tolerance - off, "velocity change": way.delta_v - pushed}
+    parts = {"orbit": goal.tolerance - off, "velocity change": way.delta_v - pushed}
     limit = min(parts, key=lambda name: float(parts[name].min()))
     run = int(np.argmin(parts[limit]))
     return Failure("abort", limit, way.cell * safety.problem.delta, float(parts[limit][run]), 0.0), run

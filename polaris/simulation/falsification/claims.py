@@ -92,7 +92,7 @@ class Claims:
         """Lower bounds on the margin of every facet over each period, (periods, F) each [m]."""
         safety, out = self.schedule.safety, []
         for u in self.unsafe:
-            room = facet_room(safety.tracking, safety.reference, u, self.q)[: self.cells]
+            room = facet_room(safety.tracking, safety.reference, u)[: self.cells]
             need, bow = self._needs(-u.normals @ self.system.position)
             left = room - need
             out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - bow))

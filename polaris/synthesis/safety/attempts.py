@@ -104,9 +104,9 @@ class Attempts:
         """
         if self.margin.inside:
             return None
-        system, K, q = self.problem.system, self.problem.K, self.tracking.feedback.nodes_per_cell
+        system, K = self.problem.system, self.problem.K
         last = Reference.propagate(system, self.problem.delta, self.problem.initial_set.c, self.plan.nu)
-        rooms = (facet_room(self.tracking, last, unsafe, q).min(axis=1) for unsafe in asked.unsafe)
+        rooms = (facet_room(self.tracking, last, unsafe).min(axis=1) for unsafe in asked.unsafe)
         bows = [seen - room for seen, room in zip(path_bounds(asked, last), rooms, strict=True)]
         short = self.margin.need - self.margin.room
         if not self.tracking.varies and all(np.all(bow < short) for bow in bows):
@@ -182,8 +182,9 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
     largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
-    tube = error_tube(tracking, start, tracking.commands)
-    thrust = np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest))
+    rows = tracking.commands, *(-unsafe.normals @ system.position for unsafe in sets)
+    tubes = (error_tube(tracking, start, each) for each in rows)
+    thrust, *margins = (np.maximum(tube.over_cells(K, q), tube.left_over(largest)) for tube in tubes)
     needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + tracking.worst_noise
     limit = system.u_max * (1 - SOLVER_BOOK_INPUT) - needed
     if np.any(limit < 0):
@@ -204,10 +205,6 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
             "shrink the initial set, raise the thrust limit, or raise tracking.R for a softer tracker.",
         )
     limit = np.maximum(limit - problem.thrust_reserve * system.u_max, 0.0)
-    margins = []
-    for unsafe in sets:
-        tube = error_tube(tracking, start, -unsafe.normals @ system.position)
-        margins.append(np.maximum(tube.over_cells(K, q), tube.left_over(tracking, largest)))
     return PlanProblem(
         system,
         problem.initial_set.c,

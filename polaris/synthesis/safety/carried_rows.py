@@ -29,11 +29,14 @@ class CarriedRows:
         Directions of the error, or of the loop state (`Tracking.disturbance`).
     failing : bool
         True if a fault that is isolated late may occur, where any is declared.
+    between : bool
+        False if needs are those at nodes alone.
     """
 
     tracking: Tracking
     rows: Array
     failing: bool = True
+    between: bool = True
 
     @property
     def plant(self) -> Array:
@@ -51,7 +54,7 @@ class CarriedRows:
 
         Shape (2, memory + 3, r, N - n).
         """
-        between = self.tracking.handed_between(self.plant)
+        between = self.tracking.handed_between(self.plant) * self.between
         return np.stack([self.tracking.handed(self.rows) + between, between])
 
     @cached_property
@@ -65,12 +68,22 @@ class CarriedRows:
     @cached_property
     def disturbance(self) -> Array:
         """Need of everything but the state handed over, by age and ever after, shape (memory + 3, r)."""
-        return self.tracking.disturbance(self.rows, self.failing)
+        tracking = self.tracking
+        if self.between:
+            return tracking.disturbance(self.rows, self.failing)
+        need = tracking.responses(self.rows, tracking.profile)
+        return need + self._upset[np.minimum(np.arange(len(need)) + 2, tracking.memory + 1)]
+
+    @cached_property
+    def _upset(self) -> Array:
+        """Need of a fault that is isolated late up to l periods after it begins, shape (memory + 2, r)."""
+        return self.tracking.upset(self.plant) * self.failing
 
     @cached_property
     def bend(self) -> Array:
         """Need between nodes per unit of ``norm(W e)``, shape (memory + 2, r)."""
-        return self.tracking.curvature(self.plant) * self.tracking.decay_before[:, None]
+        bend = self.tracking.curvature(self.plant) * self.tracking.decay_before[:, None]
+        return np.asarray(bend * self.between)
 
     @cached_property
     def sizes(self) -> Array:
@@ -81,7 +94,18 @@ class CarriedRows:
     @cached_property
     def beyond(self) -> Array:
         """Need beyond the memory per unit of ``norm(W e)``, shape (r,)."""
-        return self.tracking.forgotten(self.plant, 1.0)
+        size = self.tracking.per_size(self.plant) if self.between else self.sizes[0]
+        return np.asarray(size * self.tracking.decay[-1])
+
+    @cached_property
+    def settled(self) -> Array:
+        """Need at nodes for ever once S has settled, a fault included, shape (r,)."""
+        return np.asarray(self.tracking.settled(self.rows) + self._upset[-1])
+
+    def long_after(self, start: Zonotope) -> Array:
+        """Bound rows at nodes more than `Tracking.long` periods after a hand-over of a set, shape (r,)."""
+        faded = 1.0 if self.tracking.profile is None else self.tracking.decay[-1]
+        return np.asarray(self.beyond * self.sizes_of(start)[0] * faded + self.settled)
 
     def at(self, start: Zonotope, ages: NDArray[np.int_] | slice) -> Array:
         """Return the needs from a set at ages within the memory, shape (ages, r)."""
@@ -136,22 +160,15 @@ class Tube:
         """Return the need at ages [periods] of any shape, shape (..., r)."""
         return np.asarray(self.need[np.clip(ages, 0, len(self.need) - 1)])
 
-    def over_cells(
-        self, cells: int, q: int, first: int = 0, last: int = 0, periods: int | None = None
-    ) -> Array:
-        """Return the largest need within every planning cell, or its first `periods`, shape (cells, r).
-
-        The set may have been handed over at any node from `first` to `last`.
-        """
-        ages = np.arange(last - first + (q if periods is None else periods) + 1) - last
+    def over_cells(self, cells: int, q: int, node: int = 0) -> Array:
+        """Return the largest need within every planning cell of a set handed over at a node, (cells, r)."""
+        ages = np.arange(q + 1) - node
         return np.asarray(self.at(np.arange(cells)[:, None] * q + ages).max(axis=1))
 
-    def left_over(self, tracking: Tracking, radius: float) -> Array:
+    def left_over(self, radius: float) -> Array:
         """Return what an error of a given norm still needs beyond the memory of the loop, shape (r,)."""
         table = self.table
-        return np.asarray(
-            tracking.forgotten(table.plant, radius) + table.beside_errors[-1] + table.disturbance[-1]
-        )
+        return np.asarray(table.beyond * radius + table.beside_errors[-1] + table.disturbance[-1])
 
 
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:

@@ -87,7 +87,7 @@ class Clearance:
         """
         rooms, (rows, index) = [np.zeros((self.cells, self.q + 1, 0))], self.obstacle_rows
         for o, unsafe in enumerate(self.unsafe):
-            found = facet_room(self.tracking, self.reference, unsafe, self.q, self.nodes)
+            found = facet_room(self.tracking, self.reference, unsafe)
             rooms.append(np.take_along_axis(found, self.facets[:, None, o : o + 1], axis=2))
         jump = np.take_along_axis(self.jumped(rows), index, axis=1)
         return np.asarray(np.concatenate(rooms, axis=2) - jump[:, None, :])
@@ -132,15 +132,6 @@ class Clearance:
         size = np.linalg.norm(np.abs(tracking.W) @ (tracking.accumulated * step))
         return np.asarray(tracking.per_size(rows) * size)
 
-    def tail_need(self, rows: Array, nodes: int) -> Array:
-        """Return S's needs along rows, errors at T apart, from each node after T on, shape (nodes, r)."""
-        found = self.scheduled(rows)[min(self.planned, self.cells - 1) :]
-        at = np.concatenate([found[:, :-1].reshape(len(found) * self.q, len(rows)), found[-1, -1:]])
-        at[self.q :: self.q] = np.maximum(at[self.q :: self.q], found[:, -1])
-        later = np.maximum.accumulate(at[::-1])[::-1][np.minimum(np.arange(nodes), len(at) - 1)]
-        plant = rows[:, : self.tracking.system.n]
-        return np.asarray(later + self.jump_need(plant) + self.round_off(plant))
-
 
 @dataclass(frozen=True, eq=False)
 class Limits:
@@ -181,7 +172,7 @@ class Limits:
         if tracking.profile is not None:
             level = tracking.profile[0] * (1 - ROUNDING) - tracking.noise
             thrust += [level - clearance.jumped(tracking.gain)] * 2
-        facets, index = _ends(clearance.room), np.repeat(clearance.obstacle_rows[1], q, axis=0)
+        facets, index = by_ends(clearance.room), np.repeat(clearance.obstacle_rows[1], q, axis=0)
         room = np.full((2, len(index), len(self.rows)), np.inf)
         np.minimum.at(room, (np.arange(2)[:, None, None], np.arange(len(index))[:, None], index), facets)
         room[..., self.facets :] = np.repeat(np.hstack(thrust), q, axis=0)
@@ -191,7 +182,7 @@ class Limits:
     @cached_property
     def _scheduled(self) -> Array:
         """Part of the room taken by errors that depend on the time of the flight."""
-        found = _ends(self.clearance.scheduled(self.rows))
+        found = by_ends(self.clearance.scheduled(self.rows))
         found[..., self.booked :] = 0.0  # they are booked apart
         return found
 
@@ -224,26 +215,23 @@ class Limits:
         return clearance.unsafe[int(np.where(mine, clearance.room[cell].min(axis=0), np.inf).argmin())].name
 
 
-def _ends(places: Array) -> Array:
+def by_ends(places: Array) -> Array:
     """Values at both ends of every period, (2, periods, r), from those at nodes of cells, (cells, q+1, r)."""
     cells, nodes, r = places.shape
     return np.stack([part.reshape(cells * (nodes - 1), r) for part in (places[:, :-1], places[:, 1:])])
 
 
-def facet_room(
-    tracking: Tracking, reference: Reference, unsafe: TimedPolytope, q: int, nodes: Array | None = None
-) -> Array:
+def facet_room(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) -> Array:
     """Distance from the reference to every facet of one set at every node, shape (cells, q+1, F).
 
     Already reduced by the bow of the reference between nodes (docs/theory.md, Lemma 3) and by rounding.
     """
-    system, h = tracking.system, reference.delta / q
-    nodes = reference.fine(q) if nodes is None else nodes
-    cells = reference.cells
+    system, q = tracking.system, tracking.feedback.nodes_per_cell
+    nodes, offsets = reference.fine(q), unsafe.fine(q)[: reference.cells]
     across = np.abs(unsafe.normals @ system.position @ system.A)
-    bow = at_nodes(h**2 / 8 * reference.rates(nodes) @ across.T)
-    distance = (nodes @ system.position.T) @ unsafe.normals.T - unsafe.fine(q)[:cells]
-    size = np.abs(nodes @ system.position.T).sum(axis=-1, keepdims=True) + np.abs(unsafe.fine(q)[:cells])
+    bow = at_nodes((reference.delta / q) ** 2 / 8 * reference.rates(nodes) @ across.T)
+    distance = (nodes @ system.position.T) @ unsafe.normals.T - offsets
+    size = np.abs(nodes @ system.position.T).sum(axis=-1, keepdims=True) + np.abs(offsets)
     return np.asarray(distance - bow - ROUNDING * size)
 
 
@@ -251,12 +239,9 @@ def best_facets(
     tracking: Tracking, reference: Reference, unsafe: tuple[TimedPolytope, ...], start: Zonotope
 ) -> NDArray[np.int_]:
     """For every cell and set the facet that leaves most room beyond S's tube, shape (cells, o)."""
-    q = tracking.feedback.nodes_per_cell
-    nodes = reference.fine(q)
-    chosen = np.zeros((reference.cells, len(unsafe)), dtype=int)
+    chosen, q = np.zeros((reference.cells, len(unsafe)), dtype=int), tracking.feedback.nodes_per_cell
     for o, polytope in enumerate(unsafe):
         tube = error_tube(tracking, start, -polytope.normals @ tracking.system.position)
-        need = tube.over_cells(reference.cells, q)
-        room = facet_room(tracking, reference, polytope, q, nodes).min(axis=1)
-        chosen[:, o] = np.argmax(room - need, axis=1)
+        room = facet_room(tracking, reference, polytope).min(axis=1)
+        chosen[:, o] = np.argmax(room - tube.over_cells(reference.cells, q), axis=1)
     return chosen

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,61 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..tracker.intersample import at_nodes
 from .carried_rows import CarriedRows
+from .clearance import Clearance, by_ends
 from .recoverable import Margin, RecoverableSet, left
 
 COARSE = 0.5  # limits that a bound by the norm shows to need no more of the room are looked at only if needed
 
 Where = tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]
 """Indices into `Limits.room`: end of the period (entries,), period (sets, entries) and row (entries,)."""
+
+
+class HandOver(NamedTuple):
+    """Set of errors or loop states that S takes over at some node from `first` to `last`."""
+
+    states: Zonotope
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, eq=False)
+class PathRows:
+    """Rows of the loop state under S along a path, and their needs by the node of the flight.
+
+    All that is proven of S is the need of some rows against some limits: facets and thrust (`Continuation`),
+    the conditions of a goal at a node, or a budget of commands. Needs at nodes alone are of the true state.
+    """
+
+    clearance: Clearance
+    rows: Array
+    failing: bool = True  # these two as `CarriedRows` has them
+    between: bool = True
+
+    @cached_property
+    def table(self) -> CarriedRows:
+        """Rows, carried back through S's loop."""
+        return CarriedRows(self.clearance.tracking, self.rows, self.failing, self.between)
+
+    @cached_property
+    def path(self) -> Array:
+        """Need of the path at both ends of every period, in the tail ever after, (2, periods + 1, r)."""
+        clearance, plant = self.clearance, self.table.plant
+        found = by_ends(clearance.scheduled(self.rows) + clearance.jumped(plant)[:, None])
+        found = np.concatenate([found, np.stack([found[1, -1:]] * 2)], axis=1)
+        tail = found[:, clearance.planned * clearance.q :]
+        tail[:] = np.maximum.accumulate(tail[:, ::-1], axis=1)[:, ::-1]
+        displaced = np.abs(plant) @ clearance.tracking.system.displaced_at_nodes
+        return np.asarray(found + clearance.round_off(plant) + displaced * (not self.between))
+
+    def needs(self, handed: HandOver, first: int, last: int) -> Array:
+        """Return the needs at both ends of the periods from a node until another, (2, last - first, r)."""
+        ages = np.arange(first, last + 1)[:, None] - np.arange(handed.first, handed.last + 1)
+        found = self.table.tube(handed.states).at(ages).max(axis=1)
+        if not self.between:
+            far = ages[:, -1] > self.clearance.tracking.long
+            found[far] = np.minimum(found[far], self.table.long_after(handed.states))
+        period = np.minimum(np.arange(first, last), self.path.shape[1] - 1)
+        return np.stack([found[:-1], found[1:]]) + self.path[:, period]
 
 
 @dataclass(frozen=True, eq=False)

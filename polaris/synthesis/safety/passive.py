@@ -96,16 +96,13 @@ class FreeFlight:
         return L, np.asarray(np.linalg.inv(L))
 
     @cached_property
-    def _bookings(self) -> list[tuple[Array, Array, Array]]:
-        """Per unsafe set: rows ``-n C e^{A t}``, what bends in a part per state, what disturbs by its end."""
-        h, found = self.delta / self.parts, []
-        flow = LinearFlow.continuous(self.system.A, self.system.D, self.system.w_max, h)
-        for item in self.sets:
-            rows = -item.normals @ self.system.position
-            bend = h**2 / 8 * np.abs(rows @ self.system.A @ self.system.A) @ growth(self.system.A, h)
-            pushed = flow.disturbance_support(rows, len(self._powers) - 1)[1:]
-            found.append((rows @ self._powers, bend, pushed))
-        return found
+    def _rows(self) -> tuple[Array, Array, Array]:
+        """Rows ``-n C e^{A t}`` of all sets, what bends in a part per state, what disturbs by its end."""
+        system, h = self.system, self.delta / self.parts
+        rows = -np.vstack([np.zeros((0, system.d)), *(item.normals for item in self.sets)]) @ system.position
+        flow = LinearFlow.continuous(system.A, system.D, system.w_max, h)
+        bend = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
+        return rows @ self._powers, bend, flow.disturbance_support(rows, len(self._powers) - 1)[1:]
 
     def after(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
         """What becomes of flights whose thrust stops in step k: of all, or by groups if not all are clear.
@@ -150,24 +147,20 @@ class FreeFlight:
 
     def _drift(self, k: int, periods: int, start: Zonotope) -> Drift:
         """What becomes of a set of starts at the beginning of step k."""
-        p, L = self.parts, self.cells
-        middle, spread = self._powers @ start.c, np.abs(self._powers @ start.G).sum(-1)
-        facets, room, centre = [], [], []
-        for item, (rows, bend, pushed) in zip(self.sets, self._bookings, strict=True):
-            offsets = item.fine(p)[k : k + L]
-            ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, L * p, -1)
-            at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
-            chord = (np.abs(middle) + spread)[:-1] @ bend.T + pushed
-            most, size = at + reach, np.abs(at) + reach
-            needs = np.stack([most[:-1], most[1:]]) + chord
-            rounded = ROUNDING * (np.abs(ends) + np.maximum(size[:-1], size[1:]) + chord)
-            left = (-ends - needs - rounded).min(axis=0)
-            best = left.argmax(axis=1)
-            facets.append(best)
-            room.append(left[np.arange(L * p), best])
-            centre.append((-ends[1] - at[1:]).max(axis=1))
-        shape = (len(self.sets), L * p)
-        return Drift(periods, start, *(np.array(x).reshape(shape) for x in (facets, room, centre)))
+        (rows, bend, pushed), shape = self._rows, (len(self.sets), self.cells * self.parts)
+        fine = [item.fine(self.parts)[k : k + self.cells] for item in self.sets]
+        offsets = np.concatenate([np.zeros((self.cells, self.parts + 1, 0)), *fine], axis=-1)
+        ends = np.stack([offsets[:, :-1], offsets[:, 1:]]).reshape(2, shape[1], len(rows[0]))
+        size = np.abs(self._powers @ start.c) + np.abs(self._powers @ start.G).sum(-1)
+        at, reach = rows @ start.c, np.abs(rows @ start.G).sum(-1)
+        chord, most, large = size[:-1] @ bend.T + pushed, at + reach, np.abs(at) + reach
+        rounded = ROUNDING * (np.abs(ends) + np.maximum(large[:-1], large[1:]) + chord)
+        room = (-ends - (np.stack([most[:-1], most[1:]]) + chord) - rounded).min(axis=0)
+        last = np.cumsum([len(item.normals) for item in self.sets])[:-1].astype(int)
+        rooms, middles = (np.split(part, last, axis=1)[: shape[0]] for part in (room, -ends[1] - at[1:]))
+        facets = [part.argmax(axis=1) for part in rooms]
+        found = facets, [part.max(axis=1) for part in rooms], [part.max(axis=1) for part in middles]
+        return Drift(periods, start, *(np.array(each).reshape(shape) for each in found))
 
 
 @dataclass(frozen=True, eq=False)

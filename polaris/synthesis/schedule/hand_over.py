@@ -67,8 +67,6 @@ class HandOvers:
 
     def caused(self, reference: Reference) -> list[Array]:
         """Return what errors by the time of the flight along a reference need, one (K, F) per unsafe set."""
-        if not self.tracking.varies:
-            return self._by_set(np.zeros((self.K, len(self._rows.rows))))
         found = Scheduled(self.tracking, reference, reference.cells).along(self._rows.rows)
         return self._by_set(found.max(axis=1)[: self.K])
 
@@ -91,7 +89,7 @@ class HandOvers:
             most = np.zeros_like(need)
             for k, table in tables.items():
                 most[k:] = np.maximum(most[k:], table[i][: self.K - k])
-            room = facet_room(self.tracking, reference, body, self.tracking.feedback.nodes_per_cell)
+            room = facet_room(self.tracking, reference, body)
             lack = (most + need - room.min(axis=1)[: self.K]).min(axis=1, keepdims=True)
             found.append((most + need, np.maximum(lack, 0.0)))
         return found

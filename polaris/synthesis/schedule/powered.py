@@ -27,8 +27,8 @@ from ..safety.clearance import Clearance
 from ..safety.end_condition import coast, judge_end, tail_length
 from ..safety.get_safety import Safety, get_recover
 from ..safety.problem import PoweredAbort, Problem
-from ..tracker.intersample import at_nodes
-from .takeover import SPARE, Branch, Takeover, Way
+from .arrival import SPARE
+from .takeover import Branch, Takeover, Way
 
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
@@ -184,12 +184,11 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
     def needed(rows: Array) -> Array:
         table, parts = CarriedRows(tracking, rows), []
         for each in taken:
-            bow = np.zeros((1, system.n)) if each.tube is None else at_nodes(each.tube.bow)
             for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
                 one = Zonotope(each.sets.c[i], each.sets.G[i])
-                one = one.inflate(np.pad(bow[i], (0, one.dim - system.n)))
+                one = one.inflate(np.pad(each.bow[i], (0, one.dim - system.n)))
                 q, node = tracking.feedback.nodes_per_cell, each.first + i
-                parts.append(table.tube(one).over_cells(asked.K, q, node, node)[b:])
+                parts.append(table.tube(one).over_cells(asked.K, q, node)[b:])
         most: Array = np.max(parts, axis=0) * (1 + SPARE)
         return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 

@@ -20,10 +20,11 @@ from ...model.tolerances import ROUNDING
 from ..controllers.black_box import FittedSegment, Statement
 from ..controllers.controllers import Controller, TubeSegment, construct_s
 from ..controllers.neural import NeuralController
+from ..safety.continuation import HandOver
 from ..safety.get_safety import Safety
 from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
-from .arrival import Arrival, Held, Upkeep, arrival, spare, upkeep
+from .arrival import Arrival, Tail, Upkeep, spare
 from .powered import KnownBranches, PoweredSafety, powered
 from .rules import Prices, SwitchingRules
 from .spending import Spell, spent
@@ -196,21 +197,21 @@ class Schedule:
         return self.delta_v_middle, spent(self._spells) * scale * (1 + ROUNDING)
 
     @cached_property
-    def _held(self) -> Held:
-        """Sets that hold all errors where S takes over for good, and at T."""
-        last = max((step.k + 1 for step in self.steps if step.mode), default=0)
+    def _tail(self) -> Tail:
+        last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
         handed = self.steps[last - 1].tube.end if last else self.safety.start
-        return (handed, (len(self.steps) - last) * self.safety.clearance.q), (self.final, 0)
+        T = len(self.steps) * q
+        return Tail(self.safety, held=(HandOver(handed, last * q, last * q), HandOver(self.final, T, T)))
 
     @cached_property
     def arrival(self) -> Arrival:
         """Whether and by when the goal is proven reached."""
-        return arrival(self.safety, self._held, self.delta_v[1])
+        return self._tail.arrival(self.delta_v[1])
 
     @cached_property
     def upkeep(self) -> Upkeep | None:
         """Bound on what S spends after T, for ever, and on how long the tank lasts, where that is proven."""
-        return upkeep(self.safety, self._held, self.delta_v[1])
+        return self._tail.upkeep(self.delta_v[1])
 
     @cached_property
     def passive(self) -> PassiveSafety | None:

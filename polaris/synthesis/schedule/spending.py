@@ -13,6 +13,8 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import AffineController, Controller, TubeSegment
 from ..controllers.neural import NeuralController
+from ..safety.continuation import HandOver, PathRows
+from ..safety.demand import command_noise
 from ..sources.thrusters import THRUSTERS
 
 LONGEST = 4000  # periods of a loop that are looked at all at once, at most
@@ -71,6 +73,26 @@ def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
         left, apart = left - len(most), float(most.sum())
         total += min(apart, together(run, len(most))) if linear and 0 < len(most) <= LONGEST else apart
     return total * (1 + ROUNDING)
+
+
+def commanded(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> Array:
+    """Bound S's commands at both ends of the periods from a node until another, (2, last - first, m) [N].
+
+    The rows are `Tracking.commands`. Each of the sets holds all errors that S may take over.
+    """
+    clearance, tracking = rows.clearance, rows.clearance.tracking
+    need = np.min([rows.needs(each, first, last) for each in held], axis=0)
+    noise = command_noise(tracking, clearance.cells, clearance.planned)
+    cell = np.minimum(np.arange(first, last) // clearance.q, clearance.cells - 1)
+    both = need.reshape(*need.shape[:2], 2, noise.shape[1])
+    return np.asarray(both.max(axis=2) + (np.abs(clearance.reference.nu) + noise)[cell])
+
+
+def tracked(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> float:
+    """Bound S's velocity change in the periods from a node until another [m/s], see `commanded`."""
+    system, h = rows.clearance.tracking.system, rows.clearance.tracking.flow.h
+    most = system.spent(np.minimum(commanded(rows, held, first, last), system.u_max))
+    return float(most.sum(axis=-1).max(axis=0).sum()) * h / system.mass
 
 
 def together(run: Sequence[Spell], count: int) -> float:

@@ -11,17 +11,13 @@ from reach.sets.zonotope import Zonotope
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import TubeSegment
-from ..safety.carried_rows import error_tube
-from ..safety.demand import command_noise
+from ..safety.continuation import HandOver
 from ..safety.get_safety import Safety
-from ..safety.goal_rows import distance, goal_rows
 from ..safety.problem import PoweredAbort
-from ..safety.recoverable import Margin, RecoverableSet, directed
-from ..tracker.tracking import Tracking
-from .arrival import long_after, spare, tolerated
-
-SPARE = 0.02
-"""Share by which claims are loosened, and plans kept further away: a checker merges sets in its own way."""
+from ..safety.recoverable import directed
+from ..tracker.intersample import at_nodes
+from .arrival import SPARE, Nearness
+from .spending import tracked
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +27,7 @@ class Takeover:
     k: int
     first: int  # node of the grid; the sets follow one another
     sets: Zonotope
-    tube: TubeSegment | None  # of the step, if U flies it
+    bow: Array  # elementwise between each and its neighbours, (sets, n)
     spent: float  # velocity change until then at most, that of S in this step apart [m/s]
 
     @classmethod
@@ -39,39 +35,23 @@ class Takeover:
         cls, safety: Safety, flown: Sequence[tuple[int, TubeSegment]], spent: Array
     ) -> tuple["Takeover", ...]:
         """Of every step, from who flies it, in which tube, and for which velocity change (K,) [m/s]."""
-        found, since, start, until = [], 0, safety.start, np.cumsum(spent) * (1 + SPARE)
+        found, since, until = [], 0, np.cumsum(spent) * (1 + SPARE)
+        n, start = safety.tracking.system.n, safety.start
         for k, (mode, tube) in enumerate(flown):
             if mode:
-                found.append(cls(k, k * safety.clearance.q, tube.states, tube, until[k]))
+                found.append(cls(k, k * safety.clearance.q, tube.states, at_nodes(tube.bow), until[k]))
                 since, start = (k + 1) * safety.clearance.q, tube.end
             else:
                 one = Zonotope(start.c[None], start.G[None])
-                found.append(cls(k, since, one, None, until[k - 1] if k else 0.0))
+                found.append(cls(k, since, one, np.zeros((1, n)), until[k - 1] if k else 0.0))
         return tuple(found)
 
     @property
-    def last(self) -> int:
-        """The last node."""
-        return self.first + len(self.sets) - 1
-
-    @property
-    def box(self) -> Zonotope:
-        """All loop states there."""
+    def handed(self) -> HandOver:
+        """All loop states there, in one box."""
         size = self.sets.extent.max(axis=0) * (1 + ROUNDING)
-        return Zonotope(np.zeros(len(size)), np.diag(size))
-
-    def margin(self, q: int, sets: RecoverableSet) -> Margin | None:
-        """How far they are outside the recoverable sets along some reference; None if they are inside."""
-        if self.tube is None:
-            margin = sets.margin_at(self.first // q, Zonotope(self.sets.c[0], self.sets.G[0]))
-        else:
-            margin = sets.margin(self.k, self.sets, self.tube.bow)
-        return None if margin.inside else margin
-
-    def over_cells(self, tracking: Tracking, rows: Array, cells: int, periods: int | None = None) -> Array:
-        """Return their needs along rows within every cell, or its first periods, shape (cells, r)."""
-        tube, q = error_tube(tracking, self.box, rows), tracking.feedback.nodes_per_cell
-        return tube.over_cells(cells, q, self.first, self.last, periods)
+        box = Zonotope(np.zeros(len(size)), np.diag(size))
+        return HandOver(box, self.first, self.first + len(self.sets) - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +74,19 @@ class Branch:
     safety: Safety
 
     @cached_property
-    def goal(self) -> tuple[Array, Array, float]:
-        """Rows of the orbit, their sides, and what counts as reached [m]."""
-        rows, sides = goal_rows(self.safety.problem)
-        return rows, sides, tolerated(self.safety, rows, True)
+    def goal(self) -> Nearness:
+        """Distance from the orbit, and S's commands, a fault included."""
+        return Nearness(self.safety, failing=True)
 
     def serve(self, taken: Takeover, asked: PoweredAbort, place: int) -> Way:
         """What is proven of aborts in a step along this branch, the one at a place in their list."""
-        margin = taken.margin(self.safety.clearance.q, self.safety.recoverable)
-        if margin is not None:
+        margin = self.safety.recoverable.tightest(taken.first, taken.sets, taken.bow)
+        if not margin.inside:
             return Way(None, why=f"S is not proven to recover: {margin}", short=margin.need - margin.room)
         found, off = self._reached(taken, asked.within)
         if found is None:
-            told = f"{off:.4g} m off at best, {self.goal[2]:.4g} m allowed"
-            return Way(None, why=f"the orbit is not reached in time: {told}", short=off - self.goal[2])
+            told = f"{off:.4g} m off at best, {self.goal.tolerance:.4g} m allowed"
+            return Way(None, why=f"the orbit is not reached in time: {told}", short=off - self.goal.tolerance)
         spent = self._spent(taken, found)
         if asked.budget is not None and spent > asked.budget:
             told = f"S may need {directed(spent, '.4g', up=True)} m/s, {asked.budget:g} m/s are allowed"
@@ -123,35 +102,21 @@ class Branch:
 
     def _reached(self, taken: Takeover, within: float | None) -> tuple[int | None, float]:
         """The first cell of the tail, in time, at whose start the orbit is reached; how far off at best."""
-        safety, (rows, sides, tolerance) = self.safety, self.goal
-        K, tracking, reference = safety.problem.K, safety.tracking, safety.reference
-        last = reference.cells
+        K, q, last = self.safety.problem.K, self.safety.clearance.q, self.safety.reference.cells
         if within is not None:
-            last = min(last, taken.k + int(within / safety.problem.delta * (1 + ROUNDING)))
+            last = min(last, taken.k + int(within / self.safety.problem.delta * (1 + ROUNDING)))
         if last < K:
             return None, np.inf
-        states = reference.chi[K : last + 1]
-        need, q = taken.over_cells(tracking, rows, last + 1, 0)[K:], safety.clearance.q
-        far = np.arange(K, last + 1) * q - taken.last > tracking.long
-        settled = long_after(tracking, rows, taken.box) * (1 + spare(tracking)) + tracking.upset(rows)[-1]
-        need = np.where(far[:, None], np.minimum(need, settled), need)
-        need = need + safety.clearance.tail_need(rows, (last - K) * q + 1)[::q]
-        need = (need + np.abs(rows) @ tracking.system.displaced_at_nodes) * (1 + SPARE)
-        size = ROUNDING * (np.abs(states) @ np.abs(rows).T + np.abs(sides))
-        most = distance(safety.problem.goal.conditions, states @ rows.T - sides + need + size)
-        there = np.flatnonzero(most <= tolerance)
-        return (K + int(there[0]) if len(there) else None), float(most.min())
+        need = self.goal.along.needs(taken.handed, K * q, last * q + 1)[0, ::q] * (1 + SPARE)
+        off = self.goal.distance(self.safety.reference.chi[K : last + 1], need)
+        there = np.flatnonzero(off <= self.goal.tolerance)
+        return (K + int(there[0]) if len(there) else None), float(off.min())
 
     def _spent(self, taken: Takeover, end: int) -> float:
         """Bound on S's velocity change from an abort in a step until the start of a cell [m/s]."""
-        safety, tracking, system = self.safety, self.safety.tracking, self.safety.problem.system
-        both = tracking.commands
-        need = taken.over_cells(tracking, both, end) + safety.clearance.round_off(both[:, : system.n])
-        need = need + safety.clearance.scheduled(both)[:end].max(axis=1)
-        need[(K := safety.problem.K) :] += safety.clearance.jump_need(both[:, : system.n])
-        most = need.reshape(end, 2, -1).max(axis=1) + np.abs(safety.reference.nu[:end])
-        most = np.minimum(most + command_noise(tracking, end, K), system.u_max)
-        spent = float(system.spent(most[taken.k :]).sum()) * safety.problem.delta
+        system, q = self.safety.problem.system, self.safety.clearance.q
+        spent = tracked(self.goal.commands, [taken.handed], taken.k * q, end * q)
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
-        spent += float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
-        return (spent + system.thrusters.made(system.m * system.timing.carried)) / system.mass * (1 + SPARE)
+        more = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
+        more += system.thrusters.made(system.m * system.timing.carried)
+        return (spent + more / system.mass) * (1 + SPARE)

@@ -181,7 +181,12 @@ class Needs:
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
-        return list(((magnitude(self.carried[lag]) + self.bend[lag]) * self.craft.lifted(size)).entries())
+        return list((self._sizes[lag] * self.craft.lifted(size)).entries())
+
+    @cached_property
+    def _sizes(self) -> list[arb_mat]:
+        """Need of a unit of each state in the periods next to node l."""
+        return [magnitude(carried) + bend for carried, bend in zip(self.carried, self.bend, strict=True)]
 
     def difference(self, flights: Differences, lag: int) -> list[arb]:
         """Need of a difference of two flights at node l, and in the period after it."""
@@ -193,8 +198,7 @@ class Needs:
     @cached_property
     def _most(self) -> arb_mat:
         """Largest need of a unit of each state in the first N periods."""
-        pairs = zip(self.carried[: self.memory.periods], self.bend, strict=False)
-        return reduce(_larger, (magnitude(carried) + bend for carried, bend in pairs))
+        return reduce(_larger, self._sizes[: self.memory.periods])
 
     def still(self, size: arb_mat) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size after N periods."""
