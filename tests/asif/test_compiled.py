@@ -125,6 +125,7 @@ def test_what_is_no_number_is_left(bad):
         values[:] = kept
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_table_of_the_page(capsys):
     """One deputy's row, of two calls; the names of the others."""
     asif.main(["--only", "0", "--calls", "2", "--turns", "1"])
