@@ -162,7 +162,8 @@ def test_filters_answer_alike(sharing, sampled, seed):
 
 
 @needs_numba
-def test_calls_in_odd_arrays_compile_nothing_anew():
+def test_calls_in_odd_arrays_compile_nothing_anew(monkeypatch):
+    monkeypatch.setenv("POLARIS_COMPILED", "1")
     q = Inspection(deputies=2)
     one = ActiveSetFilter(make_filter(Families(q), "coasting"))
     loops = (one.families.loops.rows, one.filtering.loops.alone, one.filtering.loops.tight)
