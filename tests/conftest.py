@@ -24,6 +24,10 @@ settings.register_profile("whole", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, print_blob=True)
 settings.load_profile(PROFILE)
 
+# A plain run compiles no loops: that takes a minute anew in every checkout, and long tests fly compiled ones.
+if PROFILE == "same":
+    os.environ.setdefault("POLARIS_COMPILED", "0")
+
 FIRST = (
     *("polaris/test_error_sources", "test_docs", "polaris/test_random_scenarios", "polaris/test_black_box"),
     *("polaris/test_planning", "polaris/test_closed_loops", "polaris/test_navigation", "asif/test_always"),

@@ -21,6 +21,7 @@ def run(tmp_path_factory):
     return schedule, place / "static"
 
 
+@pytest.mark.slow
 def test_software_commands_what_the_scheduled_controller_does(run):
     schedule, folder = run
     software, rng = FlightSoftware(folder), np.random.default_rng(0)

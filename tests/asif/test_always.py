@@ -346,7 +346,7 @@ def losses(share, seed=0):
     return lambda k: rng.random((5, 5)) < share
 
 
-@pytest.mark.parametrize("kind", ["explicit", "implicit"])
+@pytest.mark.parametrize("kind", ["explicit", pytest.param("implicit", marks=pytest.mark.slow)])
 def test_a_group_that_loses_messages_is_safe(kind):
     f, x, sun = group(kind, losses(0.05), 2, 2.0)
     least, unproven, _ = fly(f, x, sun, Harsh(Q, "mixed", sun, 10.0), 40.0)
@@ -526,7 +526,7 @@ def test_malformed_calls_and_odd_times(kind):
     odd_times(make(kind, TWO), x, np.zeros((2, 3)))
 
 
-@pytest.mark.parametrize("kind", ["explicit", "simplex_implicit"])
+@pytest.mark.parametrize("kind", [pytest.param("explicit", marks=pytest.mark.slow), "simplex_implicit"])
 def test_the_command_of_the_long_flights(kind, capsys, monkeypatch):
     monkeypatch.setattr(harsh, "PERIODS", (2.0, 1.0))
     harsh.main(["--flights", "4", "--seconds", "20", "--kind", kind, "--errors"])

@@ -107,6 +107,7 @@ def test_where_no_plan_is_proven_the_answer_is_the_plain_filters(kind, loops, mo
     assert count > fewer(5, 3)
 
 
+@pytest.mark.slow
 def test_at_rest_in_the_plane_at_985_m_nothing_is_violated():
     """No plan is proven there. By an unproven plan in place of an unproven proposal phi9 came to -0.023."""
     f, x, (Phi, Gamma) = make("explicit", ONE), np.array([[0.0, -985, 0, 0, 0, 0]]), ONE.held(1.0)
@@ -271,7 +272,7 @@ def test_later_than_declared_drops_the_plan():
 @pytest.mark.parametrize(
     ("sign", "period"),
     [
-        pytest.param(sign, period, marks=[] if period > 0.2 or sign == "random" else pytest.mark.slow)
+        pytest.param(sign, period, marks=[] if period > 0.2 else pytest.mark.slow)
         for sign in ("late", "early", "in turn", "random")
         for period in (0.2, 1.0, 2.0)
     ],

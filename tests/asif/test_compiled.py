@@ -125,6 +125,7 @@ def test_what_is_no_number_is_left(bad):
         values[:] = kept
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_table_of_the_page(capsys):
     """One deputy's row, of two calls; the names of the others."""
     asif.main(["--only", "0", "--calls", "2", "--turns", "1"])
@@ -161,7 +162,8 @@ def test_filters_answer_alike(sharing, sampled, seed):
 
 
 @needs_numba
-def test_calls_in_odd_arrays_compile_nothing_anew():
+def test_calls_in_odd_arrays_compile_nothing_anew(monkeypatch):
+    monkeypatch.setenv("POLARIS_COMPILED", "1")
     q = Inspection(deputies=2)
     one = ActiveSetFilter(make_filter(Families(q), "coasting"))
     loops = (one.families.loops.rows, one.filtering.loops.alone, one.filtering.loops.tight)

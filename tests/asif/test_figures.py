@@ -69,6 +69,7 @@ def test_one_deputy_has_no_figures_of_pairs(tmp_path, monkeypatch):
     assert [path.name for path in drawn] == ["speed.pdf", "speed.png"]
 
 
+@pytest.mark.slow
 def test_fuel_figures_are_drawn_with_and_without_a_switch(tmp_path):
     for spent, duration, switched in ((0.0, 40, False), (19.0, 200, True)):
         scenario = load_scenario("fuel-limit").with_assignments(
@@ -101,6 +102,7 @@ def test_campaign_shows_successes_and_failures(studies):
         inside(bars)
 
 
+@pytest.mark.slow
 def test_plot_redraws_the_same_bytes_from_the_files_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "FIGURES", {name: figures.FIGURES[name] for name in ("speed", "sun")})
     assert invoke("run", "inspection", "--set", "flight.duration_s=5", "--out", tmp_path / "a").exit_code == 0

@@ -60,6 +60,7 @@ def test_initial_conditions_are_inside_and_reproducible(drawn):
     assert np.abs(x[..., :3]).max() > 400 and np.ptp(sun) > np.pi
 
 
+@pytest.mark.slow
 def test_sampling_gives_up_where_there_is_no_room(monkeypatch):
     monkeypatch.setattr("polaris.inspection.flights.sampling.PATIENCE", 4000)
     with pytest.raises(ScenarioError, match="hardly any of 4096 samples"):

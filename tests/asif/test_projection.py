@@ -60,7 +60,7 @@ def random_problem(rng, M, v=3, K=1):
     return G, bound, rng.uniform(-2, 2, (K, v))
 
 
-@pytest.mark.parametrize("M", [1, 2, 4])
+@pytest.mark.parametrize("M", [1, 2, pytest.param(4, marks=pytest.mark.slow)])
 def test_the_projection_is_the_enumerated_one(M):
     rng = np.random.default_rng(M)
     G, bound, desired = random_problem(rng, M, K=60)

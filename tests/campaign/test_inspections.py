@@ -140,6 +140,7 @@ def default_install(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
 
 
+@pytest.mark.slow
 def test_the_monte_carlo_runs_on_the_default_install(flown, tmp_path, seen, default_install):
     out = tmp_path / "c"
     words = ("campaign", "inspection-monte-carlo", "--runs", RUNS, "--out", out, "--workers", 1)

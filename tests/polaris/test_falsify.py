@@ -173,6 +173,7 @@ def test_margins_are_those_of_the_timed_polytopes_between_nodes_too():
 # -- what was broken on purpose -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_printed_ball_without_thrust_limits_is_caught(tmp_path, monkeypatch):
     take_printed_balls(monkeypatch)
     scenario = load_scenario("static").with_overrides(STIFF)

@@ -46,6 +46,11 @@ from .random_scenarios import synthesised as random_schedule
 from .tiny import flown, synthesised
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_slices():
+    """Draw every slice here: tests look at them."""
+
+
 @pytest.fixture(scope="module")
 def picture():
     schedule = synthesised()[1]
@@ -367,8 +372,8 @@ def assert_legend_is_seen(figure):
             assert count >= 2, (text.get_text(), count)
 
 
-SEEDS = (0, 5)
-"""On the line, in the plane, in Hill's frame; ticks that are others outside of the style."""
+SEEDS = (0,)
+"""Scene of the quick test."""
 
 
 @pytest.mark.parametrize(
@@ -585,8 +590,8 @@ def test_slices_contain_the_chaser_of_every_run():
     assert_slices_are_of_their_instants(schedule, picture_of(schedule, flights))
 
 
-PROVED = (1, 4)
-"""Random scenes that have a schedule."""
+PROVED = (1,)
+"""Random scene of the quick test, which has a schedule."""
 
 
 @pytest.mark.parametrize(

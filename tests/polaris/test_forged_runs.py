@@ -36,7 +36,7 @@ FOLLOWING = {
     "setpoint": [QUARTER, 'experimental.0.reference={kind="setpoint",state=[8.0,6.0,0.0,0.0]}'],
     "shared": [QUARTER, 'experimental.0.reference={kind="shared"}'],
     "in view": [QUARTER, "recoverable.recourse=in_view"],
-    "sampled": ["feedback={period_s=0.1}", "schedule.min_dwell_steps=2", "schedule.max_switches=3"],
+    "sampled": ["feedback={period_s=0.2}", "schedule.min_dwell_steps=2", "schedule.max_switches=3"],
 }
 """Variants of the tiny scene."""
 

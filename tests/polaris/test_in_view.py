@@ -122,6 +122,7 @@ def test_with_u_in_view_nothing_is_lost(seed, folder):
     assert schedule.margins[schedule.modes > 0].min(initial=1.0) >= 0
 
 
+@pytest.mark.slow
 def test_what_is_in_the_way_after_the_end_alone_is_passed_with_u_in_view_too():
     """A box on the orbit that the reference of `static` with U in view would coast along after T."""
     late = '{kind="box", name="late", center_m=[-71.0, 75.0, 0.0], half_widths_m=[10.0, 10.0, 10.0]}'
@@ -154,6 +155,7 @@ def test_what_hand_overs_need_is_what_s_needs_from_the_sets_of_u():
         assert np.array_equal(lack[:, 0] > 0, np.all(need > room, axis=1))
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_not_reached_is_planned_again_further_inside(tmp_path):
     scenario = scenes()["random-2+errors"].load(tmp_path)
     before = synthesize(scenario.with_assignments(["recoverable.recourse=none"]))

@@ -165,6 +165,7 @@ def share(safety, laws, *rules, **options):
     return synthesize(safety, experimental=laws, rules=SwitchingRules(*rules, **options)).share()
 
 
+@pytest.mark.slow
 def test_looser_rules_are_never_worse_in_a_real_scene():
     schedule = tiny()[1]
     safety, laws = schedule.safety, schedule.controllers[1:]

@@ -206,7 +206,7 @@ def test_a_jump_of_the_reference_counts_as_a_need_and_not_as_less_room(kind, tmp
             assert jumped.margin_at(clearance.planned, nothing).value > 1 - 1e4 * size
 
 
-@pytest.mark.parametrize("first", [0, 7])
+@pytest.mark.parametrize("first", [0, pytest.param(7, marks=pytest.mark.slow)])
 def test_no_limit_is_left_out_however_late(first, period):
     """One that nothing meets, put at a node: within the memory of the loop, where it ends, and beyond."""
     safety = small_safety(period)

@@ -227,6 +227,7 @@ def farthest(schedule, flown):
     return max(found)
 
 
+@pytest.mark.slow
 def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes():
     scenario = load_scenario("static", ERRORS)
     env, schedule = Environment.of(scenario), synthesize(scenario)
@@ -242,6 +243,7 @@ def test_errors_are_flown_in_the_nonlinear_motion_and_nothing_leaves_the_tubes()
     assert farthest(plain, fly_true(plain, env, 8, substeps=1)) > 1.1
 
 
+@pytest.mark.slow
 def test_schedule_and_tail_stay_in_the_region_that_is_bounded():
     scenario, schedule = printed("static", CHOSEN)
     region = visited(schedule)

@@ -120,7 +120,7 @@ def test_errors_of_a_phase_count_in_its_steps_alone():
 @pytest.mark.parametrize(
     "more",
     [
-        (FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.3"),
+        pytest.param((FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.3"), marks=pytest.mark.slow),
         ("thrusters={impulse_bit_N_s=0.001,remainder='carried'}",),
     ],
 )
@@ -193,10 +193,8 @@ def test_bounds_hold_within_a_range_that_is_kept():
         synthesize(scene(RANGED[0], RANGED[1].replace("[8.2, 6.2]", "7.0")))
 
 
-@pytest.mark.parametrize(
-    "made",
-    [pytest.param("pulse='centred'", marks=pytest.mark.slow), "impulse_bit_N_s=0.001,remainder='carried'"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("made", ["pulse='centred'", "impulse_bit_N_s=0.001,remainder='carried'"])
 def test_phases_go_with_pulses_and_what_is_carried(made):
     """Measurements err within the bounds of the steps that use them, and predictions within theirs."""
     late = (f"thrusters={{magnitude_error=0.01,{made}}}", "timing.delay_s=0.25", "timing.missed_periods=1")
@@ -249,7 +247,7 @@ MISSED = "timing.missed_periods=2"
 NEAR = "navigation.measurement.initial={state_error=[0.006, 0.006, 0.003, 0.003]}"
 
 
-@pytest.mark.parametrize("first", [None, FIRST])
+@pytest.mark.parametrize("first", [pytest.param(None, marks=pytest.mark.slow), FIRST])
 def test_bounds_hold_for_every_pattern_of_missed_periods_and_some_reach_them(first):
     """The worst that any pattern of measurements can reach, worked out for many of them."""
     scenario, rng, most = scene(*MEASURED, MISSED, *filter(None, [first])), np.random.default_rng(1), 0.0

@@ -340,6 +340,7 @@ ERRORS = {
 }
 
 
+@pytest.mark.slow
 def test_a_run_with_errors_verifies_and_holds_under_attack(tmp_path):
     pytest.importorskip("onnx")
     folder = run(scene(tmp_path, errors=ERRORS), tmp_path / "run")
@@ -353,6 +354,7 @@ def arithmetic(lines):
     return [line for line in lines if line.startswith("network ")]
 
 
+@pytest.mark.slow
 def test_a_run_says_in_which_arithmetic_its_network_is_evaluated(made, alone, tmp_path):
     found = read_run(made).summary["guarantee"]["assumptions"]
     assert (
@@ -403,7 +405,8 @@ def test_a_run_that_forgets_the_rounding_of_its_network_is_rejected(tmp_path, mo
     assert verdict.outcome == "REJECTED" and verdict.claim in SETS, verdict.text()
 
 
-@pytest.mark.parametrize("forgotten", [pytest.param("navigation", marks=pytest.mark.slow), "thrusters"])
+@pytest.mark.slow
+@pytest.mark.parametrize("forgotten", ["navigation", "thrusters"])
 def test_tubes_of_a_network_that_forget_an_error_are_rejected(forgotten, tmp_path, monkeypatch):
     pytest.importorskip("onnx")
     path = scene(tmp_path, errors={forgotten: ERRORS[forgotten]})

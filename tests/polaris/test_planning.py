@@ -395,7 +395,9 @@ def clock(monkeypatch, tell):
     ("task", "options"),
     [
         (problem([CROSSING, KEEP_OUT]), {}),
-        (problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)), {}),
+        pytest.param(
+            problem([STATIC, KEEP_OUT], goal=EllipticalNMT(ETA, 150.0, 400.0)), {}, marks=pytest.mark.slow
+        ),
         pytest.param(corridor(), {"max_linear_programs": 60}, marks=pytest.mark.slow),
     ],
     ids=["crossing", "annulus", "limited"],

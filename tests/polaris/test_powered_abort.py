@@ -369,6 +369,7 @@ def verified(scenario, schedule):
     return "powered_abort" in dict(record.checked)
 
 
+@pytest.mark.slow
 def test_a_fault_on_the_way_is_allowed_for_and_one_left_out_is_found():
     """In the aborted flight each thruster fails right before the orbit is claimed to be reached."""
 

@@ -115,6 +115,7 @@ def document(seed):
     return schedule, certificate(schedule, scenario.name)
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_both_sides_bound_differently_is_no_reason_to_refuse(tmp_path):
     """What S needs for ever is bounded by the synthesis 1.24 times as high as by the checker here."""
     errors = ["thrusters.magnitude_error=0.00462", "thrusters.mass_error=0.00549"]
@@ -126,6 +127,7 @@ def test_a_tolerance_that_both_sides_bound_differently_is_no_reason_to_refuse(tm
     assert verdict.outcome == "VERIFIED", verdict.text()
 
 
+@pytest.mark.slow
 def test_a_reference_at_rest_may_end_sooner_than_the_loop_forgets_but_must_rest():
     schedule, data = document(38)
     assert schedule.safety.end.horizon == "infinite"
@@ -179,6 +181,7 @@ def test_nothing_is_safe_for_ever_where_a_set_moves():
         end_of(altered(told, change))
 
 
+@pytest.mark.slow
 def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     schedule, data = document(10)
     late = [k for k, step in enumerate(schedule.steps) if step.mode and is_late(schedule, k, step.margin)]
@@ -199,8 +202,8 @@ def is_late(schedule, k, margin):
 
 
 def test_a_few_random_proofs_verify(tmp_path):
-    found = list(verdicts(FEW, tmp_path))
-    assert sum(schedule is not None and schedule.guarantee == "proved" for _, schedule, _ in found) >= 4
+    found = list(verdicts(FEW[:2], tmp_path))
+    assert sum(schedule is not None and schedule.guarantee == "proved" for _, schedule, _ in found) == 2
     judge(found)
 
 
@@ -229,8 +232,8 @@ def clipped_verdicts(seeds, folder):
 
 
 def test_clipped_proofs_verify(tmp_path):
-    found = dict(clipped_verdicts((0, 5), tmp_path))  # 5: sampled, wide bands within a period
-    assert len(found) == 2
+    found = dict(clipped_verdicts((0,), tmp_path))
+    assert len(found) == 1
     assert {seed: verdict.text() for seed, verdict in found.items() if verdict.exit_code} == {}
 
 
@@ -244,7 +247,7 @@ def test_many_clipped_proofs_verify(tmp_path):
 
 @pytest.mark.slow
 def test_many_random_proofs_verify(tmp_path):
-    found = list(verdicts((*range(MANY), MERGED), tmp_path))
+    found = list(verdicts((*range(MANY), *FEW[1:], MERGED), tmp_path))
     judge(found)
     proved = [schedule for _, schedule, _ in found if schedule and schedule.guarantee == "proved"]
     assert len(proved) >= fewer(100, MANY // 2)

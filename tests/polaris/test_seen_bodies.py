@@ -463,7 +463,8 @@ def random_scene(seed, folder):
     return ScheduleScenario.from_dict(found), moves
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in SLOW)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, *SLOW])
 def test_random_scenes(seed, tmp_path):
     pytest.importorskip("onnx")
     scenario, moves = random_scene(seed, tmp_path)

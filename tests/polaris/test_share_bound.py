@@ -97,7 +97,9 @@ def test_every_flight_lies_in_what_is_enclosed(more, times):
     assert clipped > 10, "the clip has something to do"
 
 
-@pytest.mark.parametrize("more", [(), ("feedback={period_s=0.25}",)], ids=["chosen", "given"])
+@pytest.mark.parametrize(
+    "more", [pytest.param((), marks=pytest.mark.slow), ("feedback={period_s=0.25}",)], ids=["chosen", "given"]
+)
 def test_nothing_that_can_be_flown_is_called_impossible(more):
     scenario, schedule = printed(*more)
     problem, law = schedule.safety.problem, laws_of(schedule)[0]
@@ -188,7 +190,7 @@ def test_where_u_alone_collides_less_than_everything_is_reached(name):
 
 
 @pytest.mark.parametrize(
-    "seed", [42, 70, 37, *(pytest.param(s, marks=pytest.mark.slow) for s in (77, 41, 65, 68))]
+    "seed", [70, 37, *(pytest.param(s, marks=pytest.mark.slow) for s in (42, 77, 41, 65, 68))]
 )
 def test_no_random_schedule_beats_the_bound(seed, tmp_path):
     scenario, schedule = random_schedule(seed, tmp_path)

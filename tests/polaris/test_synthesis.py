@@ -94,7 +94,7 @@ def test_u_alone_collides_and_s_alone_does_not(name):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "keep_out", "robot")))
+        pytest.param(n, marks=[pytest.mark.slow] * (n in ("hold_point", "keep_out", "dynamic", "robot")))
         for n in FEASIBLE
     ],
 )

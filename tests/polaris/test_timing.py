@@ -127,6 +127,7 @@ def test_delays_flown_for_real_stay_within_the_bounds_and_use_them():
     judge(0, attack(schedule, 40, 0))
 
 
+@pytest.mark.slow
 def test_a_longer_delay_needs_more_and_what_is_too_long_is_named():
     scenario = load_scenario(TINY).with_assignments([*SAMPLED, ERRORS[0]])
     bounds = [
@@ -189,6 +190,7 @@ def test_proofs_of_random_scenes_hold_with_all_of_it():
     assert scenes >= 0.3 * len(seeds)
 
 
+@pytest.mark.slow
 def test_the_smallest_errors_are_confirmed(tmp_path):
     """Errors below one unit of round-off are booked, and an honest run is not refused for them."""
     tiny = ["thrusters.magnitude_error=1e-17"]

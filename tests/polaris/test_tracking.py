@@ -108,7 +108,10 @@ OBSERVED = (
         (),
         (*OBSERVED, "thrusters.impulse_bit_N_s=0.0005", "thrusters.remainder=carried", "timing.delay_s=0.1"),
         ("timing.jitter_s=0.005", "timing.missed_periods=1"),
-        ("thrusters.pulse=centred", 'faults=[{kind="loss",share=0.1,isolation_s=0.2}]'),
+        pytest.param(
+            ("thrusters.pulse=centred", 'faults=[{kind="loss",share=0.1,isolation_s=0.2}]'),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_period_that_is_chosen_is_told_and_serves_whatever_needs_one(more):

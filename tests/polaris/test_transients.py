@@ -140,7 +140,11 @@ NETWORK = (
 
 @pytest.mark.parametrize(
     ("fault", "precision"),
-    [(LATE, "real"), (LATE, "float32"), pytest.param(LOST, "real", marks=pytest.mark.slow)],
+    [
+        pytest.param(LATE, "real", marks=pytest.mark.slow),
+        (LATE, "float32"),
+        pytest.param(LOST, "real", marks=pytest.mark.slow),
+    ],
 )
 def test_networks_fly_where_a_fault_may_be_isolated_late(fault, precision):
     network = NETWORK.replace('name="hasty"', f'name="hasty",precision="{precision}"')

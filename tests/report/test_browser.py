@@ -378,6 +378,7 @@ def test_names_in_the_plane_are_apart_on_a_phone(browser, page, screen):
 CROWD = {f"set number {i}": [4.0 * i, 0.0, 2.0 * i] for i in range(6)}
 
 
+@pytest.mark.slow
 def test_names_in_space_are_apart_on_a_phone_however_the_scene_is_turned(browser, in_space, screen, tmp_path):
     text = Path(url2pathname(urlsplit(in_space).path)).read_text(encoding="utf-8")
     head, middle, tail = re.split(r'(?<=id="data">)(.*?)(?=</script>)', text, maxsplit=1)

@@ -165,6 +165,7 @@ def test_wrong_options_are_refused(options, told):
     assert told in str(caught.value)
 
 
+@pytest.mark.slow
 def test_methods_are_tuned_and_the_folder_says_how(tmp_path):
     scenario, schedule = synthesised()
     tuning = {"monitor.reentry": 0.3, "monitor.dwell": 7.0, "asif_explicit.alpha": 0.3,

@@ -154,7 +154,7 @@ def check(setting, seed, rates, fails):
     assert (modes > 0).any()
 
 
-@pytest.mark.parametrize("setting", ["late", "a whole period late"])
+@pytest.mark.parametrize("setting", ["late", pytest.param("a whole period late", marks=pytest.mark.slow)])
 def test_u_flies_only_with_a_permission_and_s_can_always_take_over(setting):
     for seed, rates in enumerate(STREAMS):
         check(setting, seed, rates, 0.02 * (seed % 2))

@@ -59,6 +59,7 @@ def test_u_alone_does_collide(setting):
     assert metrics.collided.all() and metrics.min_distance.max() < 0
 
 
+@pytest.mark.slow
 def test_look_ahead_notices_too_late_where_the_monitor_does_not():
     made = scene("robot")
     conditions = Conditions.draw(made, 12, 3)
@@ -68,7 +69,13 @@ def test_look_ahead_notices_too_late_where_the_monitor_does_not():
     assert not monitor.collided.any()
 
 
-@pytest.mark.parametrize("key", BUFFERED)
+@pytest.mark.parametrize(
+    "key",
+    [
+        pytest.param(key, marks=[pytest.mark.slow] * (key in ("reachability", "simulation")))
+        for key in BUFFERED
+    ],
+)
 def test_a_keep_clear_buffer_keeps_rivals_further_away(key):
     """From boxes, walls and balls alike; what is proven stays proven, and it may not be negative."""
     made = scene("robot")
@@ -207,6 +214,7 @@ def test_same_conditions_give_the_same_flights():
     assert not np.array_equal(conditions.w, other.w)
 
 
+@pytest.mark.slow
 def test_a_run_does_not_depend_on_its_neighbours():
     made = scene("robot", period=0.25, half=0.005)
     conditions = Conditions.draw(made, 3, 5)

@@ -284,7 +284,9 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "inexact")) for name in SCENES]
+)
 def test_adversaries_do_not_get_through(name):
     make, given = SCENES[name]
     policy, learned = colliding()
