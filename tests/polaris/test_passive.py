@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from polaris.certificate.checker import verify_document
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
@@ -106,6 +107,16 @@ def test_many_drifts_stay_clear():
 @pytest.fixture(scope="module")
 def tiny():
     return drifting(load_scenario(TINY), 20 / 12)
+
+
+def test_where_thrust_may_stop_under_a_clipped_law_is_confirmed():
+    """The band of a clip is a held input: in half a step it moves a flight further than all else."""
+    given = ["feedback.period_s=0.5", "tracking.R=[60,60]", "thrusters.magnitude_error=0.02"]
+    given += ["schedule.bound_programs=0", "abort.drift_s=6.0"]
+    schedule = synthesize(load_scenario(TINY).with_assignments(given))
+    assert schedule.modes.any()
+    verdict = verify_document(json.loads(json.dumps(certificate(schedule, "scene"))))
+    assert verdict.outcome == "VERIFIED", verdict.text()
 
 
 def test_a_claim_that_is_too_wide_is_refuted(tiny):

@@ -110,17 +110,17 @@ class Pilot:
         error = pushed = plant.thruster_error(answer.bounds)
         if answer.linear and not craft.box and any(x > 0 for x in error):
             v, pushed = [], sums(noise, error)  # both enter as inputs alone: fewer generators
-        if self.law.kind == "any_thrust":  # which need not be held
-            held = [craft.lifted(craft.motion.pushed(*v))]
-        else:
-            held = [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in v]
+        held = [] if self.law.kind == "any_thrust" else v  # that need not be held
+        free = [] if held else v
         period = Period(
             craft.free + craft.held * answer.K,
             craft.lifted(craft.motion.gamma * g),
             Directions(craft.drifts + plant.B * answer.K),
             g,
-            [*held, *craft.added(pushed)],
-            [*v, *plant.push(pushed)],
+            [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in held],
+            [*(craft.lifted(craft.motion.pushed(push)) for push in free), *craft.added(pushed)],
+            held,
+            [*free, *plant.push(pushed)],
             answer.bounds,
         )
         errors = (noise, error) if answer.linear and not plant.jitter else ()
@@ -211,8 +211,9 @@ def fly(
         end = period.ends(z)
         if departures is not None:
             moved = z.image(whole.M * period.F - whole.M).moved(whole.M * period.moved)
-            extra = zip(*period.extra(unit, z), bows, strict=True)
-            ends = z.through(whole), moved, end.through(whole)
+            extra = zip(*period.extra(unit, z, held=False), bows, strict=True)
+            held = [whole.M * each for each in period.held]
+            ends = z.through(whole), moved.grown(*held), end.through(whole).grown(*held)
             departures.check(i, base, *ends, [largest((a, b)) + bow[i] for a, b, bow in extra])
         if barrier is not None:
             where = f"step {k}, part {i}, under {pilot.law.name}"

@@ -13,15 +13,18 @@ from .zonotopes import Directions, Zonotope
 class Period:
     """Motion of a loop state z over one period: ``z+ = F z + moved``, and ``e' = rates z + g`` at its start.
 
-    Generators enclose what uncertain inputs have `added` by its end; within it they push the error.
+    Generators enclose what uncertain inputs that are `held`, and others, have `added` by its end; within it
+    they push the error.
     """
 
     F: arb_mat
     moved: arb_mat
     rates: Directions
     g: arb_mat
+    held: list[arb_mat]
     added: list[arb_mat]
-    pushes: list[Push]  # besides those of every period
+    constant: list[Push]  # that are held, and others; besides those of every period
+    pushes: list[Push]
     bounds: list[arb]  # on the commands
 
     def ends(self, z: Zonotope) -> Zonotope:
@@ -30,19 +33,20 @@ class Period:
 
     def after(self, end: Zonotope) -> Zonotope:
         """The set at the next node, from `ends`: what is known of one along rows serves the other."""
-        return end.grown(*self.added)
+        return end.grown(*self.held, *self.added)
 
-    def extra(self, along: Along, z: Zonotope) -> tuple[list[arb], list[arb]]:
+    def extra(self, along: Along, z: Zonotope, held: bool = True) -> tuple[list[arb], list[arb]]:
         """Bounds on how far rows of the error exceed the chord of its undisturbed end values in the period.
 
         They belong to the start and the end of the period; in between, their chord is a bound: what uncertain
-        inputs have done grows from nothing.
+        inputs have done grows from nothing. What `held` ones have done may be part of the end values.
         """
         motion, rows = along.motion, along.rows
         bend, last = along.disturbance
         first = sums(along.bow(z.through(self.rates).moved(self.g)), bend)
-        for push in self.pushes:
+        for push in (*self.constant, *self.pushes):
             first = sums(first, motion.push_bend(rows, push))
+        for push in (*(self.constant if held else ()), *self.pushes):
             last = sums(last, motion.push_gain(rows, push))
         return first, sums(first, last)
 
