@@ -45,7 +45,6 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 FOLLOWED = ("tour", "tradeoff", "tutorial", "training", "reach-tutorial")
 RUN = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in FOLLOWED)]
-LONG = "README.md", "tutorial.md"  # these take half a minute or more: long tests follow them
 
 BLOCK = re.compile(
     r"(?:^<!-- check: (?P<check>.+?) -->\n)?^```(?P<kind>\w*)\n(?P<body>.*?)^```$", re.M | re.S
@@ -197,7 +196,11 @@ def kept_schedules(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "path", [pytest.param(path, marks=[pytest.mark.slow] * (path.name in LONG), id=path.name) for path in RUN]
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.slow] * (path.name == "tutorial.md"), id=path.name)
+        for path in RUN
+    ],
 )
 def test_page_does_what_it_shows(path, shell, monkeypatch, kept_schedules):
     needs(path)

@@ -152,9 +152,13 @@ class Craft(LinearSystem):
 
     def spent(self, most: Array) -> Array:
         """Return bounds on what is applied, on average over time, under commands up to `most`, (..., m)."""
+        return np.asarray(self.longest * (most + self.prompt.thrusters.error(most)))
+
+    @property
+    def longest(self) -> float:
+        """Longest time for which a command may be in force, as a share of its period."""
         jitter, h = self.timing.jitter, self.timing.period
-        longer = 2 * jitter / h * (1 + WHOLE) if jitter else 0.0  # share of a period that a command may last
-        return np.asarray((1 + longer) * (most + self.prompt.thrusters.error(most)))
+        return 1 + 2 * jitter / h * (1 + WHOLE) if jitter else 1.0
 
     def error_map(self, error: Array) -> Array | None:
         """Return errors of inputs and what is carried, as generators of the rate of the states, or None."""

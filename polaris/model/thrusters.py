@@ -57,6 +57,10 @@ class Thrusters:
         others = np.sqrt(np.square(u) @ (1.0 - np.eye(u.shape[-1])))
         return np.asarray(self.along * np.abs(u) + self.across * others)
 
+    def summed(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bound sums of `part` over many periods by sums of the sizes of the commands, shape (..., m)."""
+        return np.asarray(self.along * u + self.across * (u @ (1.0 - np.eye(u.shape[-1]))))
+
     def slope(self, u: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Derivative in u of the sum of `part` with weights >= 0, shape (..., m)."""
         apart = 1.0 - np.eye(u.shape[-1])

@@ -13,6 +13,7 @@ from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows, velocity_times
 from ..tracker.tracking import Tracking
+from .long_flight import LongFlight
 from .rules import CHECKED
 from .spending import Spell, commanded, spent, tracked
 
@@ -192,6 +193,20 @@ class Tail(Nearness):
             velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
         )
 
+    def long_flight(self, nodes: int, most: Array) -> tuple[Array, Array]:
+        """Bound S's thrust from so many nodes after T on, on average and once besides [N], (m,) each."""
+        tracking, system = self.safety.tracking, self.safety.problem.system
+        every = np.vstack([np.eye(tracking.loop.N), -np.eye(tracking.loop.N)])
+        states = PathRows(self.safety.clearance, every, self.failing)
+        needs = [states.needs(each, self.T + nodes - 1, self.T + nodes)[1, -1] for each in self.held]
+        start = np.min(needs, axis=0).reshape(2, -1).max(axis=0)
+        more = self.safety.clearance.round_off(tracking.gain)
+        flight = LongFlight(tracking, start, most, more)
+        each, once = flight.mean(), flight.once()
+        if each is None or once is None or system.spent(each).sum() >= system.spent(most).sum():
+            return system.spent(most), 0 * most
+        return system.spent(np.minimum(each, most)), system.longest * (once + system.thrusters.summed(once))
+
     def upkeep(self, taken: float) -> Upkeep | None:
         """Bound S's velocity change for all time, from that until T (Proposition 14 (d)).
 
@@ -204,9 +219,11 @@ class Tail(Nearness):
         most = commanded(self.commands, self.held, self.T, self.T + nodes)[1, -1]
         if not np.all(most <= system.u_max):
             return None
-        rate = float(system.spent(most).sum()) / system.mass * (1 + spare(tracking))
-        settled = (self.T + nodes) * tracking.flow.h
-        ahead = rate * tracking.flow.h * bool(system.timing.fired)  # a pulse ends before its period does
+        thrust = self.long_flight(nodes, most)
+        rate, once = (float(part.sum()) / system.mass * (1 + spare(tracking)) for part in thrust)
+        settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
+        ahead = float(system.spent(most).sum()) / system.mass * h * bool(system.timing.fired)
+        ahead = ahead * (1 + spare(tracking)) + once * h  # a pulse ends before its period does
         until = (taken * (1 + spare(tracking)) + self.correcting(nodes)) * (1 + ROUNDING) + ahead
         before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
         orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before

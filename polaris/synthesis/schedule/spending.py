@@ -124,14 +124,14 @@ def _answered(answers: Array) -> tuple[Array, Array]:
     commanded = np.abs(answers).sum(axis=0)
     applied = commanded + np.eye(len(commanded))
     for a in range(len(commanded)):
-        commanded[a, a] = min(commanded[a, a], peak(answers[:, a, a]))
-        applied[a, a] = min(applied[a, a], max(peak(np.append(1.0, answers[:, a, a])), 1.0))
+        commanded[a, a] = min(commanded[a, a], peak(answers[None, :, a, a]))
+        applied[a, a] = min(applied[a, a], max(peak(np.append(1.0, answers[:, a, a])[None]), 1.0))
     return commanded, applied
 
 
-def peak(response: Array) -> float:
-    """Bound on the largest amplification of any frequency by a response (k,): by a power of its spectrum."""
-    power, root = np.convolve(response, response[::-1]), 2.0
+def peak(responses: Array) -> float:
+    """Bound the largest amplification of any frequency by responses together, (j, k): by a power of them."""
+    power, root = np.sum([np.convolve(each, each[::-1]) for each in responses], axis=0), 2.0
     for _ in range(SQUARED):
         count = 2 * len(power) - 1
         size = next_fast_len(count, real=True)
