@@ -55,13 +55,14 @@ def test_errors_of_thrusters_follow_what_is_commanded_on_average():
 def test_the_first_state_counts_once(proportional):
     s = tracking(delay=1.0, proportional=proportional)
     closed, thrusters, rng = s.tightening.closed, s.system.thrusters, np.random.default_rng(0)
+    K, F, made = closed.K, closed.F, closed.loop.made
     start, worst = rng.uniform(0.01, 0.02, s.loop.N), np.zeros(2)
     once = LongFlight(s, start, s.system.u_max, np.zeros(2)).once()
     for _ in range(50):
         z, total = start * rng.choice([-1.0, 1.0], s.loop.N), np.zeros(2)
         for _ in range(LONG):
-            u = -closed.K @ z
+            u = -K @ z
             total += np.abs(u)
-            z = closed.F @ z + closed.loop.made @ (thrusters.part(np.abs(u)) * rng.choice([-1.0, 1.0], 2))
+            z = F @ z + made @ (thrusters.part(np.abs(u)) * rng.choice([-1.0, 1.0], 2))
         worst = np.maximum(worst, total)
     assert np.all(worst <= once) and np.all(worst > 0.3 * once)
