@@ -47,6 +47,7 @@ def test_no_frequency_exceeds_the_peak_of_a_response(seed):
     found = checked.peak([flint.arb(x) for x in response])
     assert float(found.mid()) == pytest.approx(peak(response[None]), rel=1e-9)
     assert checked.peak([flint.arb(0, 1e-20)]) < 1e-19  # which may be zero
+    assert checked.peak([flint.arb(0)]) == 0  # of one period, which answers nothing
 
 
 @pytest.mark.parametrize("errors", [SAMPLED, NOISY, WEAK, CARRIED], ids=["none", "estimate", "made", "left"])

@@ -77,4 +77,4 @@ def peak(response: Sequence[arb]) -> arb:
     power = arb_poly(list(response)) * arb_poly(list(response)[::-1])
     for _ in range(SQUARED):
         power = power * power
-    return sum((x.abs_upper() for x in power.coeffs()), arb(0)).root(TOP)
+    return sum((x.abs_upper() for x in power.coeffs()), arb(0)).root(TOP) if len(power) else arb(0)
