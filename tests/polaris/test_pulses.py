@@ -216,7 +216,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
 
     known = {"fired": fired, "carried": carried, "system_kind": "clohessy_wiltshire", "mean_motion": 0.001}
     document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
-    known = {"u_max": [arb(1)], "h": arb(2), "spent": lambda most: arb(1)}  # in a period of 2 s
+    known = {"u_max": [arb(1)], "h": arb(2), "jitter": 0.0, "prompt": (), "spent": lambda most: arb(1)}
     column = SimpleNamespace(ncols=lambda: 1)
     plant = SimpleNamespace(**known, B=column, carried=carried, thrusters=(0.5, 0.0, 0.0))
     told = {}
@@ -226,7 +226,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
             tracker=SimpleNamespace(craft=SimpleNamespace(plant=plant), memory=SimpleNamespace(periods=0))
         ),
         node_at=lambda t: 0,
-        tops=lambda node, u: [arb(0.5)],
+        tops=lambda node: [arb(0.5)],
         spent=arb(3),
         correcting=lambda node: arb(4),
         no_less=lambda what, claimed, derived: told.update({what: float(derived.mid())}),
