@@ -286,6 +286,17 @@ def test_the_tank_lasts_as_long_as_the_bounds_say():
     ],
 )
 def test_forged_upkeep_is_refused(forger, change):
+    verdict = upkeep_judged(forger, change)
+    assert verdict.outcome == "REJECTED" and verdict.claim in ("upkeep", "goal")
+
+
+def test_a_rate_in_the_mean_is_accepted_and_the_tank_lasts_longer(forger):
+    """The largest command of a period is 6 % more than the mean."""
+    assert upkeep_judged(forger, {"rate_m_s2": 0.945, "lasts_s": 1.03}).outcome == "VERIFIED"
+
+
+def upkeep_judged(forger, change):
+    """Judge the folder with changed shares of what is claimed of upkeep."""
     honest = forger.tree("schedule.json")["guarantee"]["upkeep"]
     assert honest["lasts_s"] > 12
     files = {}
@@ -294,5 +305,4 @@ def test_forged_upkeep_is_refused(forger, change):
         for key, times in change.items():
             data["guarantee"]["upkeep"][key] *= times
         files[name] = json.dumps(data)
-    verdict = forger.judge(files)
-    assert verdict.outcome == "REJECTED" and verdict.claim in ("upkeep", "goal")
+    return forger.judge(files)

@@ -212,11 +212,17 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     pytest.importorskip("flint")
     from flint import arb
 
-    from polaris.certificate.claims.upkeep import check_upkeep
+    from polaris.certificate.claims.upkeep import _check, check_upkeep
 
     known = {"fired": fired, "carried": carried, "system_kind": "clohessy_wiltshire", "mean_motion": 0.001}
     document = SimpleNamespace(inputs=[], steps=1, mass=2.0, u_max=[1.0], **known)
-    known = {"u_max": [arb(1)], "h": arb(2), "spent": lambda most: arb(1)}  # in a period of 2 s
+    known = {
+        "u_max": [arb(1)],
+        "h": arb(2),
+        "jitter": 0.0,
+        "prompt": (0.5, 0, 0),
+        "spent": lambda most: arb(1),
+    }
     column = SimpleNamespace(ncols=lambda: 1)
     plant = SimpleNamespace(**known, B=column, carried=carried, thrusters=(0.5, 0.0, 0.0))
     told = {}
@@ -226,13 +232,18 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
             tracker=SimpleNamespace(craft=SimpleNamespace(plant=plant), memory=SimpleNamespace(periods=0))
         ),
         node_at=lambda t: 0,
-        tops=lambda node, u: [arb(0.5)],
+        tops=lambda node: [arb(0.5)],
         spent=arb(3),
         correcting=lambda node: arb(4),
         no_less=lambda what, claimed, derived: told.update({what: float(derived.mid())}),
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s", "lasts_s", "tank_m_s")
-    check_upkeep(arrival, dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}, None)
+    claim = dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}
+    _check(
+        arrival, claim, None, [arb(0.5)], ([arb(0.5)], [arb(8)])
+    )  # sums of commands exceed the mean's by 8
+    assert told["velocity change until it is settled"] == 7 + ahead + 1.5 * 8
+    check_upkeep(arrival, claim, None)
     assert told["velocity change per second"] == 0.25
     assert told["velocity change until it is settled"] == 7 + ahead
     assert told["velocity change per orbit"] == pytest.approx(0.25 * 2000 * np.pi + ahead + left)

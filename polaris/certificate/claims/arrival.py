@@ -221,6 +221,20 @@ class Arrival:
         """What S commands at most in the period after a node."""
         return self.flight.commanded(self._commands, self.held, self._first + node)
 
+    def states(self, node: int) -> list[arb]:
+        """Bounds on the loop state at a node after T."""
+        found, count = (
+            self.flight.need(self._states, self.held, self._first + node),
+            self._states.given.ncols(),
+        )
+        return [largest(pair) for pair in zip(found[:count], found[count:], strict=True)]
+
+    @cached_property
+    def _states(self) -> Needs:
+        craft = self.flight.tracker.craft
+        one = diagonal([1.0] * craft.F.nrows())
+        return Needs(craft, self.flight.tracker.memory, above(one, -one))
+
     @cached_property
     def _commands(self) -> Needs:
         return Needs(self.flight.tracker.craft, self.flight.tracker.memory, self.flight.tracker.commands)

@@ -72,9 +72,14 @@ def _long(sizes: Iterable[arb], count: int) -> arb:
     return (sum((x * x for x in sizes), arb(0)) * count).sqrt()
 
 
-def peak(response: Sequence[arb]) -> arb:
-    """Bound on the largest amplification of any frequency by a response: by a power of its spectrum."""
-    power = arb_poly(list(response)) * arb_poly(list(response)[::-1])
+def peak(*responses: Sequence[arb]) -> arb:
+    """Bound on the largest amplification of any frequency by a response: by a power of its spectrum.
+
+    Of several, as long as each other, it is that of values of which the 2-norm in each period is known.
+    """
+    each = [list(response) for response in responses]
+    power = sum((arb_poly(one) * arb_poly(one[::-1]) for one in each), arb_poly())
     for _ in range(SQUARED):
         power = power * power
-    return sum((x.abs_upper() for x in power.coeffs()), arb(0)).root(TOP) if len(power) else arb(0)
+    most = sum((x.abs_upper() for x in power.coeffs()), arb(0))
+    return most.root(TOP) if most > 0 else most

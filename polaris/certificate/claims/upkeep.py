@@ -5,14 +5,18 @@ from typing import Any
 
 from flint import arb
 
-from ..kernel.balls import largest, require
-from ..kernel.verdict import Rejected
+from ..kernel.balls import column, largest, require, sums
+from ..kernel.verdict import Rejected, Undecided
 from ..model.timing import owed
 from .arrival import Arrival
+from .mean_commands import MeanCommands, summed_errors
 
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
-    """What S spends for as long as it flies on, and how long the scenario's tank lasts."""
+    """What S spends for as long as it flies on, and how long the scenario's tank lasts.
+
+    By the most that it commands in any period or, if that is not enough, in the mean over periods.
+    """
     doc, plant = arrival.document, arrival.flight.tracker.craft.plant
     node = arrival.node_at(claim["settled_s"])
     if any(any(u) for u in doc.inputs[doc.steps :]):
@@ -21,10 +25,37 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     most = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
     for top, x in zip(plant.u_max, most, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
-    rate = plant.spent(most) / plant.h / doc.mass
+    try:
+        _check(arrival, claim, tank, most, (most, [arb(0)] * len(most)))
+    except (Rejected, Undecided):
+        _check(arrival, claim, tank, most, _means(arrival, later, most))
+    return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
+
+
+def _means(arrival: Arrival, later: range, most: list[arb]) -> tuple[list[arb], list[arb]]:
+    """Bound sums of commands from the first of some nodes on, of which the last stands for all later ones."""
+    craft, memory = arrival.flight.tracker.craft, arrival.flight.tracker.memory
+    box = column(list(map(largest, zip(*map(arrival.states, later), strict=True))))
+    off = sums(craft.extra(arrival.document, arrival.document.steps), craft.lagged(craft.plant.u_max))
+    return MeanCommands(craft, memory, box, off).bounds(most)
+
+
+def _check(
+    arrival: Arrival,
+    claim: dict[str, Any],
+    tank: float | None,
+    most: list[arb],
+    sums_up: tuple[list[arb], list[arb]],
+) -> None:
+    """Refuse a claim that does not follow from what commands are at most and what they sum up to."""
+    doc, plant, (means, rest) = arrival.document, arrival.flight.tracker.craft.plant, sums_up
+    rate = plant.spent(means) / plant.h / doc.mass
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
-    ahead = rate * plant.h if doc.fired else arb(0)  # a pulse ends before its period does
-    until = arrival.spent + arrival.correcting(node) + ahead
+    once = sum(sums(rest, summed_errors(plant.prompt, rest)), arb(0)) * (plant.h + 2 * arb(plant.jitter))
+    ahead = once / doc.mass
+    if doc.fired:  # a pulse ends before its period does
+        ahead += plant.spent(most) / doc.mass
+    until = arrival.spent + arrival.correcting(arrival.node_at(claim["settled_s"])) + ahead
     arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
     if orbit is not None:
@@ -37,7 +68,6 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
         raise Rejected("upkeep", "the tank is not that of the scenario")
     if tank is not None:
         _lasts(arrival, claim, tank, until, rate)
-    return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
 
 
 def _lasts(arrival: Arrival, claim: dict[str, Any], tank: float, until: arb, rate: arb) -> None:

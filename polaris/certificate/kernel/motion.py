@@ -39,6 +39,7 @@ class Push:
     V: arb_mat
     cover: arb_mat  # generators that enclose v
     along: Callable[[arb_mat], list[arb]]  # bounds on |row v|, for the rows of a matrix
+    radius: arb | None = None  # of the set, if it is a ball
 
     @classmethod
     def in_box(cls, V: arb_mat, bounds: list[arb]) -> Push:
@@ -53,7 +54,7 @@ class Push:
     @classmethod
     def in_ball(cls, V: arb_mat, radius: arb) -> Push:
         """``norm(v, 2) <= radius``."""
-        return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in lengths(rows)])
+        return cls(V, ball_cover(V.ncols(), radius), lambda rows: [radius * x for x in lengths(rows)], radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,12 +183,15 @@ class Motion:
     def pushed(self, *pushes: Push) -> arb_mat:
         """Generators that enclose the sum of ``int_0^h e^{A s} V v(s) ds`` for measurable v of each push.
 
-        The mean of v lies in its (convex) set; rests are at most a box, ``(h^2/3) |A| sup|e^{A s}| |V v|``.
+        The mean of v lies in its (convex) set; the rest is in a box, `uneven`.
         """
-        size = column(sums(*(push.along(push.V) for push in pushes)))
-        rest = magnitude(self.A) * magnitude(self.over) * size * (self.plant.h**2 / 3)
         means = (self.gamma * push.V * push.cover for push in pushes)
-        return beside(*means, diagonal(rest.entries()))
+        return beside(*means, diagonal(self.uneven(*pushes).entries()))
+
+    def uneven(self, *pushes: Push) -> arb_mat:
+        """Bound on what varies about the means of pushes adds, ``(h^2/3) |A| sup|e^{A s}| |V v|``, (n, 1)."""
+        size = column(sums(*(push.along(push.V) for push in pushes)))
+        return magnitude(self.A) * magnitude(self.over) * size * (self.plant.h**2 / 3)
 
     def push_gain(self, rows: arb_mat, push: Push) -> list[arb]:
         """Bound on ``int_0^s |row e^{A r} V v| dr`` for every row, and any s of the period.
