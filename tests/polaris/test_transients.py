@@ -446,6 +446,8 @@ def test_what_cannot_be_survived_is_named():
     with pytest.raises(SynthesisInfeasible, match=short) as error:
         synthesize(scenario.with_assignments([faults]))
     assert "navigation_lost (1 s) leaves enough; one is found" in str(error.value)
+    with pytest.raises(SynthesisInfeasible, match=short):  # the loop remembers a delay without faults alone
+        synthesize(scenario.with_assignments([faults, "timing.delay_s=0.3", "system.disturbance_max=0.003"]))
     with pytest.raises(SynthesisInfeasible, match="without faults isolated late, either"):
         synthesize(scenario.with_assignments([LOST, "system.input_max=0.1"]))
 

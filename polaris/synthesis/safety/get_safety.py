@@ -183,7 +183,7 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
         return SynthesisInfeasible(told, error.shortfall, error.relax)
     told = f"{error.condition} Without faults that are isolated late there is a safe reference."
     for fault in faults:
-        margin = free.under((fault,)).margin_at(0, free.start)
+        margin = free.under((fault,)).margin_at(0, free.tracking.error(free.start))  # its loop may be smaller
         short, step = directed(margin.need - margin.room, ".4g", up=True), margin.time / problem.delta
         place = f"{margin.limit} {short} short in step {int(step + 1e-9)} (t = {margin.time:.6g} s)"
         told += f" Along it {fault.name} ({fault.lasts:g} s) leaves {'enough' if margin.inside else place};"
