@@ -260,7 +260,7 @@ def met_by_decisions(system: Craft, nodes: int, delay: int, h: float) -> Craft:
     if system.observer is not None:
         rule = "isolated late need errors of estimates, not navigation.measurement, for run-time methods"
         raise ScenarioError("faults", faults[0].name, rule)
-    wait, after = h * (nodes - 1), h * delay * bool(system.timing.delay or system.timing.missed)
+    wait, after = h * (nodes - 1), h * max(delay, 1) * bool(system.timing.delay or system.timing.missed)
     lasts = (fault.lasts + wait * bool(len(fault.thrust)) for fault in faults)
     met = zip(faults, lasts, strict=True)
     known = tuple(replace(fault, lasts=x, after=after, unseen=nodes + delay) for fault, x in met)

@@ -453,6 +453,8 @@ def test_what_cannot_be_survived_is_named():
     longer = faults.replace("lasts_s=1.0", "lasts_s=30.0")  # its loop holds no delay line, others do
     with pytest.raises(SynthesisInfeasible, match=r"navigation_lost \(30 s\) leaves .* short in step"):
         synthesize(scenario.with_assignments([longer, "timing.delay_s=0.25"]))
+    with pytest.raises(SynthesisInfeasible, match=short):  # the loop remembers a delay without faults alone
+        synthesize(scenario.with_assignments([faults, "timing.delay_s=0.3", "system.disturbance_max=0.003"]))
     with pytest.raises(SynthesisInfeasible, match="without faults isolated late, either"):
         synthesize(scenario.with_assignments([LOST, "system.input_max=0.1"]))
 

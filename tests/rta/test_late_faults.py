@@ -153,17 +153,19 @@ def test_what_a_fault_does_is_no_lie_and_isolation_ends_what_was_decided_before(
     assert loop.command(11 * h, x).mode == 1
 
 
-def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_to_their_end():
-    """No law answers: what a fault in the period before the decision has done when the next takes effect."""
+@pytest.mark.parametrize(("hidden", "latency"), [(1, 1), (3, 0)])
+def test_decisions_on_predictions_that_did_not_know_of_a_fault_are_allowed_for_to_their_end(hidden, latency):
+    """No law answers: what a fault that the decision did not know has done when the next takes effect."""
     system = tiny(WEAK).safety.tracking.system
-    h, late = tiny(WEAK).safety.tracking.flow.h, replace(system.timing, delay=0.25)
+    h = tiny(WEAK).safety.tracking.flow.h
+    late = replace(system.timing, delay=hidden * h)
     (fault,) = system.transients
     calm = replace(fault, lasts=h, gains=0 * fault.gains)
-    found = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, 1, h)
+    found = met_by_decisions(replace(system, timing=late, transients=(calm,)), 1, latency, h)
     loop = Loop.of(system.A, system.B, h)
     bound = moved(found, found.transients[0], 0 * fault.gains, loop).max(axis=0)
     Ad, Bd, _ = DecisionGrid.of(tiny(WEAK)).held
-    assert np.all(np.abs(Ad @ Ad @ Bd @ fault.pushes[-1]) <= bound)
+    assert np.all(np.abs(np.linalg.matrix_power(Ad, hidden + latency) @ Bd @ fault.pushes[-1]) <= bound)
 
 
 def test_where_navigation_may_be_lost_an_older_measurement_is_none():

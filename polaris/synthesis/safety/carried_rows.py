@@ -72,12 +72,12 @@ class CarriedRows:
         if self.between:
             return tracking.disturbance(self.rows, self.failing)
         need = tracking.responses(self.rows, tracking.profile)
-        return need + self._upset[np.minimum(np.arange(len(need)) + 2, tracking.memory + 1)]
+        return need + self._upset[np.minimum(np.arange(len(need)) + 2, len(need) - 1)]
 
     @cached_property
     def _upset(self) -> Array:
-        """Need of a fault that is isolated late up to l periods after it begins, shape (memory + 2, r)."""
-        return self.tracking.upset(self.plant) * self.failing
+        """Need of a fault that is isolated late up to l periods after it begins, shape (memory + 3, r)."""
+        return self.tracking.upset(self.rows) * self.failing
 
     @cached_property
     def bend(self) -> Array:
