@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 NOTHING = 1e-8  # share of a set's extents that generators may come to which a box replaces in any case
 ALIKE = 4  # next ones by direction that each generator is compared with: more take longer, and find no better
+ROUND = 3  # part of the generators that go in one round, so that none is boxed for want of a partner
 
 Column = Sequence[float]
 
@@ -74,7 +75,7 @@ def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> l
     while groups and (total := total + sum(map(abs, groups[-1].column))) <= NOTHING:
         groups.pop()
     while len(groups) > max(most, 0):
-        groups = _fewer(groups, len(groups) - max(most, 0))
+        groups = _fewer(groups, min(len(groups) - max(most, 0), len(groups) // ROUND + 1))
     return groups
 
 

@@ -17,7 +17,6 @@ from .balls import (
     cross,
     diagonal,
     dot,
-    identity,
     largest,
     magnitude,
     matrix,
@@ -144,11 +143,11 @@ class Zonotope:
 
         The sum u of nearly parallel generators ``g_l = a_l u + rest`` takes their place. Rests, generators
         next to an axis and short ones, and the radii of all balls go into the box. Floats choose, by what
-        is lost along rows (k, n), or else coordinates; any choice encloses the set.
+        is lost along rows (k, n), or else along diagonals of the set's box; any choice encloses the set.
         """
         middle = self.G.mid()
         columns, n = middle.transpose().tolist(), middle.nrows()
-        groups = _groups(middle, most - n if len(columns) > n else n, identity(n) if rows is None else rows)
+        groups = _groups(middle, most - n if len(columns) > n else n, _corners(self.widths) if rows is None else rows)
         chosen = {j for group in groups for j in group.members}
         made, rests = list[list[arb]](), [g for j, g in enumerate(columns) if j not in chosen]
         for group in groups:
@@ -165,6 +164,13 @@ class Zonotope:
         lost = beside(exact - exact.mid(), self.G - middle, matrix(rests, n).transpose())
         box = [(x + c.rad()).abs_upper() for x, c in zip(widths(lost), self.c.entries(), strict=True)]
         return Zonotope(self.c.mid(), beside(exact.mid(), diagonal(box)))
+
+
+def _corners(extents: Sequence[arb]) -> arb_mat:
+    """Rows towards corners of a box that are perpendicular to each other (Walsh), in shares of its extents."""
+    shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, extents)]
+    count = 1 << (len(shares) - 1).bit_length()
+    return matrix([[(-1) ** (i & k).bit_count() * x for i, x in enumerate(shares)] for k in range(count)])
 
 
 def _groups(G: arb_mat, most: int, rows: arb_mat) -> list[Group]:
