@@ -223,13 +223,17 @@ def derived(forger):
     document = read(forger.run / CERTIFICATE)
     argument = Argument(document, Record())
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(80, argument.n))
+    sets, flown = argument.tubes(path, Merging(80, argument.n, argument.craft.ahead))
     tracker = Tracker.of(document, argument.craft, [], sets)
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     held = ((sets[last], (document.steps - last) * document.q), (sets[-1], 0))
     found = checked.Arrival(
-        Continuation(document, path, tracker), held, taken, argument.pilots[0], Merging(80, argument.n)
+        Continuation(document, path, tracker),
+        held,
+        taken,
+        argument.pilots[0],
+        Merging(80, argument.n, argument.craft.ahead),
     )
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 

@@ -37,36 +37,30 @@ class Group(NamedTuple):
         both = sum(map(mul, self.image, other.image))
         whole = self.square + 2 * abs(both) + other.square
         a = (self.square + abs(both)) / whole if whole > 0 else 0.5
-        return a, (1 - a if both >= 0 else a - 1)
+        return a, copysign(1 - a, both)
 
     def joined(self, other: "Group") -> float:
         """Return the growth of extents along rows if both become one generator and a box of the rests."""
         a, b = self.parts(other)
-        c = abs(b)
-        a = a if b >= 0 else -a
-        return 2 * sum([abs(c * x - a * y) for x, y in zip(self.column, other.column, strict=True)])
+        a, b = copysign(a, b), abs(b)
+        return 2 * sum([abs(b * x - a * y) for x, y in zip(self.column, other.column, strict=True)])
 
     def plus(self, other: "Group") -> "Group":
         """Return the group of both."""
         a, b = self.parts(other)
-        s = copysign(1.0, b)
         shares = *(a * x for x in self.shares), *(b * x for x in other.shares)
-        column = [x + s * y for x, y in zip(self.column, other.column, strict=True)]
-        image = [x + s * y for x, y in zip(self.image, other.image, strict=True)]
+        column, image = (
+            [x + copysign(1.0, b) * y for x, y in zip(*pair, strict=True)]
+            for pair in ((self.column, other.column), (self.image, other.image))
+        )
         return Group(self.members + other.members, shares, column, image, sum(map(mul, image, image)))
 
 
 def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> list[Group]:
     """Return at most so many groups of generators to be merged; a box is to replace all others.
 
-    Parameters
-    ----------
-    columns : sequence of sequences
-        Each generator by coordinate, in shares of extents along rows that a box of that size adds.
-    images : sequence of sequences
-        Each generator along the rows, in shares of the set's extents.
-    most : int
-        Number of groups.
+    Columns are generators by coordinate, in shares of extents along rows that a box of that size adds; images
+    are generators along the rows.
     """
     made = enumerate(zip(columns, images, strict=True))
     groups = [Group((j,), (1.0,), column, image, sum(map(mul, image, image))) for j, (column, image) in made]

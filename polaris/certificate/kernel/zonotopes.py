@@ -147,7 +147,9 @@ class Zonotope:
         """
         middle = self.G.mid()
         columns, n = middle.transpose().tolist(), middle.nrows()
-        groups = _groups(middle, most - n if len(columns) > n else n, _corners(self.widths) if rows is None else rows)
+        groups = _groups(
+            middle, most - n if len(columns) > n else n, _corners(self.widths) if rows is None else rows
+        )
         chosen = {j for group in groups for j in group.members}
         made, rests = list[list[arb]](), [g for j, g in enumerate(columns) if j not in chosen]
         for group in groups:
@@ -167,7 +169,7 @@ class Zonotope:
 
 
 def _corners(extents: Sequence[arb]) -> arb_mat:
-    """Rows towards corners of a box that are perpendicular to each other (Walsh), in shares of its extents."""
+    """Perpendicular rows towards corners of a box (Walsh), in shares of its extents."""
     shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, extents)]
     count = 1 << (len(shares) - 1).bit_length()
     return matrix([[(-1) ** (i & k).bit_count() * x for i, x in enumerate(shares)] for k in range(count)])
@@ -193,14 +195,10 @@ class Merging:
     states: int
     rows: arb_mat | None = None
 
-    def reduced(self, z: Zonotope) -> Zonotope:
-        """Enclosing set with few generators, see `Zonotope.reduced`."""
-        return z.reduced(self.order * self.states, self.rows)
-
     def after(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators of one that has more than twice as many; else that one."""
-        count = sum(part.ncols() for part in z.parts)
-        return self.reduced(z) if count > 2 * self.order * self.states else z
+        most, count = self.order * self.states, sum(part.ncols() for part in z.parts)
+        return z.reduced(most, self.rows) if count > 2 * most else z
 
 
 def inner_radius(G: arb_mat) -> arb:
