@@ -235,14 +235,18 @@ def derived(forger):
     document = read(forger.run / CERTIFICATE)
     argument = Argument(document, Record())
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(80, argument.n))
+    sets, flown = argument.tubes(path, Merging(80, argument.n, argument.craft.ahead))
     tracker = Tracker.of(document, argument.craft, [], sets)
     taken = spent(flown) / document.mass
     last = max((k + 1 for k, mode in enumerate(document.modes) if mode), default=0)
     nodes = [k * document.q for k in (last, document.steps)]
     held = tuple(checked.HandOver(sets[node // document.q], node, node) for node in nodes)
     found = checked.Arrival(
-        Continuation(document, path, tracker), held, taken, argument.pilots[0], Merging(80, argument.n)
+        Continuation(document, path, tracker),
+        held,
+        taken,
+        argument.pilots[0],
+        Merging(80, argument.n, argument.craft.ahead),
     )
     return found, forger.tree("schedule.json")["guarantee"]["goal"], forger.tree("scenario.toml")["goal"]
 

@@ -99,7 +99,7 @@ def values(M):
 def test_reachable_sets_contain_what_is_flown(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, flown = argument.tubes(path, Merging(12, 4))
+    sets, flown = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
     runs = simulate(schedule, 200, 3)
     q, K = argument.document.q, argument.K
     fullest = 0.0
@@ -120,14 +120,14 @@ def test_a_step_of_u_leaves_room_for_what_a_fault_adds_until_it_is_isolated():
     for size, kept in ((1e-9, True), (100.0, False)):
         argument.upsets = [column([arb(0)] * 4), column([arb(size)] * 4)]
         with nullcontext() if kept else pytest.raises(Rejected, match="separation"):
-            argument.tubes(argument.reference(), Merging(12, 4))
+            argument.tubes(argument.reference(), Merging(12, 4, argument.craft.ahead))
 
 
 @pytest.mark.parametrize("name", ["clipped", "clipped, given period"])
 def test_needs_of_the_safety_controller_cover_what_it_flies(name):
     schedule, argument = scene(name)
     path = argument.reference()
-    sets, _ = argument.tubes(path, Merging(12, 4))
+    sets, _ = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
     memory = Memory.of(argument.craft, widest(sets), argument.document.q)
     needs = Needs(argument.craft, memory, argument.gain)
     disturbed = needs.disturbed
@@ -197,7 +197,7 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
             laws.clear()
         argument.document.unsafe.clear()
         path = argument.reference()
-        sets, _ = argument.tubes(path, Merging(12, 4))
+        sets, _ = argument.tubes(path, Merging(12, 4, argument.craft.ahead))
         runs, q = simulate(schedule, 100, 3), argument.document.q
         for k, z in enumerate(sets):
             errors = runs.states[:, k * q] - values(path.starts[k])[:, 0]
@@ -210,7 +210,7 @@ def test_any_slopes_give_sets_that_contain_what_is_flown(name):
 def test_with_the_slopes_stored_and_enough_generators_sets_lie_within_those_of_the_synthesis(name):
     schedule, argument = scene(name)
     assert any(step.tube.slopes is not None for step in schedule.steps)
-    sets, _ = argument.tubes(argument.reference(), Merging(160, 4))
+    sets, _ = argument.tubes(argument.reference(), Merging(160, 4, argument.craft.ahead))
     for z, step in zip(sets[1:], schedule.steps, strict=True):
         off = np.abs(values(z.c)[:, 0] - step.tube.end.c) + [float(x) for x in z.widths]
         assert np.all(off <= step.tube.end.half_widths * (1 + 1e-6))
@@ -443,6 +443,43 @@ def test_a_gain_that_bends_upwards_is_more_than_its_trapezoid():
     assert math.sin(1) <= float(gain) <= 1.1 * math.sin(1)
 
 
+def test_nearly_parallel_generators_are_merged_with_each_other():
+    """The merged set contains the original, and loses much less than boxes around generators would."""
+    rng = np.random.default_rng(5)
+    for turn in (1e-3, 1e-2, 5e-2):
+        channels, sizes, signs = rng.normal(size=(4, 1, 6)), rng.uniform(0.1, 1, (1, 30, 1)), [-1, 1]
+        turned = channels + turn * rng.normal(size=(4, 30, 6))
+        G = (turned * sizes * rng.choice(signs, (4, 30, 1))).reshape(-1, 6)[rng.permutation(120)].T
+        full = Zonotope(arb_mat(6, 1), matrix(G.tolist()))
+        small = full.reduced(6 + 40)
+        rows = rng.normal(size=(500, 6))
+        every = matrix([*rows.tolist(), *np.eye(6).tolist()])
+        assert small.G.ncols() <= 6 + 40
+        exact, merged = full.spread(every), small.spread(every)
+        assert all(a <= b.upper() for a, b in zip(exact, merged, strict=True))
+        # Girard's rule: a box replaces the generators whose 1-norm exceeds their largest entry least
+        ranked = np.argsort(np.abs(G).max(axis=0) - np.abs(G).sum(axis=0))
+        kept, rest = G[:, ranked[:40]], G[:, ranked[40:]]
+        boxed = np.abs(rows @ kept).sum(axis=1) + np.abs(rows) @ np.abs(rest).sum(axis=1)
+        truth, found = np.abs(rows @ G).sum(axis=1), np.array([float(x) for x in merged[:500]])
+        assert (found - truth).mean() <= max(10 * turn, 0.02) * (boxed - truth).mean()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sets_merged_with_a_view_to_rows_contain_the_set(seed):
+    rng = np.random.default_rng(seed)
+    n, g, k = rng.integers(1, 9), rng.integers(1, 60), rng.integers(1, 12)
+    G = rng.normal(size=(n, g)) * np.logspace(0, -12, g) * rng.integers(0, 2, (n, g))
+    full = Zonotope(column(rng.normal(size=n).tolist()), matrix(G.tolist()))
+    view = matrix((rng.normal(size=(k, n)) * rng.integers(0, 2, (k, n))).tolist())
+    small = full.reduced(int(n + rng.integers(0, g + 1)), view)
+    rows = matrix([*rng.normal(size=(100, n)).tolist(), *np.eye(n).tolist()])
+    wide = (abs(a - b) for a, b in zip((rows * full.c).entries(), (rows * small.c).entries(), strict=True))
+    pairs = zip(full.spread(rows), wide, small.spread(rows), strict=True)
+    assert all((a + off).lower() <= b.upper() for a, off, b in pairs)
+    assert small.G.ncols() <= max(g, n) + n
+
+
 def test_merged_generators_are_rounded_upwards_at_any_precision():
     """With 12 bits the sum of what is merged is rounded, and not down."""
     flint.ctx.prec = 12
@@ -477,7 +514,7 @@ def test_a_departure_leaves_the_chord_of_its_flight_and_that_of_the_path_below_i
     k = argument.document.modes.index(1)
     pilot, start = argument.pilots[1], Zonotope(arb_mat(4, 1), arb_mat(4, 0))
     spy = SimpleNamespace(check=lambda i, base, d, moved, end, bow: seen.append((base, d, bow)))
-    fly(pilot, start, k, path, None, Merging(12, 4), spy)
+    fly(pilot, start, k, path, None, Merging(12, 4, argument.craft.ahead), spy)
     base, d, bow = seen[0]
     own = pilot.period(d, base, k, 0)[0].extra(pilot.craft.along(pilot.craft.unit)[0], d)
     below = [each[0] for each in base.bows(identity(4))]

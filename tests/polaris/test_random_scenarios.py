@@ -191,7 +191,7 @@ def test_no_margin_beyond_what_is_left_is_accepted_however_late_its_limit():
     margins[k] = float(claimed)
     argument = Argument(Document(data), Record(), Stated(margins=margins))
     with pytest.raises(Rejected) as refused:
-        argument.flights(argument.reference(), Merging(ORDER, argument.n))
+        argument.flights(argument.reference(), Merging(ORDER, argument.n, argument.craft.ahead))
     assert 0 < claimed < 1 and refused.value.claim == "margins"
 
 

@@ -202,7 +202,7 @@ def fly(
         added = [[arb(0)] * rows.nrows(), *((magnitude(craft.whole(rows)) * x).entries() for x in upsets)]
         most = [largest(each) for each in zip(*added, strict=True)]
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
-    z = merging.reduced(start).moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
+    z = merging.after(start).moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
         period, spell = pilot.period(z, base, k, i, since)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
+from math import copysign
+from operator import mul
 
 from flint import arb, arb_mat, ctx
 
@@ -23,8 +25,7 @@ from .balls import (
     sums,
     widths,
 )
-
-NOTHING = 1e-8  # share of a set's extent that generators may come to which are merged whatever their number
+from .merging import Group, grouped
 
 BITS = 64  # precision of products with generators, a word: more would not show beside what merging adds
 PARTS = 8  # most parts in which generators are mapped; with fewer, more are copied in every period
@@ -137,56 +138,67 @@ class Zonotope:
         centre = self.c.entries()
         return magnitude(column([abs(c) + most for c, most in zip(centre, self.widths, strict=True)]))
 
-    def reduced(self, most: int) -> Zonotope:
-        """Enclosing set with exact centre and at most `most` exact generators.
+    def reduced(self, most: int, rows: arb_mat | None = None) -> Zonotope:
+        """Enclosing set with exact centre and at most `most` exact generators, n of which are a box.
 
-        The generators that come closest to an axis or are shortest, measured against the set's own
-        extent, are replaced by the box around their sum; so are the radii of all balls, and all that
-        together is next to nothing.
+        The sum u of nearly parallel generators ``g_l = a_l u + rest`` takes their place. Rests, generators
+        next to an axis and short ones, and the radii of all balls go into the box. Floats choose, by what
+        is lost along rows (k, n), or else along diagonals of the set's box; any choice encloses the set.
         """
-        n, count = self.G.nrows(), self.G.ncols()
         middle = self.G.mid()
-        table = middle.tolist()
-        extent = [max(float(x), 1e-300) for x in self.widths]
-        kept: list[int] = list(range(count))
-        if count > n:
-            sizes = [
-                [abs(float(x)) / e for x, e in zip(g, extent, strict=True)] for g in zip(*table, strict=True)
-            ]
-            longest = [max(size) for size in sizes]
-            ranked = sorted(range(count), key=lambda j: -longest[j])
-            total = 0.0
-            while ranked and total + longest[ranked[-1]] <= NOTHING:
-                total += longest[ranked.pop()]
-            ranked.sort(key=lambda j: longest[j] - sum(sizes[j]))
-            kept = sorted(ranked[: most - n])
-        merged = set(range(count)) - set(kept)
-        box = [
-            sum((abs(row[j]) for j in merged), c.rad() + radii)
-            for row, c, radii in zip(table, self.c.entries(), widths(self.G - middle), strict=True)
-        ]
-        exact = matrix([[row[j] for j in kept] for row in table], len(kept))
-        return Zonotope(self.c.mid(), beside(exact, diagonal([x.abs_upper() for x in box])))
+        columns, n = middle.transpose().tolist(), middle.nrows()
+        groups = _groups(
+            middle, most - n if len(columns) > n else n, _corners(self.widths) if rows is None else rows
+        )
+        chosen = {j for group in groups for j in group.members}
+        made, rests = list[list[arb]](), [g for j, g in enumerate(columns) if j not in chosen]
+        for group in groups:
+            parts = [columns[j] for j in group.members]
+            if len(parts) > 1:
+                signs = [copysign(1.0, a) for a in group.shares]
+                u = [dot(x, signs).mid() for x in zip(*parts, strict=True)]
+                pairs = zip(group.shares, parts, strict=True)
+                rests += [[x - a * y for x, y in zip(g, u, strict=True)] for a, g in pairs]
+                whole = dot(map(arb, group.shares), signs)
+                parts = [[x * whole for x in u]]
+            made += parts
+        exact = matrix(made, n).transpose()
+        lost = beside(exact - exact.mid(), self.G - middle, matrix(rests, n).transpose())
+        box = [(x + c.rad()).abs_upper() for x, c in zip(widths(lost), self.c.entries(), strict=True)]
+        return Zonotope(self.c.mid(), beside(exact.mid(), diagonal(box)))
 
 
-@dataclass
+def _corners(extents: Sequence[arb]) -> arb_mat:
+    """Perpendicular rows towards corners of a box (Walsh), in shares of its extents."""
+    shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, extents)]
+    count = 1 << (len(shares) - 1).bit_length()
+    return matrix([[(-1) ** (i & k).bit_count() * x for i, x in enumerate(shares)] for k in range(count)])
+
+
+def _groups(G: arb_mat, most: int, rows: arb_mat) -> list[Group]:
+    """Choose at most so many groups of generators to be merged."""
+    along = times(rows, G)
+    shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, widths(along))]
+    prices = [sum(map(mul, shares, map(abs, map(float, row)))) for row in rows.transpose().tolist()]
+    by_price, by_share = (
+        [[float(x) * y for x, y in zip(g, weights, strict=True)] for g in M.transpose().tolist()]
+        for M, weights in ((G, prices), (along, shares))
+    )
+    return grouped(by_price, by_share, most)
+
+
+@dataclass(frozen=True)
 class Merging:
-    """Number of generators that sets keep per state of the plant, and whether any had to be merged for it."""
+    """Number of generators that sets keep per state of the plant, and rows along which little may be lost."""
 
     order: int
     states: int
-    lossy: bool = False
-
-    def reduced(self, z: Zonotope) -> Zonotope:
-        """Enclosing set with few generators, see `Zonotope.reduced`."""
-        most = self.order * self.states
-        self.lossy |= sum(part.ncols() for part in z.parts) > most
-        return z.reduced(most)
+    rows: arb_mat | None = None
 
     def after(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators of one that has more than twice as many; else that one."""
-        count = sum(part.ncols() for part in z.parts)
-        return self.reduced(z) if count > 2 * self.order * self.states else z
+        most, count = self.order * self.states, sum(part.ncols() for part in z.parts)
+        return z.reduced(most, self.rows) if count > 2 * most else z
 
 
 def inner_radius(G: arb_mat) -> arb:

@@ -17,6 +17,8 @@ from ...kernel.balls import above, absolute, beside, column, diagonal, exponenti
 from ...kernel.motion import Along, Motion, Plant, Push
 from ...kernel.zonotopes import Directions, Zonotope
 
+LAGS = 0, 8, 64  # periods after which extents of sets count in the choice of what to merge
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -156,6 +158,12 @@ class Craft:
     def unit(self) -> Directions:
         """Rows of the error itself."""
         return Directions(diagonal([1.0] * self.plant.A.nrows()))
+
+    @cached_property
+    def ahead(self) -> arb_mat:
+        """Rows of the error and of commands, now and some periods later under the law."""
+        rows = above(self.whole(self.unit.M), self.commands)
+        return above(*(rows * self.F**lag for lag in LAGS))
 
     @cached_property
     def turned(self) -> arb_mat:
