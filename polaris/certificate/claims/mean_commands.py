@@ -12,6 +12,7 @@ from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
 from .spending import LONGEST, peak
 
+OLDER = 1e-3  # share of the largest commands that what is older than the periods looked at may come to
 ROUNDS = 100
 """How often the mean is bounded anew by the errors of thrusters that it leads to; each time it is a bound."""
 
@@ -26,12 +27,17 @@ class MeanCommands:
     """Commands about a reference that coasts, from a node on, by what has entered in each period since.
 
     `box` bounds loop states at all nodes from then on, (N, 1): alone it counts of what is older than the
-    memory, or than the node. Estimates are off by some `more` than errors of the loop, (n).
+    periods looked at, or than the node. Estimates are off by some `more` than errors of the loop, (n).
     """
 
-    def __init__(self, craft: Craft, memory: Memory, box: arb_mat, more: list[arb]) -> None:
-        powers = memory.powers[: min(memory.periods, LONGEST) + 1]
-        *rows, last = (craft.commands * power for power in powers)
+    def __init__(self, craft: Craft, memory: Memory, box: arb_mat, more: list[arb], tops: list[arb]) -> None:
+        count, longest = 64, min(memory.periods, LONGEST)
+        while count < longest:
+            older = (magnitude(craft.commands * memory.powers[count]) * box).entries()
+            if all(x < OLDER * top for x, top in zip(older, tops, strict=True)):
+                break
+            count *= 2
+        *rows, last = (craft.commands * power for power in memory.powers[: min(count, longest) + 1])
         self.craft, self.more, self.stacked, self.m = craft, more, above(*rows), last.nrows()
         self.size = sum(map(magnitude, rows[1:]), magnitude(rows[0]))
         self.begun, self.older = (list((size * box).entries()) for size in (self.size, magnitude(last)))
