@@ -10,10 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from ..model import keys as f
-from ..model.acceleration import speeds
 from ..model.checks import exact, positive, whole
 from ..model.errors import ScenarioError
-from ..model.system import Array, LinearSystem
+from ..model.system import Array, LinearSystem, speeds
 from ..model.tolerances import GOAL
 
 

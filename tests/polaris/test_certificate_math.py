@@ -404,7 +404,8 @@ def test_a_period_counts_every_push_at_its_end_and_on_the_way(steady):
     h, e, one = 0.5, 0.2, identity(2)
     plant = Plant(matrix([[0.0, 1], [0, -1]]), matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
     zero, pushes = arb_mat(2, 1), [*plant.push([arb(e / 4)]), *plant.push([arb(3 * e / 4)])]
-    period = Period(one, zero, Directions(arb_mat(2, 2)), zero, [], [] if steady else pushes, [])
+    own = [] if steady else pushes
+    period = Period(one, zero, Directions(arb_mat(2, 2)), zero, [], [], own[:1], own[1:], [])
     along = Along(plant.open, one, [plant.disturbance, *(pushes if steady else [])])
     first, last = period.extra(along, Zonotope(zero, arb_mat(2, 0)))
     for t in np.linspace(0, h, 11):

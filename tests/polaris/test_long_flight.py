@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polaris.synthesis.schedule.long_flight import LongFlight
+from polaris.synthesis.tracker.long_flight import LongFlight
 from tests.polaris.test_hand_over import BEFORE, PARTS, Flight, tracking
 
 LONG = 200  # periods in which all responses die out

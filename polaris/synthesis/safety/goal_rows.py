@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...model.acceleration import speeds
-from ...model.system import Array
+from ...model.system import Array, speeds
 from ...planning.goals import Goal, GoalConditions, Inset
 from .problem import Problem
 

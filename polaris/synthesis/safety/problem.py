@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike
 from reach.brief import brief
 from reach.sets.zonotope import Zonotope as Zonotope  # the door of the package finds it here
 
-from ...model.acceleration import velocities
 from ...model.allocation import Allocation
 from ...model.checks import MAX_STEPS, non_negative, number, one_of, positive, whole
 from ...model.craft import Craft
 from ...model.errors import ScenarioError
-from ...model.system import Array, LinearSystem
+from ...model.system import Array, LinearSystem, velocities
 from ...planning.goals import Goal
 from ...planning.problem import Objective, PlannerOptions
 from ..tracker.feedback import Feedback, choose_feedback

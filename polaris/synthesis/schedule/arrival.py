@@ -12,8 +12,8 @@ from ..safety.continuation import HandOver, PathRows
 from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows, velocity_times
+from ..tracker.long_flight import LongFlight
 from ..tracker.tracking import Tracking
-from .long_flight import LongFlight
 from .rules import CHECKED
 from .spending import Spell, commanded, spent, tracked
 

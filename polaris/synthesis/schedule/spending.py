@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from reach.numerics.linear import powers
 
@@ -16,9 +15,9 @@ from ..controllers.neural import NeuralController
 from ..safety.continuation import HandOver, PathRows
 from ..safety.demand import command_noise
 from ..sources.thrusters import THRUSTERS
+from ..tracker.long_flight import peak
 
 LONGEST = 4000  # periods of a loop that are looked at all at once, at most
-SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,15 +126,3 @@ def _answered(answers: Array) -> tuple[Array, Array]:
         commanded[a, a] = min(commanded[a, a], peak(answers[None, :, a, a]))
         applied[a, a] = min(applied[a, a], max(peak(np.append(1.0, answers[:, a, a])[None]), 1.0))
     return commanded, applied
-
-
-def peak(responses: Array) -> float:
-    """Bound the largest amplification of any frequency by responses together, (j, k): by a power of them."""
-    power, root = np.sum([np.convolve(each, each[::-1]) for each in responses], axis=0), 2.0
-    for _ in range(SQUARED):
-        count = 2 * len(power) - 1
-        size = next_fast_len(count, real=True)
-        spectrum = rfft(power, size)
-        with np.errstate(over="ignore", invalid="ignore"):  # of a law that runs away: no bound
-            power, root = irfft(spectrum * spectrum, size)[:count], 2 * root
-    return float(np.abs(power).sum() ** (1 / root))

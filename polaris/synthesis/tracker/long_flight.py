@@ -5,14 +5,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..sources.thrusters import THRUSTERS
-from ..tracker.loop import Channel
-from ..tracker.tracking import Tracking
-from .spending import peak
+from .loop import Channel
+from .tracking import Tracking
 
+SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
 ROUNDS, RISES = 500, 1e-9
 """Most rounds until a bound holds that feeds on itself, and by what share each round raises it."""
 
@@ -108,3 +109,15 @@ def _fed(given: Array, answer: Callable[[Array], Array]) -> Array | None:
             return np.asarray(U * (1 + ROUNDING))
         U = more * (1 + RISES)
     return None
+
+
+def peak(responses: Array) -> float:
+    """Bound the largest amplification of any frequency by responses together, (j, k): by a power of them."""
+    power, root = np.sum([np.convolve(each, each[::-1]) for each in responses], axis=0), 2.0
+    for _ in range(SQUARED):
+        count = 2 * len(power) - 1
+        size = next_fast_len(count, real=True)
+        spectrum = rfft(power, size)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a law that runs away: no bound
+            power, root = irfft(spectrum * spectrum, size)[:count], 2 * root
+    return float(np.abs(power).sum() ** (1 / root))
