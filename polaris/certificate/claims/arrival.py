@@ -222,18 +222,17 @@ class Arrival:
         return self.flight.commanded(self._commands, self.held, self._first + node)
 
     def states(self, node: int) -> list[arb]:
-        """Bounds on the loop state at a node after T."""
-        found, count = (
-            self.flight.need(self._states, self.held, self._first + node),
-            self._states.given.ncols(),
-        )
-        return [largest(pair) for pair in zip(found[:count], found[count:], strict=True)]
+        """Bounds on sizes of the loop state at a node long after T, from boxes of what S took over."""
+        return self.flight.need(self._states, self._boxes, self._first + node)
+
+    @cached_property
+    def _boxes(self) -> tuple[HandOver, ...]:
+        return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.held)
 
     @cached_property
     def _states(self) -> Needs:
         craft = self.flight.tracker.craft
-        one = diagonal([1.0] * craft.F.nrows())
-        return Needs(craft, self.flight.tracker.memory, above(one, -one))
+        return Needs(craft, self.flight.tracker.memory, diagonal([1.0] * craft.F.nrows()))
 
     @cached_property
     def _commands(self) -> Needs:
