@@ -149,7 +149,7 @@ class LinearSystem:
 
     @cached_property
     def acceleration_input(self) -> Array:
-        """How an acceleration of the position enters the state, (n, d)."""
+        """Map from an acceleration of the position to the rate of the state, (n, d)."""
         return acceleration_input(self.A, self.position)
 
     @classmethod
@@ -180,7 +180,7 @@ class LinearSystem:
 
 
 def acceleration_input(state: Array, position: Array) -> Array:
-    """How an acceleration [m/s^2] of the position enters the state: E with ``C E = 0``, ``C A E = I``.
+    """Return the map E of an acceleration [m/s^2] into the state, ``C E = 0`` and ``C A E = I``.
 
     Shape (n, d). Decided in exact arithmetic, and the same for the motion of the position whichever
     solution E is.

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from polaris.certificate.checker import verify_document
+from polaris.certificate.checker import verify, verify_document
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
 from polaris.runs.case import replay, write_case
 from polaris.runs.certificate import certificate
 from polaris.runs.files.tables import drift_told
+from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.drifting import drifted, stopped
 from polaris.simulation.falsification.search import falsify
@@ -294,6 +295,14 @@ def test_a_rate_in_the_mean_is_confirmed_to_a_few_per_cent(forger):
     """It is claimed already, so hardly less is accepted; more is."""
     assert upkeep_judged(forger, {"rate_m_s2": 1.06, "lasts_s": 0.9}).outcome == "VERIFIED"
     assert upkeep_judged(forger, {"rate_m_s2": 0.97}).outcome == "REJECTED"
+
+
+def test_a_mean_rate_is_confirmed_where_estimates_remember_commands(tmp_path):
+    """Errors of thrusters before a missed period are those of any command, in both programs."""
+    given = ["feedback.period_s=0.25", "timing.missed_periods=1", "thrusters.magnitude_error=0.05"]
+    given.append("navigation.state_error=[0.002,0.002,0.001,0.001]")
+    verdict = verify(run(TINY, tmp_path / "run", overrides=[*given, "simulation.runs=2"]).path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
 
 
 def upkeep_judged(forger, change):

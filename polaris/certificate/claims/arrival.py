@@ -168,7 +168,7 @@ class Arrival:
         return self._flown
 
     def _at(self, needs: Needs, node: int) -> list[arb]:
-        """What errors need along rows at a node after T."""
+        """Bound errors along rows at a node after T."""
         least = self.flight.need(needs, self.held, self._first + node)
         if self.pilot is None or not self.document.profile or node == self._last:
             return least
@@ -176,7 +176,7 @@ class Arrival:
         return [smallest(pair) for pair in pairs]
 
     def _flown_at(self, rows: arb_mat, node: int) -> list[arb]:
-        """What errors need along rows at a node after T in the sets that S flies then."""
+        """Bound errors along rows at a node after T by the sets that S flies then."""
         cell, place = divmod(node, self.document.q)
         step = self.after(node + 1)[cell]
         z = step.nodes[place - 1] if place else step.start
@@ -218,7 +218,7 @@ class Arrival:
         return smallest([self._summed[nodes], self._joint[nodes]]) / self.document.mass
 
     def tops(self, node: int) -> list[arb]:
-        """What S commands at most in the period after a node."""
+        """Bound S's commands in the period after a node [N]."""
         return self.flight.commanded(self._commands, self.held, self._first + node)
 
     def states(self, node: int) -> list[arb]:

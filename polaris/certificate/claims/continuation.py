@@ -75,7 +75,7 @@ class HandOver:
         return cls(Zonotope(arb_mat(size.nrows(), 1), diagonal(size.entries())), first, last, size)
 
     def need(self, needs: Needs, lag: int, around: bool) -> list[arb]:
-        """What errors alone need along rows after so many periods; `around` in those next to the node."""
+        """Bound the errors alone along rows after `lag` periods; if `around`, next to that node, too."""
         key = needs, lag, around
         if key not in self._since:
             if lag > needs.memory.periods:
@@ -101,7 +101,7 @@ class Continuation:
     _caused: dict[Needs, list[list[arb]]] = field(default_factory=dict, repr=False)
 
     def need(self, needs: Needs, handed: tuple[HandOver, ...], node: int, around: bool = False) -> list[arb]:
-        """What errors need along rows at a node; `around` in the periods on both sides of it, too.
+        """Bound errors along rows at a node and, if `around`, in the periods on both sides of it.
 
         Each of the sets holds all errors that S may have taken over.
         """
@@ -124,7 +124,7 @@ class Continuation:
         return self._known[key]
 
     def from_thrust(self, needs: Needs, node: int) -> list[arb]:
-        """What errors by the time of the flight add along rows: at a node, in the tail from it on."""
+        """Bound errors by the time of the flight along rows: at a node; in the tail, from it on."""
         if needs not in self._caused:
             assert self.scheduled is not None
             cells, T = self.scheduled.along(needs.given), self.document.steps * self.document.q
@@ -135,7 +135,7 @@ class Continuation:
         return self._caused[needs][min(node, len(self._caused[needs]) - 1)]
 
     def commanded(self, needs: Needs, handed: tuple[HandOver, ...], period: int) -> list[arb]:
-        """What S commands at most in a period [N], by what errors need along `Tracker.commands`."""
+        """Bound S's commands in a period [N]; `needs` are those of `Tracker.commands`."""
         doc, m = self.document, len(self.document.u_max)
         cell, ends = period // doc.q, [self.need(needs, handed, period + i, around=True) for i in (0, 1)]
         known = zip(doc.inputs[min(cell, doc.cells - 1)], self.tracker.craft.noise_in(doc, cell), strict=True)

@@ -13,8 +13,7 @@ from ..model.craft.memory import Memory
 from .spending import LONGEST, peak
 
 OLDER = 1e-3  # share of the largest commands that what is older than the periods looked at may come to
-ROUNDS = 100
-"""How often the mean is bounded anew by the errors of thrusters that it leads to; each time it is a bound."""
+ROUNDS = 100  # times that errors of thrusters are bounded anew by the mean they lead to; each is a bound
 
 
 def summed_errors(errors: Sequence[float], most: list[arb]) -> list[arb]:
@@ -59,13 +58,13 @@ class MeanCommands:
         return found
 
     def pushed(self, push: Push) -> list[arb]:
-        """Bound it of a push: in each part of a period its mean is a value, and the rest is in a box."""
-        found, radius = [arb(0)] * self.m, push.radius
+        """Bound the root mean square of commands by a push: its mean in each part of a period, and a rest."""
+        total, radius = [arb(0)] * self.m, push.radius
         cover = push.cover if radius is None else diagonal([radius] * push.V.ncols())
         for enters, motion in self.craft.spans:
             held = self.answering(enters * motion.gamma * push.V * cover, radius is not None)
-            found = sums(found, held, (self.size * (magnitude(enters) * motion.uneven(push))).entries())
-        return found
+            total = sums(total, held, (self.size * (magnitude(enters) * motion.uneven(push))).entries())
+        return total
 
     def bounds(self, tops: list[arb]) -> tuple[list[arb], list[arb]]:
         """Return U and L such that ``|u|`` of every input sums up to ``n U + L`` in any n periods at most.

@@ -13,7 +13,7 @@ from .mean_commands import MeanCommands, summed_errors
 
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
-    """What S spends for as long as it flies on, and how long the scenario's tank lasts.
+    """Check the bound on what S spends for as long as it flies on, and the life of the scenario's tank.
 
     By the most that it commands in any period or, if that is not enough, in the mean over periods.
     """

@@ -94,7 +94,7 @@ class Nearness:
 
     @cached_property
     def tolerance(self) -> float:
-        """What counts as reached [m]: as given, or see `Arrival`."""
+        """Largest distance that counts as reached [m]: as given, or see `Arrival`."""
         problem, tracking, rows = self.safety.problem, self.safety.tracking, self.rows[0]
         if problem.goal_tolerance is not None:
             return problem.goal_tolerance

@@ -56,7 +56,11 @@ class LongFlight:
             gains = self._amplified(channel)
             proportional = channel.name == THRUSTERS
             answer = gains if proportional else answer
-            given = given + gains @ (channel.size if proportional else limits.sizes(channel, self.most))
+            given = given + gains @ (
+                channel.size
+                if proportional
+                else limits.sizes(channel, system.u_max if channel.lag else self.most)
+            )
         return _fed(given, lambda U: answer @ system.thrusters.part(U))
 
     def once(self) -> Array | None:
