@@ -19,7 +19,7 @@ LINES = {
     ("reach",): (9219, 8400),
     ("polaris/certificate",): (8327, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
-    ("polaris/synthesis",): (8037, 5000),
+    ("polaris/synthesis",): (8038, 5000),
     ("polaris/model", "polaris/simulation"): (6861, 5200),
     ("polaris/rta",): (4873, 4300),
     ("polaris/inspection",): (5412, 4500),

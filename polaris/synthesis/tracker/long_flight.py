@@ -54,13 +54,10 @@ class LongFlight:
         answer, steps = np.zeros((system.m, system.m)), self.tracking.step_errors[-1]
         for channel in (*limits.closed.loop.channels, Channel("steps", steps, noise=np.eye(system.n))):
             gains = self._amplified(channel)
-            proportional = channel.name == THRUSTERS
-            answer = gains if proportional else answer
-            given = given + gains @ (
-                channel.size
-                if proportional
-                else limits.sizes(channel, system.u_max if channel.lag else self.most)
-            )
+            size = limits.sizes(channel, system.u_max if channel.lag else self.most)
+            if channel.name == THRUSTERS:
+                answer, size = gains, channel.size
+            given = given + gains @ size
         return _fed(given, lambda U: answer @ system.thrusters.part(U))
 
     def once(self) -> Array | None:
