@@ -23,6 +23,8 @@ from .timing import WHOLE, Observer, Timing, Transient
 class Craft(LinearSystem):
     """A linear system with what its navigation, timing and thrusters may do wrong; by default nothing.
 
+    It takes the parameters of `LinearSystem`, and besides:
+
     Parameters
     ----------
     estimate_error : array_like, shape (n,), optional
@@ -38,8 +40,6 @@ class Craft(LinearSystem):
         Source of the estimates, where their errors are worked out from those of measurements.
     transients : tuple of Transient
         Faults that are isolated late, of which at most one occurs.
-
-    Other parameters are those of `LinearSystem`.
     """
 
     estimate_error: Array | None = None
