@@ -21,7 +21,7 @@ SLOW = (3, 15, 29, 30, 32, 44, 47, 50, 54, 58, 62, 65)
 SEEDS = tuple(seed for seed in range(72) if seed not in SLOW)
 """Seeds of the 60 random scenes."""
 
-SMALL = ("infeasible", "random-46", "random-46+errors", "random-35+errors")
+SMALL = ("infeasible", "random-45", "random-46", "random-46+errors", "random-35+errors")
 """Rows of the small part: the cheapest ones."""
 
 ALWAYS = {"simulation.runs": 1, "planner.time_limit_s": 1e6}

@@ -79,7 +79,7 @@ def bounds(s, only=None):
             samples=craft.samples if only == "carried" else [],
             off=craft.off if only == "noise" else [arb(0)] * len(craft.off),
         )
-    found = MeanCommands(craft, needs.memory, box, off, tops).bounds(tops)
+    found = MeanCommands(craft, needs.memory, box, off).bounds(tops)
     return [np.array([float(x) for x in each]) for each in (*found, tops)]
 
 
@@ -120,7 +120,7 @@ def test_one_error_of_estimates_counts_with_the_peak_of_its_response(case):
     only = [arb(0.01), *[arb(0)] * 3]
     craft = replace(needs.craft, steady=[], off=only, plant=replace(needs.craft.plant, thrusters=()))
     box, none = column([arb(0)] * craft.F.nrows()), [arb(0)] * 4
-    means = MeanCommands(craft, needs.memory, box, none, none[:2])  # all periods
+    means = MeanCommands(craft, needs.memory, box, none)  # all periods
     U, L = (np.array([float(x) for x in each]) for each in means.bounds([arb(1), arb(1)]))
     K, F, held, noise = (
         np.array([[float(x.mid()) for x in row] for row in M.tolist()])

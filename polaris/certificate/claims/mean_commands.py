@@ -12,7 +12,6 @@ from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
 from .spending import LONGEST, peak
 
-OLDER = 1e-3  # share of the largest commands that what is older than the periods looked at may come to
 ROUNDS = 100  # times that errors of thrusters are bounded anew by the mean they lead to; each is a bound
 
 
@@ -29,14 +28,8 @@ class MeanCommands:
     periods looked at, or than the node. Estimates are off by some `more` than errors of the loop, (n).
     """
 
-    def __init__(self, craft: Craft, memory: Memory, box: arb_mat, more: list[arb], tops: list[arb]) -> None:
-        count, longest = 64, min(memory.periods, LONGEST)
-        while count < longest:
-            older = (magnitude(craft.commands * memory.powers[count]) * box).entries()
-            if all(x < OLDER * top for x, top in zip(older, tops, strict=True)):
-                break
-            count *= 2
-        *rows, last = (craft.commands * power for power in memory.powers[: min(count, longest) + 1])
+    def __init__(self, craft: Craft, memory: Memory, box: arb_mat, more: list[arb]) -> None:
+        *rows, last = (craft.commands * power for power in memory.powers[: min(memory.periods, LONGEST) + 1])
         self.craft, self.more, self.stacked, self.m = craft, more, above(*rows), last.nrows()
         self.size = sum(map(magnitude, rows[1:]), magnitude(rows[0]))
         self.begun, self.older = (list((size * box).entries()) for size in (self.size, magnitude(last)))

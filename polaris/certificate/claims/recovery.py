@@ -10,7 +10,7 @@ from flint import arb
 
 from ..files.document import Document
 from ..kernel.arcs import Path
-from ..kernel.balls import above, beside, plain, require, row_of, spans, sums
+from ..kernel.balls import above, beside, plain, require, rows_of, spans, sums
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope
 from ..model.craft.needs import Bows, Needs
@@ -80,11 +80,11 @@ class Recovery:
         the least share found where that was needed; 1 if nowhere.
         """
         sizes = beside(*(reached[k].size() for k in sorted(reached)))
-        worst = 1.0
-        coarse = [
-            [[float(x.abs_upper()) for x in row] for row in (spans(rows, sizes) + bend * sizes).tolist()]
-            for rows, bend in zip(self.needs.carried, self.needs.bend, strict=True)
-        ]
+        worst, (first, which) = 1.0, self.needs.alike
+        pairs = zip(self.needs.carried, self.needs.bend, strict=True)
+        both = ((rows_of(rows, *first), rows_of(bend, *first)) for rows, bend in pairs)
+        each = (spans(rows, sizes) + bend * sizes for rows, bend in both)
+        coarse = [[[float(x.abs_upper()) for x in row] for row in M.tolist()] for M in each]
         for place, k in enumerate(sorted(reached)):
             share = max(margins.get(k, 0.0), 0.0)
             close: dict[tuple[int, int], list[Target]] = {}
@@ -92,7 +92,7 @@ class Recovery:
                 of, most, more = self._of(share, k, lag), coarse[lag], self._disturbed[lag]
                 for target in self._all(k, lag):
                     row, room, whole = target.least
-                    if not most[row][place] + more[row] <= room - of * whole:
+                    if not most[which[row]][place] + more[row] <= room - of * whole:
                         close.setdefault((lag, row), []).append(target)
             if close:
                 worst = min(worst, self._check_close(k, reached[k], close, share))
@@ -133,14 +133,14 @@ class Recovery:
         self, k: int, z: Zonotope, close: dict[tuple[int, int], list[Target]], share: float
     ) -> float:
         needs, worst, bows = self.needs, 1.0, Bows(self.needs, z)
-        support = z.support(above(*(row_of(needs.carried[lag], row) for lag, row in close)))
-        booked = above(*(row_of(needs.bend[lag], row) for lag, row in close)) * z.size()
+        support = z.support(above(*(rows_of(needs.carried[lag], row) for lag, row in close)))
+        booked = above(*(rows_of(needs.bend[lag], row) for lag, row in close)) * z.size()
         for ((lag, row), targets), most, extra in zip(close.items(), support, booked.entries(), strict=True):
             disturbance, of = needs.disturbed[lag][row], self._of(share, k, lag)
             for target in targets:
                 need, room = most + extra + disturbance, target.room
                 if not room - need >= of * target.whole:  # all of it can be had more exactly
-                    at = row_of(needs.carried[lag], row)
+                    at = rows_of(needs.carried[lag], row)
                     most = sums((at * z.c).entries(), z.spread(at))[0]
                     need = most + bows.next_to(lag)[row] + disturbance
                 where = f"the set at {self.time(k)}, {target.name} at t = {self.time(k + lag)}"

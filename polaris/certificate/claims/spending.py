@@ -12,8 +12,9 @@ from ..kernel.balls import above, column, identity, largest, magnitude, row_sums
 from ..kernel.periods import Spell
 from .flights import Flown
 
-LONGEST, SQUARED = 4000, 4
-"""Most periods that are looked at all at once; how often the power of a response is squared for its peak."""
+LONGEST, SQUARED, REST = 4000, 4, 3e-3
+"""Most periods that are looked at all at once; how often the power of a response is squared for its peak, and
+the share of it, the last part, that counts by its sum instead."""
 
 TOP = 2 ** (SQUARED + 1)  # the power of the response that it is
 
@@ -77,9 +78,12 @@ def peak(*responses: Sequence[arb]) -> arb:
 
     Of several, as long as each other, it is that of values of which the 2-norm in each period is known.
     """
-    each = [list(response) for response in responses]
-    power = sum((arb_poly(one) * arb_poly(one[::-1]) for one in each), arb_poly())
+    each = list(zip(*responses, strict=True))
+    since = list(accumulate(sum(map(abs, values), arb(0)) for values in reversed(each)))
+    late = sum(x < REST * since[-1] for x in since)
+    parts = [list(one) for one in zip(*each[: len(each) - late], strict=True)]
+    power = sum((arb_poly(one) * arb_poly(one[::-1]) for one in parts), arb_poly())
     for _ in range(SQUARED):
         power = power * power
     most = sum((x.abs_upper() for x in power.coeffs()), arb(0))
-    return most.root(TOP) if most > 0 else most
+    return (most.root(TOP) if most > 0 else most) + (since[late - 1] if late else 0)

@@ -37,7 +37,7 @@ def _means(arrival: Arrival, later: range, most: list[arb]) -> tuple[list[arb], 
     craft, memory = arrival.flight.tracker.craft, arrival.flight.tracker.memory
     box = column(list(map(largest, zip(*map(arrival.states, later), strict=True))))
     off = sums(craft.extra(arrival.document, arrival.document.steps), craft.lagged(craft.plant.u_max))
-    return MeanCommands(craft, memory, box, off, most).bounds(most)
+    return MeanCommands(craft, memory, box, off).bounds(most)
 
 
 def _check(

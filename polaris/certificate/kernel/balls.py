@@ -44,9 +44,10 @@ def identity(n: int) -> arb_mat:
     return diagonal([1.0] * n)
 
 
-def row_of(M: arb_mat, i: int) -> arb_mat:
-    """One row, shape (1, n)."""
-    return matrix(M.tolist()[i : i + 1])
+def rows_of(M: arb_mat, *which: int) -> arb_mat:
+    """Some of the rows."""
+    table = M.tolist()
+    return matrix([table[i] for i in which], M.ncols())
 
 
 def sums(*lists: Iterable[arb]) -> list[arb]:
@@ -76,7 +77,9 @@ def plain(x: arb) -> str:
 
 def beside(*blocks: arb_mat) -> arb_mat:
     """Blocks with the same number of rows, side by side."""
-    return above(*(block.transpose() for block in blocks)).transpose()
+    rows = zip(*(block.tolist() for block in blocks), strict=True)
+    columns = sum(block.ncols() for block in blocks)
+    return arb_mat(blocks[0].nrows(), columns, [x for row in rows for part in row for x in part])
 
 
 def above(*blocks: arb_mat) -> arb_mat:

@@ -1,59 +1,56 @@
 """Choice of generators to merge: nearly parallel ones with each other, those next to an axis with the box."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from math import copysign
-from operator import mul
+from math import hypot
+from operator import add, sub
 from typing import NamedTuple
 
 NOTHING = 1e-8  # share of a set's extents that generators may come to which a box replaces in any case
 ALIKE = 4  # next ones by direction that each generator is compared with: more take longer, and find no better
 ROUND = 3  # part of the generators that go in one round, so that none is boxed for want of a partner
+TINY = 1e-300  # length of generators that rows do not see
 
 Column = Sequence[float]
 
 
 class Group(NamedTuple):
-    """Generators and their sum, aligned in sign."""
+    """Generators and their sum, each turned by its sign so that they point the same way."""
 
     members: tuple[int, ...]
-    shares: tuple[float, ...]  # of each in the sum
+    shares: tuple[float, ...]  # of each in the sum, negative for one that is turned
     column: Column  # what a box around the sum adds to extents along rows, by coordinate
     image: Column  # the sum along rows, in shares of the set's extents
-    square: float  # length of the image, squared
+    length: float  # of the image
+    unit: Column  # the column for a length of one
+    direction: float  # a number of the image, nearly the same for nearly parallel ones
 
-    @property
-    def direction(self) -> float:
-        """A number of either sign of the image, nearly the same for nearly parallel ones."""
-        sign = 1.0 if max(self.image, key=abs, default=0.0) >= 0 else -1.0
-        turned = sum(self.image[::2]) - sum(self.image[1::2])
-        return sign * turned / self.square**0.5 if self.square > 0 else 0.0
+    @classmethod
+    def of(cls, members: tuple[int, ...], shares: tuple[float, ...], column: Column, image: Column) -> Group:
+        """Turn a sum so that the largest number of its image is positive."""
+        if max(image, key=abs, default=0.0) < 0:
+            shares = tuple(-a for a in shares)
+            column, image = [-x for x in column], [-x for x in image]
+        length = max(hypot(*image), TINY)
+        direction = (sum(image[::2]) - sum(image[1::2])) / length
+        return cls(members, shares, column, image, length, [x / length for x in column], direction)
 
     def boxed(self) -> float:
         """Return the growth of extents along rows if the box around the sum replaces it."""
         return sum(map(abs, self.column)) - sum(map(abs, self.image))
 
-    def parts(self, other: "Group") -> tuple[float, float]:
-        """Return the shares of both sums in their common one; that of the other is negative if opposed."""
-        both = sum(map(mul, self.image, other.image))
-        whole = self.square + 2 * abs(both) + other.square
-        a = (self.square + abs(both)) / whole if whole > 0 else 0.5
-        return a, copysign(1 - a, both)
-
-    def joined(self, other: "Group") -> float:
+    def joined(self, other: Group) -> float:
         """Return the growth of extents along rows if both become one generator and a box of the rests."""
-        a, b = self.parts(other)
-        a, b = copysign(a, b), abs(b)
-        return 2 * sum([abs(b * x - a * y) for x, y in zip(self.column, other.column, strict=True)])
+        apart: float = sum(map(abs, map(sub, self.unit, other.unit)))
+        return 2 * apart * self.length * other.length / (self.length + other.length)
 
-    def plus(self, other: "Group") -> "Group":
-        """Return the group of both."""
-        a, b = self.parts(other)
+    def plus(self, other: Group) -> Group:
+        """Return the group of both, of which each has a share by its length."""
+        a, b = (each.length / (self.length + other.length) for each in (self, other))
         shares = *(a * x for x in self.shares), *(b * x for x in other.shares)
-        column, image = (
-            [x + copysign(1.0, b) * y for x, y in zip(*pair, strict=True)]
-            for pair in ((self.column, other.column), (self.image, other.image))
-        )
-        return Group(self.members + other.members, shares, column, image, sum(map(mul, image, image)))
+        column, image = map(add, self.column, other.column), map(add, self.image, other.image)
+        return Group.of(self.members + other.members, shares, [*column], [*image])
 
 
 def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> list[Group]:
@@ -62,12 +59,11 @@ def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> l
     Columns are generators by coordinate, in shares of extents along rows that a box of that size adds; images
     are generators along the rows.
     """
-    made = enumerate(zip(columns, images, strict=True))
-    groups = [Group((j,), (1.0,), column, image, sum(map(mul, image, image))) for j, (column, image) in made]
-    groups.sort(key=lambda group: -sum(map(abs, group.column)))
+    order = sorted(range(len(columns)), key=lambda j: -sum(map(abs, columns[j])))
     total = 0.0
-    while groups and (total := total + sum(map(abs, groups[-1].column))) <= NOTHING:
-        groups.pop()
+    while order and (total := total + sum(map(abs, columns[order[-1]]))) <= NOTHING:
+        order.pop()
+    groups = [Group.of((j,), (1.0,), columns[j], images[j]) for j in order]
     while len(groups) > max(most, 0):
         groups = _fewer(groups, min(len(groups) - max(most, 0), len(groups) // ROUND + 1))
     return groups
@@ -76,8 +72,7 @@ def grouped(columns: Sequence[Column], images: Sequence[Column], most: int) -> l
 def _fewer(groups: list[Group], surplus: int) -> list[Group]:
     """Drop or merge the groups with which least is lost, each at most once."""
     options = [(group.boxed(), i, i) for i, group in enumerate(groups)]
-    directions = [group.direction for group in groups]
-    order = sorted(range(len(groups)), key=lambda i: (directions[i], i))
+    order = sorted(range(len(groups)), key=lambda i: (groups[i].direction, i))
     for place, i in enumerate(order):
         options += [(groups[i].joined(groups[j]), i, j) for j in order[place + 1 : place + 1 + ALIKE]]
     made, touched = list[Group](), set[int]()

@@ -12,6 +12,7 @@ from operator import mul
 from flint import arb, arb_mat, ctx
 
 from .balls import (
+    Number,
     beside,
     column,
     cross,
@@ -147,21 +148,21 @@ class Zonotope:
         """
         middle = self.G.mid()
         columns, n = middle.transpose().tolist(), middle.nrows()
-        groups = _groups(
-            middle, most - n if len(columns) > n else n, _corners(self.widths) if rows is None else rows
-        )
+        rough = [list(map(float, g)) for g in columns]
+        rows = _corners(self.widths) if rows is None else rows
+        groups = _groups(rough, middle, rows, most - n if len(columns) > n else n)
         chosen = {j for group in groups for j in group.members}
-        made, rests = list[list[arb]](), [g for j, g in enumerate(columns) if j not in chosen]
+        made, rests = list[Sequence[Number]](), [g for j, g in enumerate(columns) if j not in chosen]
         for group in groups:
-            parts = [columns[j] for j in group.members]
-            if len(parts) > 1:
-                signs = [copysign(1.0, a) for a in group.shares]
-                u = [dot(x, signs).mid() for x in zip(*parts, strict=True)]
-                pairs = zip(group.shares, parts, strict=True)
-                rests += [[x - a * y for x, y in zip(g, u, strict=True)] for a, g in pairs]
-                whole = dot(map(arb, group.shares), signs)
-                parts = [[x * whole for x in u]]
-            made += parts
+            if len(group.members) == 1:
+                made += [columns[j] for j in group.members]
+                continue
+            signs = [copysign(1.0, a) for a in group.shares]
+            u = [sum(map(mul, signs, x)) for x in zip(*(rough[j] for j in group.members), strict=True)]
+            for a, j in zip(group.shares, group.members, strict=True):
+                rests.append([x - a * y for x, y in zip(columns[j], u, strict=True)])
+            whole = dot(map(arb, group.shares), signs)
+            made.append([x * whole for x in u])
         exact = matrix(made, n).transpose()
         lost = beside(exact - exact.mid(), self.G - middle, matrix(rests, n).transpose())
         box = [(x + c.rad()).abs_upper() for x, c in zip(widths(lost), self.c.entries(), strict=True)]
@@ -175,16 +176,13 @@ def _corners(extents: Sequence[arb]) -> arb_mat:
     return matrix([[(-1) ** (i & k).bit_count() * x for i, x in enumerate(shares)] for k in range(count)])
 
 
-def _groups(G: arb_mat, most: int, rows: arb_mat) -> list[Group]:
-    """Choose at most so many groups of generators to be merged."""
+def _groups(columns: Sequence[Sequence[float]], G: arb_mat, rows: arb_mat, most: int) -> list[Group]:
+    """Choose at most so many groups of generators (columns of G) to be merged."""
     along = times(rows, G)
     shares = [1 / x if x > 1e-300 else 0.0 for x in map(float, widths(along))]
     prices = [sum(map(mul, shares, map(abs, map(float, row)))) for row in rows.transpose().tolist()]
-    by_price, by_share = (
-        [[float(x) * y for x, y in zip(g, weights, strict=True)] for g in M.transpose().tolist()]
-        for M, weights in ((G, prices), (along, shares))
-    )
-    return grouped(by_price, by_share, most)
+    images = [list(map(mul, shares, map(float, g))) for g in along.transpose().tolist()]
+    return grouped([list(map(mul, prices, g)) for g in columns], images, most)
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,15 @@ class Attempts:
         again = self._with_coasting(asked)
         self.clock.lap("plan")
         if again is not None:
+            yield next(self._references(again))
+            names, short = [body.name for body in asked.unsafe], self.margin.need - self.margin.room
+            if (
+                short > 0 and self.margin.limit in names
+            ):  # as after T, where the plan leaves less than it needs
+                pairs = zip(names, asked.margins, strict=True)
+                wider = (margin + 1.1 * short * (name == self.margin.limit) for name, margin in pairs)
+                again = self._with_coasting(replace(asked, margins=tuple(wider))) or again
+                self.clock.lap("plan")
             yield from self._references(again)
 
     def _allowing(self, asked: PlanProblem) -> PlanProblem | None:

@@ -1,7 +1,7 @@
 """Algorithm 2, Polaris: which controller flies when, decided before the flight."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -175,7 +175,8 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
             return None
         return switching_logic(replace(along(search, safety), intended=intended))
 
-    worth, found, late = Worth.beside(printed, search.rules, printed.safety), [printed], False
+    worth, late = Worth.beside(printed, search.rules, printed.safety), False
+    found = [printed, *clearer(search, printed)]
     for dearer in DEARER:
         dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
         searches = views(printed, replace(worth, rules=dear))
@@ -193,6 +194,18 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
     return replace(best, library=library, worth=worth.prices)
+
+
+def clearer(search: Search, first: Schedule) -> Iterator[Schedule]:
+    """Yield the schedule along a reference that clears unsafe sets by what U lacked along the first one."""
+    problem, names = first.safety.problem, {body.name for body in first.safety.clearance.unsafe}
+    refused = (step.margin for step in first.steps if step.mode == SAFETY and step.margin.limit in names)
+    lack = max((margin.need - margin.room for margin in refused), default=0.0)
+    if lack > 0:
+        extra = problem.extra_margin + lack
+        with suppress(SynthesisInfeasible, NotCertified):
+            other = find_safety(replace(problem, objective="margin_then_fuel", extra_margin=extra))
+            yield switching_logic(along(search, other))
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:

@@ -77,9 +77,10 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Support of unit values of some channels along rows, by age, ``[channel][lag][row]``."""
+    """Support of unit values of some channels along rows, by age."""
 
-    each: list[list[list[arb]]]
+    each: list[list[list[arb]]]  # ``[channel][lag][kind of row]``
+    which: list[int]  # kind of every row
 
     def summed(self, sizes: list[list[arb]]) -> list[list[arb]]:
         """Response at node L to sizes of the channels in each period before, from rest, L = 0, 1, ...
@@ -93,12 +94,14 @@ class Gains:
             for gains, size in zip(self.each, series, strict=True):
                 total += arb_poly([lag[row] for lag in gains]) * size
             found.append([arb(0), *(total[i].upper() for i in range(count))])
-        return [list(each) for each in zip(*found, strict=True)] if found else [[]] * (count + 1)
+        by_node = zip(*found, strict=True) if found else [()] * (count + 1)
+        return [[each[kind] for kind in self.which] for each in by_node]
 
     @cached_property
     def _all(self) -> list[list[arb]]:
         """Those of all periods together, ``[channel][row]``."""
-        return [[x.upper() for x in sums(*gains)] for gains in self.each]
+        totals = ([x.upper() for x in sums(*gains)] for gains in self.each)
+        return [[total[kind] for kind in self.which] for total in totals]
 
     def always(self, sizes: list[arb]) -> list[arb]:
         """Response to sizes that have always been as large; N periods of them."""

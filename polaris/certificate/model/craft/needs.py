@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import pairwise
+from typing import Any
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, largest, magnitude, sums
+from ...kernel.balls import above, column, identity, largest, magnitude, rows_of, sums
 from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
@@ -54,30 +55,44 @@ class Needs:
         return [per[0], *(_larger(a, b) for a, b in pairwise(per))]
 
     @cached_property
+    def alike(self) -> tuple[list[int], list[int]]:
+        """One row of all that are equal or opposite, of each kind, and the kind of every row."""
+        kinds, first, which = dict[Any, int](), list[int](), list[int]()
+        for i, row in enumerate(self.given.tolist()):
+            exact = [(*x.mid().man_exp(), *x.rad().man_exp()) for x in row]
+            for key in (tuple(exact), tuple((-man, *rest) for man, *rest in exact)):
+                kinds.setdefault(key, len(first))
+            which.append(kinds[tuple(exact)])
+            first += [i] if which[-1] == len(first) else []
+        return first, which
+
+    @cached_property
     def _stacked(self) -> arb_mat:
-        return above(*self.carried[:-1])
+        rows = self.craft.whole(rows_of(self.given, *self.alike[0]))
+        return above(*(rows * power for power in self.memory.powers[:-1]))
 
     @cached_property
     def _steady(self) -> list[list[arb]]:
         """Needs at node L of what does not depend on commands, L = 0 ... N + 1."""
-        rest = [[arb(0)] * self.given.nrows()]
+        first, which = self.alike
+        rest = [[arb(0)] * len(first)]
         for gains in self._split(self.craft.supports(self._stacked)):
             rest.append([x.upper() for x in sums(rest[-1], gains)])
-        return rest
+        return [[each[i] for i in which] for each in rest]
 
-    def _by_lag(self, gains: arb_mat) -> list[list[list[arb]]]:
-        """Gains of all rows and lags, one over the other, as ``[channel][lag][row]``."""
-        return [self._split(each) for each in gains.transpose().tolist()]
+    def _by_lag(self, gains: arb_mat) -> Gains:
+        """Gains of rows and lags, one over the other."""
+        return Gains([self._split(each) for each in gains.transpose().tolist()], self.alike[1])
 
     @cached_property
     def thrust(self) -> Gains:
         """Gains of errors of the inputs."""
-        return Gains(self._by_lag(self.craft.thrust_gains(self._stacked)))
+        return self._by_lag(self.craft.thrust_gains(self._stacked))
 
     @cached_property
     def noise(self) -> Gains:
         """Gains of errors of the estimates."""
-        return Gains(self._by_lag(self.craft.noise_gains(self._stacked)))
+        return self._by_lag(self.craft.noise_gains(self._stacked))
 
     @cached_property
     def responses(self) -> list[list[arb]]:
@@ -95,8 +110,8 @@ class Needs:
         return [[x.upper() for x in sums(*each)] for each in zip(*parts, strict=True)]
 
     def _split(self, stacked: list[arb]) -> list[list[arb]]:
-        """Numbers for the rows of one lag after the other, as a list per lag."""
-        count = self.given.nrows()
+        """Numbers for one row of each kind, of one lag after the other, as a list per lag."""
+        count = len(self.alike[0])
         return [stacked[at : at + count] for at in range(0, len(stacked), count)]
 
     def late(self, box: arb_mat) -> list[arb]:
