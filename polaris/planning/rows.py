@@ -24,7 +24,7 @@ Key = tuple[int, int]  # a disjunction: (unsafe set, cell), or (-1, group) for o
 
 
 @dataclass(frozen=True, eq=False)
-class Options:
+class Disjunction:
     """The J alternatives of one disjunction, each R rows ``a z >= need + slope * s`` in units of length.
 
     Over the N input shares z and the margin variable s. Before the states are condensed out the rows read
@@ -58,7 +58,7 @@ class Rows:
         self._required = [problem.required(i) for i in range(len(problem.unsafe))]
         self.extra = [np.zeros((problem.cells, 1)) for _ in problem.unsafe]
         self.booking = [np.zeros(r.shape) for r in self._required]
-        self._cache: dict[Key, Options] = {}
+        self._cache: dict[Key, Disjunction] = {}
 
     def state_rows(self, g: Array, k: int) -> Array:
         """Coefficients of ``g x_k``, k <= K, over the input shares, (..., N) for rows g of shape (..., n)."""
@@ -100,7 +100,7 @@ class Rows:
             found.append(np.concatenate([arcs.reshape(-1, *at.shape[1:]), at[-1:]]))
         return found[0], found[1], np.array([(i // 3 + i % 3 / 3) / q for i in range(3 * q + 1)])
 
-    def options(self, key: Key) -> Options:
+    def options(self, key: Key) -> Disjunction:
         """The facets of unsafe set i to stay beyond in cell k, with what is booked at present.
 
         The key (-1, group) means the rows of one of the goal's disjunctions.
@@ -139,7 +139,7 @@ class Rows:
             found.append(np.min(points @ body.normals.T - need, axis=1))
         return tuple(found)
 
-    def _options(self, key: Key) -> Options:
+    def _options(self, key: Key) -> Disjunction:
         problem, (i, k) = self.problem, key
         at = problem.K if i < 0 else min(k, problem.K)
         if i < 0:
@@ -157,7 +157,7 @@ class Rows:
         if at < problem.K:
             m = problem.system.m
             a[..., at * m : (at + 1) * m] += h
-        return Options(a, least - free, 0.0, at, g, h, free)
+        return Disjunction(a, least - free, 0.0, at, g, h, free)
 
     @cached_property
     def _modelled(self) -> tuple[Any, list[Array]]:

@@ -10,7 +10,7 @@ from polaris.certificate.assumptions import Premises
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.cli.show.schedule import show_summary
-from polaris.report.html.run_report import guarantee as told_in_report
+from polaris.report.html.run_report import guarantee_section as told_in_report
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import SCHEDULE, FlownSchedule
 from polaris.scenario.scenario import load_scenario

@@ -10,7 +10,7 @@ pytest.importorskip("flint")
 
 from docs.generate.scenario_docs import schema
 from polaris.certificate.files.scenario_keys import SCENARIO, check_keys
-from polaris.certificate.files.structure import Either, Kinds, Real, Rows, Text, Whole, conform, strict_json
+from polaris.certificate.files.structure import Either, Items, Kinds, Real, Text, Whole, conform, strict_json
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.model.own import GOALS
 from polaris.certificate.model.perception import RIGID
@@ -42,7 +42,7 @@ def of_shape(shape):
         case Kinds(tables):
             named = {kind: {"kind": Text((kind,)), **table} for kind, table in tables.items()}
             return {"kinds": {kind: of_shape(table) for kind, table in named.items()}}
-        case Rows(item, least, most, _):
+        case Items(item, least, most, _):
             return ["rows", of_shape(item), least, None if most == float("inf") else most]
         case Either(shapes):
             return ["either", *(of_shape(item) for item in shapes)]

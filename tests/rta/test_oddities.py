@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polaris.model.foreign import kind_of, numbers, real, settled
-from polaris.rta.online.decision_log import DecisionLog, plain
+from polaris.rta.online.decision_log import DecisionLog, jsonable
 from polaris.rta.online.estimate import Measurement
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
@@ -162,7 +162,7 @@ def test_foreign_values_never_raise(name):
     for n in (1, 2, 4):
         value = odd(name, n)
         assert real(value) is None or name == "scalar" or n == 1
-        json.dumps(plain(value), allow_nan=False)
-        json.dumps(plain(settled(odd(name, n))), allow_nan=False)
+        json.dumps(jsonable(value), allow_nan=False)
+        json.dumps(jsonable(settled(odd(name, n))), allow_nan=False)
         found = numbers(odd(name, n), (n,))
         assert found is None or (name in oddities.not_finite(n) and not np.isfinite(found).all()), name

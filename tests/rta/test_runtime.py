@@ -15,7 +15,7 @@ from polaris.model.craft import Craft
 from polaris.model.errors import ScenarioError
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.monitor import Monitor
-from polaris.rta.online.decision_log import DecisionLog, plain, read_log, restored
+from polaris.rta.online.decision_log import DecisionLog, jsonable, read_log, restored
 from polaris.rta.online.estimate import BoxFilter, BoxMotion, Measurement
 from polaris.rta.online.runtime import OnlineMonitor, replay_log
 from polaris.rta.online.runtime_options import RuntimeOptions
@@ -491,7 +491,7 @@ ROWS = st.lists(st.tuples(st.floats(), st.floats()).map(list), min_size=1, max_s
 
 @given(st.floats() | st.lists(st.floats(), max_size=9) | ROWS)
 def test_plain_values_survive(value):
-    text = json.dumps(plain(value), allow_nan=False)
+    text = json.dumps(jsonable(value), allow_nan=False)
     assert repr(restored(json.loads(text))) == repr(value)
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from .structure import Either, Hexadecimal, Kinds, Name, Named, Real, Rows, Shape, Text, Whole, every
+from .structure import Either, Hexadecimal, Items, Kinds, Name, Named, Real, Shape, Text, Whole, every
 
 HEX = Hexadecimal()
 AT_LEAST_0 = Hexadecimal(Real(least=0, most=math.inf))
@@ -14,8 +14,8 @@ NOT_NEGATIVE = Real(least=0, most=math.inf)
 SHARE = Real(least=0, most=1)
 OPTIONAL = Either((REAL, None))
 BOUND = Either((NOT_NEGATIVE, None))  # null for infinity, which bounds nothing
-VECTOR = Rows(REAL)
-MATRIX = Rows(VECTOR)
+VECTOR = Items(REAL)
+MATRIX = Items(VECTOR)
 ONE = Whole(1, 1)
 GUARANTEE = Text(("proved", "statistical", "none"))
 HORIZON = Text(("infinite", "one_period", "none"))
@@ -28,7 +28,7 @@ READ = "error|state|time|reference_input|(relative_)?(position|velocity):"
 def grid(sizes: str, item: Shape = HEX) -> Shape:
     """Lists in lists; the names of their lengths, ``*`` for any, from the outside."""
     for size in reversed(sizes.split()):
-        item = Rows(item, size=size.strip("*"))
+        item = Items(item, size=size.strip("*"))
     return item
 
 
@@ -38,15 +38,15 @@ _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inpu
 _LIMITS = {"low": HEX, "high": HEX}
 _NETWORK = {
     "name": NAME, "precision?": Text(("float32", "float64")),
-    "inputs": Rows(Text(pattern=f"{READ}.+"), 1, 100),
-    "bodies?": Rows({
+    "inputs": Items(Text(pattern=f"{READ}.+"), 1, 100),
+    "bodies?": Items({
         "name": NAME, **every(Either((grid("d"), None)), "center_m velocity_m_s"),
         "state": Either((grid("n"), None)), "state_half_widths": Either((grid("n", AT_LEAST_0), None)),
         "thrust_accel_max_m_s2": AT_LEAST_0,
     }, 1, 64),
     "input_scale": grid("*"), "output_scale": grid("m", ABOVE_0),
     "own_states?": grid("* n"), "own_inputs?": grid("* m"),
-    "layers": Rows(Kinds({
+    "layers": Items(Kinds({
         "affine": {"W": grid("* *"), "b": grid("*")}, **every(_LIMITS, "relu tanh sigmoid clip"),
         "diagonal": {"scale": grid("*"), "b": grid("*")},
     }), 1, 1000),
@@ -71,17 +71,17 @@ CERTIFICATE = {
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
         },
-        "transients?": Rows({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
+        "transients?": Items({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
     },
     "chaser_radius?": AT_LEAST_0,
     "sampling": {"step": ABOVE_0, **every(Whole(1), "steps nodes_per_step")},
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
-    "unsafe_sets": Rows({
+    "unsafe_sets": Items({
         "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("covered two *"),
     }, size="sets"),
     "facets": grid("cells sets", Whole()),
     "reference": {"states": grid("cells+1 n"), "inputs": grid("cells m")},
-    "controllers": Rows(Kinds({
+    "controllers": Items(Kinds({
         # The safety controller follows the safe reference, the only one that was checked.
         "safety": {"name": NAME, "gain": grid("m n")},
         "affine": _OWN,
@@ -95,14 +95,14 @@ CERTIFICATE = {
     "recoverable": Text(("polytope", "ball")),
     "horizon": HORIZON,
     "drift?": {
-        "horizon": ABOVE_0, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Rows({
+        "horizon": ABOVE_0, "keep_in": bool, "parts": Whole(1), "steps": grid("K", Either((None, Items({
             "periods": Whole(1), "center": grid("n"), "axes": grid("n n"),
-            "facets": Rows(Rows(Rows(Whole(), 2, 2), 1)),
+            "facets": Items(Items(Items(Whole(), 2, 2), 1)),
         }, 1)))),
     },
     "powered?": {
         **every(Either((HEX, None)), "within budget"),
-        "branches": Rows({
+        "branches": Items({
             "step": Whole(1), "inputs": grid("* m"), "facets": grid("* sets", Whole()), "tail": grid("n"),
             "tolerance": HEX, "horizon": HORIZON,
         }),
@@ -114,14 +114,14 @@ CERTIFICATE = {
     },
     "choices?": {
         "thrust_share?": Hexadecimal(Real(above=0, most=1)), "delta_v_unit?": ABOVE_0,
-        "library?": Rows({"inputs": grid("K m"), "modes": grid("K", Whole())}, most=1000),
+        "library?": Items({"inputs": grid("K m"), "modes": grid("K", Whole())}, most=1000),
     },
 }
 """The certificate; `Document` compares the lengths."""
 
 CLAIMED = {
     "kind": GUARANTEE, "horizon": HORIZON, "until_s": OPTIONAL, "reason": TEXT,
-    "assumptions": Rows(TEXT),
+    "assumptions": Items(TEXT),
     "goal": {
         "reached": Either((bool, Text(("not_proven",)))), "by_s": OPTIONAL,
         **every(NOT_NEGATIVE, "distance_m tolerance_m delta_v_max_m_s"),
@@ -133,20 +133,20 @@ CLAIMED = {
     })),
     "abort?": {
         "drift_s": NOT_NEGATIVE, "keep_in": bool, "least_m": OPTIONAL,
-        "clear_s": Rows(Rows(NOT_NEGATIVE, 2, 2)),
+        "clear_s": Items(Items(NOT_NEGATIVE, 2, 2)),
         "witness": Either((None, {
             "step": Whole(), "unsafe_set": NAME, **every(REAL, "t_s after_s distance_m middle_m"),
         })),
     },
-    "withheld?": Rows({
-        "fault": NAME, "lasts_s": NOT_NEGATIVE, "steps": Rows({
+    "withheld?": Items({
+        "fault": NAME, "lasts_s": NOT_NEGATIVE, "steps": Items({
             **every(Whole(), "step limit_step"), **every(TEXT, "controller limit"),
             **every(REAL, "t_s limit_time_s need room short"),
         }),
     }),
     "powered_abort?": {
         **every(BOUND, "within_s delta_v_max_m_s"),
-        "steps": Rows({
+        "steps": Items({
             **every(BOUND, "leaves_s by_s delta_v_m_s safe_until_s"),
             "step": Whole(), "why": Either((TEXT, None)),
         }),
@@ -160,19 +160,19 @@ CLAIMED = {
 SCHEDULE = {
     "schema_version": ONE,
     **every(REAL, "step_s duration_s"),
-    "controllers": Rows({"mode": Whole(), **every(TEXT, "name kind")}),
+    "controllers": Items({"mode": Whole(), **every(TEXT, "name kind")}),
     "rules": {
         "strategy": TEXT, "min_dwell": Whole(1), "max_switches": Either((Whole(), None)),
         "weights": VECTOR, "beam": Whole(1),
         **every(NOT_NEGATIVE, "delta_v_price switch_price"), "delta_v_max": Either((NOT_NEGATIVE, None)),
     },
-    "modes": Rows(Whole()),
+    "modes": Items(Whole()),
     "switches": Whole(),
     "experimental_share": SHARE,
     "share": Named(SHARE),
     "recoverable": TEXT,
     "guarantee": CLAIMED,
-    "steps": Rows({
+    "steps": Items({
         **every(Whole(), "step mode"),
         **every(REAL, "t_start_s t_end_s"),
         **every(TEXT, "controller limit"),

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..kernel.verdict import Rejected
 from .file_keys import READ
-from .structure import Either, Kinds, Real, Rows, Text, Whole, conform, every
+from .structure import Either, Items, Kinds, Real, Text, Whole, conform, every
 
 STEPS = 100_000  # most steps of a horizon
 
@@ -19,11 +19,11 @@ NUMBER = Real()
 NOT_NEGATIVE = Real(least=0)
 POSITIVE = Real(above=0)
 MASS = Real(least=1e-3, most=1e7)
-VECTOR = Rows(NUMBER, 1, 100)
-WIDTHS = Rows(NOT_NEGATIVE, 1, 100)
-OPEN_WIDTHS = Rows(Real(least=0, most=math.inf), 1, 100)
-LIMITS = Rows(POSITIVE, 1, 100)
-MATRIX = Rows(VECTOR, 1, 1000, even=True)
+VECTOR = Items(NUMBER, 1, 100)
+WIDTHS = Items(NOT_NEGATIVE, 1, 100)
+OPEN_WIDTHS = Items(Real(least=0, most=math.inf), 1, 100)
+LIMITS = Items(POSITIVE, 1, 100)
+MATRIX = Items(VECTOR, 1, 1000, even=True)
 WEIGHT = Either((VECTOR, MATRIX))
 PER_AXIS = Either((POSITIVE, LIMITS))
 SIZES = Either((NOT_NEGATIVE, WIDTHS))
@@ -63,7 +63,7 @@ SCENARIO = {
         "clohessy_wiltshire": {"mean_motion_rad_s": Real(above=0, most=0.01), "mass_kg": MASS,
                                "thrust_max_N": PER_AXIS, "disturbance_max_m_s2?": NOT_NEGATIVE},
         "linear": {**every(MATRIX, "A B D C?"), "input_max": PER_AXIS, "disturbance_max?": NOT_NEGATIVE,
-                   "position_states?": Rows(Whole(0, 99), 1, 3), "mass_kg?": MASS},
+                   "position_states?": Items(Whole(0, 99), 1, 3), "mass_kg?": MASS},
     }),
     "orbit?": {
         **every(NOT_NEGATIVE, "radius_deviation_max_m radial_rate_max_m_s density_kg_m3"
@@ -74,7 +74,7 @@ SCENARIO = {
     },
     "navigation?": {
         **_ESTIMATE,
-        "phases?": Rows({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
+        "phases?": Items({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
         "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
                          "error?": LIMITS, "initial?": _ESTIMATE},
     },
@@ -87,7 +87,7 @@ SCENARIO = {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),
         **every(NOT_NEGATIVE, "jitter_s? clock_error_s?"),
     },
-    "faults?": Rows(Kinds({
+    "faults?": Items(Kinds({
         "stuck_off": {"isolation_s?": NOT_NEGATIVE}, "stuck_on": {"isolation_s": POSITIVE},
         "loss": {"share": Real(above=0, below=1), "isolation_s?": NOT_NEGATIVE},
         "navigation_lost": {"lasts_s": Real(above=0, most=1e4)},
@@ -123,26 +123,26 @@ SCENARIO = {
         "time_limit_s?": Real(above=0, most=1e6),
         **every(SHARE, "thrust_reserve? gap?"),
     },
-    "obstacles?": Rows(Kinds({
+    "obstacles?": Items(Kinds({
         "box": {**_BODY, "center_m": VECTOR, "half_widths_m": WIDTHS},
         "ball": {**_BODY, "center_m": VECTOR, "radius_m": POSITIVE, "facets?": FACETS},
         "polytope": {**_BODY, **_POLYTOPE, "unbounded?": bool},
         "satellite": {"name": NAME, "state": VECTOR, "state_half_widths": WIDTHS, "radius_m": POSITIVE,
                       "thrust_accel_max_m_s2?": NOT_NEGATIVE, "facets?": FACETS},
     }), 0, 64),
-    "keep_in?": Rows(Kinds({
+    "keep_in?": Items(Kinds({
         "polytope": _POLYTOPE,
         "cone": {"name": NAME, "apex_m": VECTOR, "axis": VECTOR, "half_angle_deg": Real(least=0.1, most=89),
                  "facets?": FACETS, "length_m?": POSITIVE},
     }), 0, 16),
-    "experimental": Rows(Kinds({
+    "experimental": Items(Kinds({
         "affine": _AFFINE,
         "saturated_affine": _AFFINE,
         "any_thrust": {"name": NAME, "weight?": WORTH},
         "black_box": {"name": NAME, "weight?": WORTH, "probability?": Real(least=1e-5, most=0.5),
                       "confidence?": Real(least=0.5, most=1 - 1e-9), "memory?": bool},
         "neural": {"name": NAME, "path": Text(pattern=r"(?s:.{1,1000})\.onnx"), "input_scale?": VECTOR,
-                   "inputs?": Rows(Text(pattern=READ + NAME.pattern), 1, 100),
+                   "inputs?": Items(Text(pattern=READ + NAME.pattern), 1, 100),
                    "precision?": Text(("real", "float32", "float64")), "output_scale_N": PER_AXIS,
                    "reference?": _REFERENCE, "weight?": WORTH},
     }), 1, 8),

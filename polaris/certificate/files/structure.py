@@ -68,7 +68,7 @@ class Name:
 
 
 @dataclass(frozen=True)
-class Rows:
+class Items:
     """A list of so many items of one shape; `even` if these are lists of one length.
 
     Lists with the same `size`, a name, are to be equally long: `conform` collects their lengths.
@@ -130,7 +130,7 @@ def _read(value: Any, shape: Shape, where: str, lengths: Lengths) -> Any:
         case Named(item):
             entries = _of(dict, value, where).items()
             return {name: _read(entry, item, f"{where}.{shown(name)}", lengths) for name, entry in entries}
-        case Rows(item, least, most, even, size):
+        case Items(item, least, most, even, size):
             if not least <= len(_of(list, value, where)) <= most:
                 raise ValueError(f"{where} has {len(value)} items, of {least} to {most}")
             found = [_read(entry, item, f"{where}[{i}]", lengths) for i, entry in enumerate(value)]

@@ -18,7 +18,7 @@ from ..scene.items import Pilot
 from ..scene.palette import method_style
 from ..tables import Cell, Measure, Table, number, value_cell, words
 from .page import Page, details, macros, reading, table
-from .run_report import NOTE, guarantee, schedule_data
+from .run_report import NOTE, guarantee_section, schedule_data
 
 FIRST = 4  # methods that are shown at first; the others can be chosen
 MOST_STRETCHES = 40  # stretches of alike decisions that are listed of each method
@@ -42,7 +42,7 @@ def comparison_page(folder: RunFolder) -> Page:
             ("claims", "What each method claims", _claims(methods)),
             ("paired", "Differences, run by run", _paired(found["paired"], names)),
             ("decisions", "Decisions of the run shown", _decisions(folder.path / "decisions.jsonl", names)),
-            ("guarantee", "The guarantee of the schedule", guarantee(claim)),
+            ("guarantee", "The guarantee of the schedule", guarantee_section(claim)),
             reading(found, NOTE),
         ),
         comparison_data(picture, claim["kind"] == "proved"),

@@ -49,7 +49,7 @@ def run_page(folder: RunFolder) -> Page:
         answers(summary, picture),
         (
             ("numbers", "Metrics", table(metrics(summary, CAPTION))),
-            ("guarantee", "The guarantee", guarantee(claim) + aborts(claim)),
+            ("guarantee", "The guarantee", guarantee_section(claim) + aborts(claim)),
             ("synthesis", "Synthesis", table(Table("Before the flight", ["", ""], rows))),
             reading(summary, f"{NOTE} {SLICE}"),
         ),
@@ -125,7 +125,7 @@ def _when(picture: Picture) -> str:
     return "S " + (", ".join(f"{a * delta:.6g} to {_time(b * delta)}" for a, b in found) or "never")
 
 
-def guarantee(claim: Mapping[str, Any]) -> Markup:
+def guarantee_section(claim: Mapping[str, Any]) -> Markup:
     """The section of an ordinary run folder, from ``summary.json``."""
     told = [("Goal", goal(claim["goal"])), *besides(claim)] if claim["kind"] == "proved" else []
     reached = claim["goal"]["reached"] is True

@@ -120,10 +120,10 @@ class DecisionLog:
 PARTS = tuple(field.name for field in fields(Measurement))
 
 
-def plain(value: object) -> Any:
+def jsonable(value: object) -> Any:
     """What arrived, for strict JSON: numbers as they are read, and whatever it is, nothing is raised."""
     if type(value) is Measurement:
-        return {name: plain(getattr(value, name)) for name in PARTS}
+        return {name: jsonable(getattr(value, name)) for name in PARTS}
     read = value if type(value) is Unreadable else settled(value)
     if isinstance(read, Unreadable):
         return {"unreadable": read.kind}
@@ -137,7 +137,7 @@ def _texts(value: Any) -> Any:
 
 
 def restored(value: Any) -> Any:
-    """What `plain` was given, as far as decisions depend on it: arrays as lists."""
+    """What `jsonable` was given, as far as decisions depend on it: arrays as lists."""
     if isinstance(value, list):
         return [restored(entry) for entry in value]
     if isinstance(value, str):

@@ -19,7 +19,7 @@ from ...model.system import Array
 from ..methods.monitor import Monitor
 from ..received import commanded
 from .decision_clock import DecisionClock
-from .decision_log import DecisionLog, plain, restored
+from .decision_log import DecisionLog, jsonable, restored
 from .estimate import Measurement
 from .observer import Observer
 from .runtime_options import Fault, OnlineDecision, RuntimeOptions
@@ -207,12 +207,12 @@ class OnlineMonitor:
             record = {
                 "k": answer.k,
                 "mode": answer.mode,
-                "margin": plain(answer.margin),
+                "margin": jsonable(answer.margin),
                 "reason": answer.reason,
                 "faults": [str(fault) for fault in answer.faults],
                 "controller": [fault.text for fault in noted],
             }
-            record |= {name: plain(value) for name, value in told._asdict().items()}
+            record |= {name: jsonable(value) for name, value in told._asdict().items()}
             log.write(record)
         except Exception:  # whatever is wrong with a log must not end the flight
             self._unwritten.append(Fault("log", "the line before could not be written"))
