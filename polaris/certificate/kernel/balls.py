@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from functools import cache
 from math import hypot
+from typing import Any
 
 from flint import arb, arb_mat
 
@@ -48,6 +49,19 @@ def rows_of(M: arb_mat, *which: int) -> arb_mat:
     """Some of the rows."""
     table = M.tolist()
     return matrix([table[i] for i in which], M.ncols())
+
+
+def kinds(M: arb_mat) -> tuple[list[int], list[tuple[int, int]]]:
+    """One row of each kind, equal or opposite ones being of a kind; the kind of every row, and its sign."""
+    first, known, found = list[int](), dict[Any, tuple[int, int]](), list[tuple[int, int]]()
+    for i, row in enumerate(M.tolist()):
+        exact = tuple((*x.mid().man_exp(), *x.rad().man_exp()) for x in row)
+        if exact not in known:
+            known[tuple((-man, *rest) for man, *rest in exact)] = len(first), -1
+            known[exact] = len(first), 1
+            first.append(i)
+        found.append(known[exact])
+    return first, found
 
 
 def sums(*lists: Iterable[arb]) -> list[arb]:

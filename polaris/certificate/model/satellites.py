@@ -11,11 +11,14 @@ from ..kernel.balls import (
     column,
     exponential,
     exponential_over,
+    kinds,
     lengths,
     matrix,
     norms,
     require,
+    rows_of,
     spans,
+    sums,
 )
 from ..kernel.verdict import Rejected
 from .plants import plant_of
@@ -37,10 +40,12 @@ class Satellite:
         self.document, self.item = document, item
         plant = plant_of(document)
         self.A = plant.A
-        self.rows = matrix(item.normals) * matrix(document.C)
+        normals = matrix(item.normals)
+        first, self.facets = kinds(normals)
+        self.rows = rows_of(normals, *first) * matrix(document.C)
         self.state = column(spec["state"])
         self.half = column(spec["state_half_widths"])
-        self.radius = [length * spec["radius_m"] for length in norms(matrix(item.normals))]
+        self.radius = [length * spec["radius_m"] for length in norms(normals)]
         self.pushes = [(plant.D, arb(document.w_max))]
         thrust = spec.get("thrust_accel_max_m_s2", 0.0)
         if thrust:
@@ -74,9 +79,9 @@ class Satellite:
         for part in range(parts + 1):
             spread = (absolute(carried) * self.half).entries()
             middle = (carried * self.state).entries()
-            values.append(
-                [a + b + g + r for a, b, g, r in zip(middle, spread, gained, self.radius, strict=True)]
-            )
+            around = sums(spread, gained)
+            facets = zip(self.facets, self.radius, strict=True)
+            values.append([sign * middle[i] + around[i] + radius for (i, sign), radius in facets])
             if part == parts:
                 break
             second, following = carried * over, carried * small
@@ -95,12 +100,12 @@ class Satellite:
             for f, support in enumerate(value):
                 spare = first[f] * (1 - s) + last[f] * s - support + size[f] * ROUNDED
                 for margin in near:
-                    if spare - margin[f] >= 0:
+                    left = spare - margin[self.facets[f][0]]
+                    if left >= 0:
                         continue
                     if not final:
                         return None
-                    where = f"{self.item.name}, facet {f}, in step {cell}"
-                    require("unsafe_sets", spare - margin[f], where)
+                    require("unsafe_sets", left, f"{self.item.name}, facet {f}, in step {cell}")
         return gained
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import pairwise
-from typing import Any
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, largest, magnitude, rows_of, sums
+from ...kernel.balls import above, column, identity, kinds, largest, magnitude, rows_of, sums
 from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
@@ -56,15 +55,9 @@ class Needs:
 
     @cached_property
     def alike(self) -> tuple[list[int], list[int]]:
-        """One row of all that are equal or opposite, of each kind, and the kind of every row."""
-        kinds, first, which = dict[Any, int](), list[int](), list[int]()
-        for i, row in enumerate(self.given.tolist()):
-            exact = [(*x.mid().man_exp(), *x.rad().man_exp()) for x in row]
-            for key in (tuple(exact), tuple((-man, *rest) for man, *rest in exact)):
-                kinds.setdefault(key, len(first))
-            which.append(kinds[tuple(exact)])
-            first += [i] if which[-1] == len(first) else []
-        return first, which
+        """One row of each kind, equal or opposite ones being of a kind, and the kind of every row."""
+        first, found = kinds(self.given)
+        return first, [kind for kind, _ in found]
 
     @cached_property
     def _stacked(self) -> arb_mat:
