@@ -106,10 +106,7 @@ class Pilot:
         craft, plant, more = self.craft, self.plant, self.unseen(k, before)
         answer = self.answer(z, base, k, i, more)
         g = plant.B * answer.c
-        v, noise = answer.v, craft.noise(more)
-        error = pushed = plant.thruster_error(answer.bounds)
-        if answer.linear and not craft.box and any(x > 0 for x in error):
-            v, pushed = [], sums(noise, error)  # both enter as inputs alone: fewer generators
+        v, noise, error = answer.v, craft.noise(more), plant.thruster_error(answer.bounds)
         held = [] if self.law.kind == "any_thrust" else v  # that need not be held
         free = [] if held else v
         period = Period(
@@ -118,9 +115,9 @@ class Pilot:
             Directions(craft.drifts + plant.B * answer.K),
             g,
             [craft.lifted(craft.motion.gamma * push.V * push.cover) for push in held],
-            [*(craft.lifted(craft.motion.pushed(push)) for push in free), *craft.added(pushed)],
+            [*(craft.lifted(craft.motion.pushed(push)) for push in free), *craft.added(error)],
             held,
-            [*free, *plant.push(pushed)],
+            [*free, *plant.push(error)],
             answer.bounds,
         )
         errors = (noise, error) if answer.linear and not plant.jitter else ()

@@ -12,7 +12,7 @@ from ..kernel.balls import above, column, identity, largest, magnitude, row_sums
 from ..kernel.periods import Spell
 from .flights import Flown
 
-LONGEST, SQUARED, REST = 4000, 4, 3e-3
+LONGEST, SQUARED, REST = 4000, 4, 1e-3
 """Most periods that are looked at all at once; how often the power of a response is squared for its peak, and
 the share of it, the last part, that counts by its sum instead."""
 

@@ -159,7 +159,7 @@ class Zonotope:
                 continue
             signs = [copysign(1.0, a) for a in group.shares]
             u = [sum(map(mul, signs, x)) for x in zip(*(rough[j] for j in group.members), strict=True)]
-            for a, j in zip(group.shares, group.members, strict=True):
+            for a, j in zip(map(arb, group.shares), group.members, strict=True):  # products without rounding
                 rests.append([x - a * y for x, y in zip(columns[j], u, strict=True)])
             whole = dot(map(arb, group.shares), signs)
             made.append([x * whole for x in u])

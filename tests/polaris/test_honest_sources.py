@@ -1,0 +1,76 @@
+"""Honest runs of the smallest scene with sources of error drawn at random: what is claimed is confirmed."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("flint")
+
+from polaris.certificate.checker import verify
+from polaris.model.errors import PolarisError
+from polaris.runs.schedule import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.schedule.synthesize import synthesize
+
+from .tiny import TINY
+
+PERIOD = 1 / 3
+"""Control period [s]: what changes within one of this length counts."""
+
+SOURCES = {
+    "estimate": ["navigation.state_error=[0.002,0.002,0.0004,0.0004]"],
+    "phases": ["navigation.phases=[{from_s=5.07,state_error=[0.002,0.002,0.0004,0.0004]}]"],
+    "camera": [
+        f"navigation.measurement.matrix={np.eye(4).tolist()}",
+        "navigation.measurement.error=[0.002,0.002,0.0004,0.0004]",
+    ],
+    "delay": [f"timing.delay_s={PERIOD}"],
+    "part of a period": ["timing.delay_s=0.08"],
+    "missed periods": ["timing.missed_periods=1"],
+    "jitter": ["timing.jitter_s=0.005"],
+    "magnitude": ["thrusters.magnitude_error=0.03"],
+    "mass": ["thrusters.mass_error=0.005"],
+    "bit": ["thrusters.impulse_bit_N_s=0.004"],
+    "carried bit": ["thrusters.impulse_bit_N_s=0.004", "thrusters.remainder=carried"],
+    "pulses": ["thrusters.pulse=centred"],
+    "fault": ['faults=[{kind="loss",share=0.1,isolation_s=0.5}]'],
+    "outage": ['faults=[{kind="navigation_lost",lasts_s=0.8}]'],
+    "tank": ["tank.delta_v_m_s=60.0"],
+}
+"""Declarations by name."""
+
+REFUSED_ONCE = (
+    (("phases", "part of a period", "jitter"), 0.02, 20),
+    (("camera", "missed periods", "jitter"), 0.002, 150),
+)
+"""Sources, disturbance and weight of thrust in runs that held, and that the checker did not confirm."""
+
+
+def outcome(folder, names, disturbance, weight):
+    """Return the schedule and the verdict of a run with some sources."""
+    given = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
+    given = [*given.values(), f"system.disturbance_max={disturbance}", f"tracking.R=[{weight},{weight}]"]
+    scenario = load_scenario(TINY, [f"feedback.period_s={PERIOD}", "simulation.runs=1", *given])
+    schedule = synthesize(scenario)
+    return schedule, verify(write_run(folder, scenario, schedule).path)
+
+
+@pytest.mark.parametrize("case", REFUSED_ONCE, ids=lambda case: "-".join(case[0]))
+def test_runs_that_hold_are_confirmed(case, tmp_path):
+    schedule, verdict = outcome(tmp_path / "run", *case)
+    assert schedule.upkeep is not None and verdict.outcome == "VERIFIED", verdict.text()
+
+
+@pytest.mark.slow
+def test_runs_with_any_sources_that_hold_are_confirmed(tmp_path):
+    rng, confirmed = np.random.default_rng(0), 0
+    for i in range(60):
+        names = rng.choice(list(SOURCES), rng.integers(1, 4), replace=False)
+        sizes = rng.choice([0.0, 0.002, 0.02]), rng.choice([2, 20, 60, 150])
+        try:
+            schedule, verdict = outcome(tmp_path / str(i), names, *sizes)
+        except PolarisError as error:
+            assert error.exit_code in (2, 3), f"{names}, {sizes}: {error}"
+            continue
+        assert verdict.outcome == "VERIFIED", f"{names}, {sizes}: {verdict.text()}"
+        confirmed += schedule.upkeep is not None
+    assert confirmed >= 30
