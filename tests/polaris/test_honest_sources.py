@@ -13,9 +13,6 @@ from polaris.synthesis.schedule.synthesize import synthesize
 
 from .tiny import TINY
 
-PERIOD = 1 / 3
-"""Control period [s]: what changes within one of this length counts."""
-
 SOURCES = {
     "estimate": ["navigation.state_error=[0.002,0.002,0.0004,0.0004]"],
     "phases": ["navigation.phases=[{from_s=5.07,state_error=[0.002,0.002,0.0004,0.0004]}]"],
@@ -23,7 +20,7 @@ SOURCES = {
         f"navigation.measurement.matrix={np.eye(4).tolist()}",
         "navigation.measurement.error=[0.002,0.002,0.0004,0.0004]",
     ],
-    "delay": [f"timing.delay_s={PERIOD}"],
+    "delay": ["timing.delay_s=0.5"],
     "part of a period": ["timing.delay_s=0.08"],
     "missed periods": ["timing.missed_periods=1"],
     "jitter": ["timing.jitter_s=0.005"],
@@ -31,6 +28,7 @@ SOURCES = {
     "mass": ["thrusters.mass_error=0.005"],
     "bit": ["thrusters.impulse_bit_N_s=0.004"],
     "carried bit": ["thrusters.impulse_bit_N_s=0.004", "thrusters.remainder=carried"],
+    "coarse carried bit": ["thrusters.impulse_bit_N_s=0.05", "thrusters.remainder=carried"],
     "pulses": ["thrusters.pulse=centred"],
     "fault": ['faults=[{kind="loss",share=0.1,isolation_s=0.5}]'],
     "outage": ['faults=[{kind="navigation_lost",lasts_s=0.8}]'],
@@ -39,17 +37,18 @@ SOURCES = {
 """Declarations by name."""
 
 REFUSED_ONCE = (
-    (("phases", "part of a period", "jitter"), 0.02, 20),
-    (("camera", "missed periods", "jitter"), 0.002, 150),
+    (("phases", "part of a period", "jitter"), 1 / 3, 0.02, 20),
+    (("camera", "missed periods", "jitter"), 1 / 3, 0.002, 150),
+    (("coarse carried bit",), 0.5, 0.0, 40),
 )
-"""Sources, disturbance and weight of thrust in runs that held, and that the checker did not confirm."""
+"""Sources, control period [s], disturbance and weight of thrust of runs that held and were refused."""
 
 
-def outcome(folder, names, disturbance, weight):
+def outcome(folder, names, period, disturbance, weight):
     """Return the schedule and the verdict of a run with some sources."""
     given = {text.split("=", 1)[0]: text for name in names for text in SOURCES[name]}
     given = [*given.values(), f"system.disturbance_max={disturbance}", f"tracking.R=[{weight},{weight}]"]
-    scenario = load_scenario(TINY, [f"feedback.period_s={PERIOD}", "simulation.runs=1", *given])
+    scenario = load_scenario(TINY, [f"feedback.period_s={period}", "simulation.runs=1", *given])
     schedule = synthesize(scenario)
     return schedule, verify(write_run(folder, scenario, schedule).path)
 
@@ -65,7 +64,7 @@ def test_runs_with_any_sources_that_hold_are_confirmed(tmp_path):
     rng, confirmed = np.random.default_rng(0), 0
     for i in range(60):
         names = rng.choice(list(SOURCES), rng.integers(1, 4), replace=False)
-        sizes = rng.choice([0.0, 0.002, 0.02]), rng.choice([2, 20, 60, 150])
+        sizes = rng.choice([0.25, 1 / 3, 0.5]), rng.choice([0.0, 0.002, 0.02]), rng.choice([2, 20, 60, 150])
         try:
             schedule, verdict = outcome(tmp_path / str(i), names, *sizes)
         except PolarisError as error:

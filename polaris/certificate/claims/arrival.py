@@ -223,7 +223,7 @@ class Arrival:
 
     def states(self, node: int) -> list[arb]:
         """Bounds on sizes of the loop state at a node long after T, from boxes of what S took over."""
-        return self.flight.need(self._states, self._boxes, self._first + node)
+        return self.flight.need(self._states, self._boxes, self._first + node, around=True)  # not displaced
 
     @cached_property
     def _boxes(self) -> tuple[HandOver, ...]:
