@@ -17,7 +17,7 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9219, 8400),
-    ("polaris/certificate",): (8348, 4600),
+    ("polaris/certificate",): (8345, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (8060, 5000),
     ("polaris/model", "polaris/simulation"): (6861, 5200),
@@ -26,7 +26,7 @@ LINES = {
     ("polaris/scenario", "polaris/runs"): (8950, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (7591, 6400),
     ("polaris/planning",): (2482, 2200),
-    ("polaris", "reach"): (61821, 48000),
+    ("polaris", "reach"): (61818, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 
