@@ -85,5 +85,5 @@ def peak(*responses: Sequence[arb]) -> arb:
     power = sum((arb_poly(one) * arb_poly(one[::-1]) for one in parts), arb_poly())
     for _ in range(SQUARED):
         power = power * power
-    most = sum((x.abs_upper() for x in power.coeffs()), arb(0))
-    return (most.root(TOP) if most > 0 else most) + (since[late - 1] if late else 0)
+    bound = sum((x.abs_upper() for x in power.coeffs()), arb(0))
+    return (bound.root(TOP) if bound > 0 else bound) + (since[late - 1] if late else 0)

@@ -53,15 +53,15 @@ def rows_of(M: arb_mat, *which: int) -> arb_mat:
 
 def kinds(M: arb_mat) -> tuple[list[int], list[tuple[int, int]]]:
     """One row of each kind, equal or opposite ones being of a kind; the kind of every row, and its sign."""
-    first, known, found = list[int](), dict[Any, tuple[int, int]](), list[tuple[int, int]]()
+    first, known, which = list[int](), dict[Any, tuple[int, int]](), list[tuple[int, int]]()
     for i, row in enumerate(M.tolist()):
         exact = tuple((*x.mid().man_exp(), *x.rad().man_exp()) for x in row)
         if exact not in known:
             known[tuple((-man, *rest) for man, *rest in exact)] = len(first), -1
             known[exact] = len(first), 1
             first.append(i)
-        found.append(known[exact])
-    return first, found
+        which.append(known[exact])
+    return first, which
 
 
 def sums(*lists: Iterable[arb]) -> list[arb]:

@@ -195,8 +195,8 @@ class Merging:
 
     def after(self, z: Zonotope) -> Zonotope:
         """Enclosing set with few generators of one that has more than twice as many; else that one."""
-        most, count = self.order * self.states, sum(part.ncols() for part in z.parts)
-        return z.reduced(most, self.rows) if count > 2 * most else z
+        limit, count = self.order * self.states, sum(part.ncols() for part in z.parts)
+        return z.reduced(limit, self.rows) if count > 2 * limit else z
 
 
 def inner_radius(G: arb_mat) -> arb:

@@ -121,7 +121,7 @@ PARTS = tuple(field.name for field in fields(Measurement))
 
 
 def jsonable(value: object) -> Any:
-    """What arrived, for strict JSON: numbers as they are read, and whatever it is, nothing is raised."""
+    """Return anything that arrived as strict JSON has it, numbers as they are read; raise nothing."""
     if type(value) is Measurement:
         return {name: jsonable(getattr(value, name)) for name in PARTS}
     read = value if type(value) is Unreadable else settled(value)
@@ -137,7 +137,7 @@ def _texts(value: Any) -> Any:
 
 
 def restored(value: Any) -> Any:
-    """What `jsonable` was given, as far as decisions depend on it: arrays as lists."""
+    """Return the value that `jsonable` was given, as far as decisions depend on it: arrays as lists."""
     if isinstance(value, list):
         return [restored(entry) for entry in value]
     if isinstance(value, str):

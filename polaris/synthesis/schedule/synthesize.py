@@ -176,16 +176,16 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         return switching_logic(replace(along(search, safety), intended=intended))
 
     worth, late = Worth.beside(printed, search.rules, printed.safety), False
-    found = [printed, *clearer(search, printed)]
+    candidates = [printed, *with_clearance(search, printed)]
     for dearer in DEARER:
         dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
         searches = views(printed, replace(worth, rules=dear))
-        found += [each for view in searches for each in view.schedules(prove)]
+        candidates += [each for view in searches for each in view.schedules(prove)]
         late |= any(view.late for view in searches)
-        best = max(found, key=worth)
+        best = max(candidates, key=worth)
         if best.keeps(search.rules):
             break
-    library = tuple(one for one in found if one is not best and as_good(one, best, search.rules))
+    library = tuple(one for one in candidates if one is not best and as_good(one, best, search.rules))
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
@@ -196,7 +196,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
     return replace(best, library=library, worth=worth.prices)
 
 
-def clearer(search: Search, first: Schedule) -> Iterator[Schedule]:
+def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:
     """Yield the schedule along a reference that clears unsafe sets by what U lacked along the first one."""
     problem, names = first.safety.problem, {body.name for body in first.safety.clearance.unsafe}
     refused = (step.margin for step in first.steps if step.mode == SAFETY and step.margin.limit in names)

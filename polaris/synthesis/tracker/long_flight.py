@@ -78,21 +78,21 @@ class LongFlight:
 
     def _amplified(self, channel: Channel) -> Array:
         """Bound the root mean square of commands per unit of the values of a channel, (m, k) or (m, 1)."""
-        closed, found = self.tracking.tightening.closed, np.zeros((self.rows.shape[1], 1))
+        closed, gains = self.tracking.tightening.closed, np.zeros((self.rows.shape[1], 1))
         if channel.rate is not None:
             rest, size = np.abs(self.rows).sum(axis=0), np.abs(channel.rate)
             size = np.linalg.norm(size, axis=1, keepdims=True) if channel.ball else size
             for carried, mean, apart in closed.loop.part_maps:
-                found = found + _gains(-self.rows @ carried @ mean @ channel.rate, channel.ball)
-                found = found + rest @ np.abs(carried) @ apart @ size
+                gains = gains + _gains(-self.rows @ carried @ mean @ channel.rate, channel.ball)
+                gains = gains + rest @ np.abs(carried) @ apart @ size
         if channel.noise is not None or channel.sample is not None or channel.push is not None:
-            own = np.zeros((len(found), len(channel.size)))
+            own = np.zeros((len(gains), len(channel.size)))
             if channel.noise is not None:
                 own = -closed.gain @ channel.noise
-            found = found + _gains(
+            gains = gains + _gains(
                 np.concatenate([own[None], -self.rows @ closed.sampled(channel)]), channel.ball
             )
-        return found
+        return gains
 
 
 def _gains(response: Array, ball: bool) -> Array:
