@@ -204,7 +204,10 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
             for key, group in groups.items():
                 given[key] = group(**{one.name: given.pop(one.name) for one in fields(group)})
             with answering():
-                tested_packages()
+                try:
+                    packages.check()
+                except ReachError as error:  # versions that nobody tested
+                    raise failed(str(error), 2) from None
                 code = work(**given)
             if code:
                 raise typer.Exit(code)
@@ -221,14 +224,6 @@ def verb(name: str, **how: Any) -> Callable[[Callable[..., int | None]], Callabl
         return guarded
 
     return add
-
-
-def tested_packages() -> None:
-    """Refuse to run on packages in versions that nobody tested: exit code 2."""
-    try:
-        packages.check()
-    except ReachError as error:
-        raise failed(str(error), 2) from None
 
 
 def echo(text: str, err: bool = False) -> None:

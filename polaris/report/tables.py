@@ -10,7 +10,6 @@ from ..model.checks import counted
 from ..runs.files.tables import pilots
 from ..runs.inspections.inspection import MEANING
 from ..simulation.metrics import possible
-from ..synthesis.safety.recoverable import directed
 
 ABSENT = {
     "min_distance_m": ("none", "there is no unsafe set"),
@@ -151,12 +150,6 @@ class Measure:
     def text(self, value: Any, unit: bool = True) -> str:
         """Return a value in words."""
         return self._cell(value, unit).text
-
-    def proven(self, value: float | None) -> str:
-        """Return a value that is proven to be left: rounded down."""
-        if value is None or not np.isfinite(value):
-            return self.text(value)
-        return f"{directed(value, '.1%')[:-1] if self.percent else directed(value, '.4g')} {self.unit}"
 
     def _cell(self, value: Any, unit: bool = True) -> Cell:
         if self.percent and isinstance(value, (int, float)) and np.isfinite(value):

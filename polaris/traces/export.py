@@ -181,7 +181,13 @@ def export_run(
     else:
         with readable(run.path):
             flights = read_flights(run.path / "trajectories.npz")
-    flown, row = _chosen(flights, option, pilot or ("schedule" if option == "--method" else "polaris"), label)
+    pilot = pilot or ("schedule" if option == "--method" else "polaris")
+    if pilot not in flights:
+        raise ScenarioError(option, pilot, f"must be one of {', '.join(flights)}")
+    flown = flights[pilot]
+    if label not in flown.labels:
+        raise ScenarioError("--run", label, f"must be one of {', '.join(flown.labels)}")
+    row = flown.labels.index(label)
     if option == "--method":
         modes = flown.modes[row]
     else:
@@ -189,13 +195,3 @@ def export_run(
     obstacles, system = run.scenario.obstacles(), run.scenario.system()
     others = dict.fromkeys(item.name for item in obstacles) if nominal else None
     return to_trace(flown.times, flown.states[row], modes, obstacles, system, satellites=others)
-
-
-def _chosen(kept: Mapping[str, Any], option: str, key: str, label: str) -> tuple[Any, int]:
-    """The flights that an option names, and the row of the one with the label."""
-    if key not in kept:
-        raise ScenarioError(option, key, f"must be one of {', '.join(kept)}")
-    labels = kept[key].labels
-    if label not in labels:
-        raise ScenarioError("--run", label, f"must be one of {', '.join(labels)}")
-    return kept[key], labels.index(label)

@@ -42,15 +42,7 @@ def name(ax: Any, text: str, points: Any, colour: Any) -> None:
     drawn = ax.text(*where, text, color=colour, transform=ax.transAxes, **look)
     drawn.set_in_layout(False)
     drawn.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-    labels.known.append(_Label(drawn, np.atleast_2d(np.asarray(points, dtype=float))))
-
-
-@dataclass(eq=False)
-class _Label:
-    """A text and the points (N, 2) that it names."""
-
-    text: Any
-    points: Array
+    labels.known.append((drawn, np.atleast_2d(np.asarray(points, dtype=float))))
 
 
 @dataclass(eq=False)
@@ -92,14 +84,14 @@ class Labels(Artist):
     def __init__(self, **look: Any) -> None:
         super().__init__()
         self.set(**look)
-        self.known: list[_Label] = []
+        self.known: list[tuple[Any, Array]] = []  # texts, and the points (N, 2) that they name
         self._placed: Any = None
         self._leaders: list[tuple[Array, Any]] = []
 
     def draw(self, renderer: Any) -> None:
         """Place the names and draw the lines that lead to those that stand apart."""
         ax: Any = self.axes
-        texts = [one.text.get_text() for one in self.known]
+        texts = [text.get_text() for text, _ in self.known]
         size = np.round(ax.bbox.size / ax.figure.dpi, 4).tolist()
         key = (size, ax.get_xlim(), ax.get_ylim(), texts)  # the same places in each format
         if key != self._placed:
@@ -118,26 +110,26 @@ class Labels(Artist):
         drawn = np.unique(np.floor(_drawn(ax, cell, point) / cell), axis=0) * cell + cell / 2
         inside = np.all((drawn >= low) & (drawn < high), axis=1)
         room = _Map(low, high, cell, drawn[inside])
-        room.taken += [
-            np.array(one.extents) for one in _texts(ax, renderer, {label.text for label in self.known})
-        ]
+        own = {text for text, _ in self.known}
+        others = [text for text in ax.texts if text not in own and text.get_visible() and text.get_text()]
+        room.taken += [np.array(text.get_window_extent(renderer).extents) for text in others]
         leaders = []
-        for label in self.known:
-            points = _display(ax, label.points)
+        for text, named in self.known:
+            points = _display(ax, named)
             inside = np.all((points >= low) & (points <= high), axis=1) if len(points) > 1 else [True]
-            label.text.set_visible(bool(np.isfinite(points).all() and len(points)))
-            if not label.text.get_visible():
+            text.set_visible(bool(np.isfinite(points).all() and len(points)))
+            if not text.get_visible():
                 continue
-            box = label.text.get_window_extent(renderer)
+            box = text.get_window_extent(renderer)
             size = np.array([box.width, box.height])
             anchors = points[inside] if np.any(inside) else np.clip(points, low, high)
             at, leader = _best(room, anchors, np.clip(points, low, high), size, point)
             room.taken.append(np.array([*(at - size / 2), *(at + size / 2)]))
-            label.text.set_position(ax.transAxes.inverted().transform(at))
+            text.set_position(ax.transAxes.inverted().transform(at))
             if np.isfinite(leader).all():
                 along = leader[0] + np.linspace(0, 1, 8)[:, None] * (leader[1] - leader[0])
                 room.taken += [np.array([*one, *one]) for one in along]
-                leaders.append((ax.transAxes.inverted().transform(leader), label.text.get_color()))
+                leaders.append((ax.transAxes.inverted().transform(leader), text.get_color()))
         self._leaders = leaders
 
 
@@ -203,10 +195,7 @@ def _drawn(ax: Any, step: float, point: float) -> Array:
 
 def polylines(artist: Any) -> list[Array]:
     """Vertices (N, 2) [px] of what an artist draws."""
-    if isinstance(artist, (Line2D, Patch)):
-        paths = [artist.get_path()]
-    else:
-        paths = artist.get_paths()
+    paths = [artist.get_path()] if isinstance(artist, (Line2D, Patch)) else artist.get_paths()
     return [part for path in paths for part in _parts(path.transformed(artist.get_transform()))]
 
 
@@ -215,9 +204,3 @@ def _parts(path: Path) -> list[Array]:
     if path.codes is None:
         return [np.asarray(path.vertices)]
     return [np.asarray(part) for part in path.to_polygons(closed_only=False)]
-
-
-def _texts(ax: Any, renderer: Any, own: set[Any]) -> list[Any]:
-    """Extents [px] of the texts that others have written in axes."""
-    texts = [text for text in ax.texts if text not in own and text.get_visible() and text.get_text()]
-    return [text.get_window_extent(renderer) for text in texts]

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-import markupsafe
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
@@ -47,11 +46,12 @@ def macros(name: str = "parts.html") -> Any:
 
 def table(shown: Table) -> Markup:
     """Return a table as HTML."""
-    return Markup(macros().table(shown, _cell, len(shown.heads) > MOST))
+    parts = macros()
 
+    def cell(one: Cell) -> Markup:
+        return Markup(parts.cell(one, badge(one.badge) if one.badge else ""))
 
-def _cell(cell: Cell) -> Markup:
-    return Markup(macros().cell(cell, badge(cell.badge) if cell.badge else ""))
+    return Markup(parts.table(shown, cell, len(shown.heads) > MOST))
 
 
 def badge(kind: Any) -> Markup:
@@ -108,11 +108,6 @@ def script_json(data: Any) -> str:
     for mark in ("<", ">", "&"):
         text = text.replace(mark, f"\\u{ord(mark):04x}")
     return escape_controls(text)
-
-
-def escape(value: Any) -> Markup:
-    """Return a text that HTML shows as it is."""
-    return markupsafe.escape(value if isinstance(value, Markup) else _visible(str(value)))
 
 
 def _visible(value: Any) -> Any:

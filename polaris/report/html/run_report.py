@@ -71,16 +71,10 @@ def schedule_data(picture: Picture, pilots: Sequence[Pilot], proved: bool, **how
 def _margins(picture: Picture) -> dict[str, Any]:
     """Return the diagram of the room left in the recoverable sets: a bar per step, by who flies."""
     delta, told = picture.reference.delta, zip(picture.margins, picture.limits, strict=True)
-    bars: dict[str, Any] = {
-        "t": (np.arange(len(picture.modes)) + 0.5) * delta,
-        "width": delta,
-        "y": picture.margins,
-        "modes": picture.modes,
-    }
     text = [f"margin {directed(share, '.3f')}, limit: {name}" for share, name in told]
-    series = {"pilot": None, "name": "margin", "bars": True, "text": text} | {
-        key: plain(one) for key, one in bars.items()
-    }
+    series: dict[str, Any] = {"pilot": None, "name": "margin", "bars": True, "text": text}
+    series |= {"t": plain((np.arange(len(picture.modes)) + 0.5) * delta), "width": plain(delta)}
+    series |= {"y": plain(picture.margins), "modes": plain(picture.modes)}
     title, limits = "Containment margin of each step of the schedule", [{"y": 0, "text": "", "unsafe": ""}]
     return {"key": "margin", "title": title, "unit": "share of room", "limits": limits, "series": [series]}
 

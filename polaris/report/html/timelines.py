@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.system import Array
-from ...simulation.baselines import Flights
 from ..scene.items import Pilot, View, modes_per_node
 from ..scene.timelines import Panel, Series, Timeline
 from .scene import plain, scene_data
@@ -24,7 +23,9 @@ Samples = NDArray[np.intp]
 
 def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any]:
     """Return the plot data of a page: a scene and what flies in it; `position` (d, n) is that of a state."""
-    pilots, chosen = timeline.pilots, {one.key: _samples(one.flights) for one in timeline.pilots}
+    pilots, chosen = timeline.pilots, dict[str, Samples]()
+    for key, runs in ((one.key, one.flights) for one in pilots):  # the closest approach among them
+        chosen[key] = kept(len(runs.times), modes_per_node(runs), [int(np.argmin(runs.nearest[0]))])
     return {
         "scene": scene_data(scene),
         "end": plain(max((one.flights.times[-1] for one in pilots), default=timeline.opened)),
@@ -36,11 +37,6 @@ def page_data(scene: View, timeline: Timeline, position: Array) -> dict[str, Any
         "pilots": [_pilot(one, scene, position, chosen[one.key]) for one in pilots],
         "panels": [_panel(one, chosen) for one in timeline.panels],
     }
-
-
-def _samples(runs: Flights) -> Samples:
-    """Return the samples of a pilot that are drawn, the closest approach among them."""
-    return kept(len(runs.times), modes_per_node(runs), [int(np.argmin(runs.nearest[0]))])
 
 
 def kept(count: int, modes: ArrayLike = (), must: Sequence[int] = ()) -> Samples:

@@ -1,6 +1,7 @@
 """Flights of the inspection problem as plain data: the scene about the chief, and diagrams over time."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -149,14 +150,10 @@ def _margin_panels(t: Array, margins: Mapping[str, Array]) -> list[Panel]:
     """Return one diagram per unit, with a line per constraint: the least over deputies or pairs."""
     panels = []
     for unit in dict.fromkeys(unit for _, unit in MEANING.values()):
-        known = [
-            (name, meaning)
-            for name, (meaning, own) in MEANING.items()
-            if own == unit and name in margins and margins[name].shape[1]
-        ]
+        known = [name for name in MEANING if MEANING[name][1] == unit and np.size(margins.get(name, ()))]
         series = [
-            Series(t, margins[name].min(axis=1), name=name, meaning=meaning, colour=palette.margin_colour(k))
-            for k, (name, meaning) in enumerate(known)
+            Series(t, margins[name].min(axis=1), name=name, meaning=MEANING[name][0], colour=colour)
+            for name, colour in zip(known, cycle(palette.MARGIN_COLOURS))
         ]
         if series:
             title, limits = "Least margin over all deputies", [Limit(0.0, "violated", "below")]

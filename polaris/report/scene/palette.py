@@ -34,7 +34,7 @@ DEPUTY_COLOURS = (BLUE, VERMILION, PURPLE, BLACK, ORANGE, SKY, "#8C6D1F", "#5B5B
 """One for each deputy; green and red stand for safe and unsafe."""
 
 MARGIN_COLOURS = (BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-"""One for each constraint of the inspection problem."""
+"""One for each constraint of a diagram of margins, in turn."""
 
 ANSWERS = {
     0: ("wanted thrust applied", "#BFD7E6"),
@@ -94,11 +94,6 @@ def mode_colour(mode: int) -> str:
 def deputy_colour(deputy: int) -> str:
     """Colour of a deputy."""
     return DEPUTY_COLOURS[deputy % len(DEPUTY_COLOURS)]
-
-
-def margin_colour(place: int) -> str:
-    """Colour of the i-th constraint of a diagram of margins."""
-    return MARGIN_COLOURS[place % len(MARGIN_COLOURS)]
 
 
 def method_style(place: int) -> tuple[str, str]:

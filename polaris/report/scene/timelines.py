@@ -104,23 +104,17 @@ def schedule_timeline(
     spent = [Series(each.times, picture.velocity_change(each), key) for key, each in runs.items()]
     bound = picture.delta_v_max if proved else None
     told = f"proven until the goal: at most {directed(bound, '.4g', up=True)}" if bound else ""
+    limits = [Limit(bound, told)] if bound else []
     label, names = input_labels(picture.system)
     what, _, unit = label.rstrip(")").partition(" (")
     titles = [f"{what}, {name}" if what != "Input" else f"Input: {name}" for name in names]
-    inputs = [
-        Series(each.times, step_edges(each.inputs, 1), key, step=True, band=_range(each))
-        for key, each in runs.items()
-    ]
+    inputs = []
+    for key, each in runs.items():
+        band = None if each.input_range is None else step_edges(each.input_range, 1)
+        inputs.append(Series(each.times, step_edges(each.inputs, 1), key, step=True, band=band))
     panels = [
         *([_distances(picture, runs, proved)] if picture.obstacles else []),
-        Panel(
-            "spent",
-            "Velocity change so far",
-            "Velocity\nchange",
-            "m/s",
-            [Limit(bound, told)] if bound else [],
-            spent,
-        ),
+        Panel("spent", "Velocity change so far", "Velocity\nchange", "m/s", limits, spent),
         *input_panels(titles, unit, picture.system.u_max, inputs),
     ]
     present = np.concatenate([picture.modes, *(np.ravel(each.modes) for each in runs.values())])
@@ -132,11 +126,6 @@ def schedule_timeline(
         by=by,
         marks=[(picture.reached, picture.arrival)] if proved and picture.reached else [],
     )
-
-
-def _range(runs: Flights) -> Array | None:
-    """Least and largest inputs over all runs, (2, N, m), if they are known."""
-    return None if runs.input_range is None else step_edges(runs.input_range, 1)
 
 
 def step_edges(values: Array, axis: int = 0) -> Array:
