@@ -11,7 +11,6 @@ from typing import Any
 
 from ..certificate.files.document import FORMAT, VERSION, canonical, digest
 from ..model.scene.obstacle import chaser_radius
-from ..model.scene.timed_polytope import TimedPolytope
 from ..synthesis.safety.passive import Drift, clear
 from ..synthesis.schedule.schedule import Schedule
 from .files.controllers import flown
@@ -70,7 +69,10 @@ def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
     for branch in schedule.powered.branches if schedule.powered else ():
         if branch.safety.reference.cells > cells:
             known, cells = branch.safety.clearance.unsafe, branch.safety.reference.cells
-    return [_unsafe(item, cells) for item in known]
+    return [
+        {"name": item.name, "keep_in": item.keep_in, "normals": item.normals, "offsets": item.offsets[:cells]}
+        for item in known
+    ]
 
 
 def _drift(schedule: Schedule) -> dict[str, Any]:
@@ -109,11 +111,6 @@ def _departure(part: Drift) -> dict[str, Any]:
     """One set of starts; the facets in runs of how many parts of a step, and which."""
     runs = [[(len(list(run)), facet) for facet, run in groupby(row)] for row in part.facets.tolist()]
     return {"periods": part.periods, "center": part.start.c, "axes": part.start.G.T, "facets": runs}
-
-
-def _unsafe(item: TimedPolytope, cells: int) -> dict[str, Any]:
-    known = {"name": item.name, "keep_in": item.keep_in}
-    return {**known, "normals": item.normals, "offsets": item.offsets[:cells]}
 
 
 def _samples(schedule: Schedule) -> dict[str, Any]:

@@ -56,10 +56,8 @@ def write_comparison(
         What was compared on.
     comparison : Comparison
         Result of `polaris.rta.arena.compare_methods`.
-    draw : callable, optional
-        Puts the figures into the folder before it takes its place; `polaris.draw_run` can do so later.
-    stages : Stages, optional
-        Told what is being done.
+    draw, stages
+        As for `polaris.run`.
 
     Raises
     ------
@@ -72,8 +70,8 @@ def write_comparison(
 
 def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Contents of ``comparison.json``."""
-    scene = comparison.grid
-    methods = [
+    scene, order = comparison.grid, {key: place for place, key in enumerate(METHODS)}
+    methods: list[dict[str, Any]] = [
         {
             "key": key,
             "name": one.name,
@@ -101,14 +99,10 @@ def _tell(scenario: ScheduleScenario, comparison: Comparison, seconds: Mapping[s
             "statement": PROTOCOL,
         },
         "definitions": DEFINITIONS,
-        "methods": sorted(methods, key=lambda one: _place(str(one["key"]))),
+        # Each U alone is beside the preferred one.
+        "methods": sorted(methods, key=lambda one: order.get(one["key"], order["experimental"])),
         "paired": comparison.paired(),
     }
-
-
-def _place(key: str) -> int:
-    """Return the place of a method in tables; each U alone is beside the preferred one."""
-    return list(METHODS).index(key if key in METHODS else "experimental")
 
 
 PROTOCOL = (

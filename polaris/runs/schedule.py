@@ -147,8 +147,8 @@ def write_run(
         Result of `synthesize` on it.
     flown : mapping, optional
         Result of `compare`; flown here as the scenario's ``[simulation]`` says if not given.
-    draw : callable, optional
-        Puts the figures into the folder before it takes its place; `polaris.draw_run` can do so later.
+    draw
+        As for `polaris.run`.
 
     Raises
     ------

@@ -173,14 +173,24 @@ class InspectionEnv(SwitchingEnv):
     MANY = InspectionVectorEnv
 
 
-def _charged(flown: Any, penalty: float) -> Any:
-    """Take a penalty off the reward of a period, times the share of intervention."""
-    seen, reward, *over, info = flown
-    held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
-    return seen, reward - penalty * held, *over, info
+class _Shielding:
+    """Part of both shields: lets run-time assurance decide, and charges the policy for its interventions."""
+
+    env: Any
+
+    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
+        super().__init__(env)  # type: ignore[call-arg]  # of the wrapper that the other base is
+        self.penalty = penalty
+        env.unwrapped.put_shield(**options)
+
+    def step(self, action: Any) -> Any:
+        """Fly one period under the shield."""
+        seen, reward, *over, info = self.env.step(action)
+        held = info.get("intervened", 0.0)  # none where a wrapper has only begun anew
+        return seen, reward - self.penalty * held, *over, info
 
 
-class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
+class Shield(_Shielding, gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
     """Run-time assurance between policy and spacecraft, whatever else wraps the environment.
 
     The online monitor for switching scenes: S flies wherever not everything that the thrusters could do
@@ -203,27 +213,9 @@ class Shield(gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
         If the initial set of a switching scene is not recoverable.
     """
 
-    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)
-        self.penalty = penalty
-        env.unwrapped.put_shield(**options)
 
-    def step(self, action: Any) -> Any:
-        """Fly one period under the shield."""
-        return _charged(self.env.step(action), self.penalty)
-
-
-class VectorShield(VectorWrapper):
+class VectorShield(_Shielding, VectorWrapper):
     """Shield of a `SwitchingVectorEnv` or `InspectionVectorEnv`, for all its episodes."""
-
-    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)
-        self.penalty = penalty
-        env.unwrapped.put_shield(**options)
-
-    def step(self, actions: Any) -> Any:
-        """Fly one period under the shield."""
-        return _charged(self.env.step(actions), self.penalty)
 
 
 HERE = "polaris.runs.training:"

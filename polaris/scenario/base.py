@@ -87,25 +87,16 @@ class Scenario(ABC):
         """Every rule that joins several fields; raises `ScenarioError` at the first that is broken."""
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any], source: str | None = None) -> Self:
+    def from_dict(cls, document: Mapping[str, Any], source: str | None = None, **known: Any) -> Self:
         """Validate nested data shaped like the TOML file; its key ``kind`` says of which class.
+
+        What else is `known` of it, its `text`, `overrides` or `folder`, is kept.
 
         Raises
         ------
         ScenarioError
             If it is not valid, or of another kind than the class it is asked of.
         """
-        return cls._of(document, source)
-
-    @classmethod
-    def _of(
-        cls,
-        document: Mapping[str, Any],
-        source: str | None,
-        text: str | None = None,
-        overrides: Iterable[str] = (),
-        folder: Path | None = None,
-    ) -> Self:
         kind = document.get("kind", SCHEDULE)
         found = KINDS.get(kind) if isinstance(kind, str) else None
         if found is None or document.get("kind") == SCHEDULE:
@@ -117,7 +108,7 @@ class Scenario(ABC):
             wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
             rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
             raise ScenarioError("kind", kind, rule, source)
-        return found(validate(found.MODEL, document, source), source, text, tuple(overrides), folder)
+        return found(validate(found.MODEL, document, source), source, **known)
 
     def set(self, key: str, value: Any) -> Self:
         """Return a copy with one value replaced.
@@ -151,10 +142,9 @@ class Scenario(ABC):
         values = dict(map(parse_assignment, texts))
         return self._changed(values, (*self.overrides, *texts)) if texts else self
 
-    def _changed(self, values: Mapping[str, Any], noted: Iterable[str]) -> Self:
-        return self._of(
-            overridden(self.to_dict(), values, self.source), self.source, None, noted, self.folder
-        )
+    def _changed(self, values: Mapping[str, Any], noted: tuple[str, ...]) -> Self:
+        changed = overridden(self.to_dict(), values, self.source)
+        return self.from_dict(changed, self.source, overrides=noted, folder=self.folder)
 
     @property
     def name(self) -> str:

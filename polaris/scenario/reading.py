@@ -139,6 +139,4 @@ def _located(problem: ErrorDetails, document: Mapping[str, Any]) -> tuple[str, A
     return join_path(path), value, broken_rule(problem, value)
 
 
-def write_toml(document: Mapping[str, Any]) -> str:
-    """Write a scenario's data as TOML: values first, then its tables, then its lists of tables."""
-    return tomli_w.dumps(document)
+write_toml = tomli_w.dumps  # values first, then its tables, then its lists of tables

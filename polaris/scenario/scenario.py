@@ -118,7 +118,8 @@ def load_scenario(
     (document, text), where = read_document(path), printable(path.name)
     noted = () if isinstance(overrides, Mapping) else tuple(overrides)
     values = overrides if isinstance(overrides, Mapping) else dict(map(parse_assignment, noted))
-    return only._of(overridden(document, values, where), where, None if values else text, noted, path.parent)
+    known = {"text": None if values else text, "overrides": noted, "folder": path.parent}
+    return only.from_dict(overridden(document, values, where), where, **known)
 
 
 def loaded(scenario: str | Path | Wanted, overrides: Sequence[str], only: type[Wanted]) -> Wanted:

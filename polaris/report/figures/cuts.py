@@ -25,10 +25,7 @@ PALE = 0.75  # a colour lighter than this is not seen as a mark
 def mark_cuts(ax: Any) -> list[Any]:
     """Mark where the frame cuts lines and sets, by markers in their colours that point on.
 
-    Returns
-    -------
-    list
-        A handle for the legend; empty if nothing is cut.
+    The list has a handle for the legend; it is empty if nothing is cut.
     """
     limits = np.array([ax.get_xlim(), ax.get_ylim()])
     apart = APART * np.ptp(limits, axis=1)

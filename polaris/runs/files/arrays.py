@@ -120,10 +120,7 @@ def read_held(arrays: Mapping[str, Any], names: Mapping[str, str], prefix: str =
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return all arrays of a file, once their declared sizes are known; nothing in it is ever unpickled.
 
-    Raises
-    ------
-    OSError, ValueError, zipfile.BadZipFile
-        If it is no regular file, damaged, or its arrays take more than `LARGEST` bytes.
+    `OSError`, `ValueError`, `BadZipFile` if it is no regular file, damaged, or of more than `LARGEST` bytes.
     """
     with open_regular(path, LARGEST) as file:
         with zipfile.ZipFile(file) as parts:

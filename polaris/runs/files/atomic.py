@@ -51,20 +51,9 @@ class CannotWrite(ScenarioError):
 def check_target(out: str | Path, names: Iterable[str] = (), campaign: bool = False) -> Path:
     """Return the absolute path of a folder, once it is clear that it may be made or replaced, by trying.
 
-    What killed processes left there is cleared away.
-
-    Parameters
-    ----------
-    out : path
-    names : iterable of str
-        Files that will be written into it: none of them may be there unless Polaris wrote it.
-    campaign : bool
-        Whether a campaign may be replaced.
-
-    Raises
-    ------
-    ScenarioError
-        If a file of the user is in the way, which it names, or the place cannot be written to.
+    What killed processes left there is cleared away. Of the files `names`, which will be written into it,
+    none may be there unless Polaris wrote it; a campaign may be replaced if `campaign` is True.
+    `ScenarioError` names the file of the user that is in the way, or says that nothing can be written there.
     """
     try:
         target = Path(out).resolve()
@@ -85,13 +74,8 @@ def check_file(
 ) -> Path:
     """Return the path of a file, once it is clear that it may be written, by trying.
 
-    Nothing tells whose a single file is, so one that is there is replaced by `force` only.
-
-    Raises
-    ------
-    ScenarioError
-        If it is there, is part of a result, has another ending, or cannot be written. `field` is its name in
-        the message.
+    Nothing tells whose a single file is, so one that is there is replaced by `force` only. `ScenarioError`,
+    which calls it `field`, if it is there, is part of a result, has another ending, or cannot be written.
     """
     target = Path(out)
     try:
@@ -229,17 +213,11 @@ def write_whole(path: Path, text: str, field: str = "--out", force: bool = False
 def adding(
     folder: Path, inside: str = "", taken: Literal["refused", "kept", "replaced"] = "refused"
 ) -> Iterator[Path]:
-    """Give a new folder whose files are moved into a folder of results at the end, and listed there.
+    """Give a new folder whose files are moved at the end into a folder of results, and listed there.
 
-    Parameters
-    ----------
-    folder : Path
-        A folder of results.
-    inside : str
-        Folder in it to which the files go.
-    taken : str
-        What becomes of a file in the way that Polaris did not write as it is: the command is refused and
-        names it, or it is moved up into `folder` with ``.kept`` added to its name, or replaced.
+    They go to the folder `inside` it. Of a file in the way that Polaris did not write as it is, `taken` says
+    what becomes: the command is ``refused`` and names it, or it is ``kept``, moved up into `folder` with
+    ``.kept`` added to its name, or ``replaced``.
     """
     folder = folder.resolve()
     holder, place = list_holder(folder), folder / inside

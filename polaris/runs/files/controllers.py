@@ -1,6 +1,5 @@
 """The system and its controllers as JSON: what ``gains.json`` and the certificate both hold."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +9,7 @@ from reach.networks.layers import Activation, Affine, Diagonal
 
 from ...certificate.files.repeated import LAW
 from ...certificate.model.bodies import MOVES
-from ...model.allocation import Allocation
 from ...model.keys import python_name
-from ...model.timing import Transient
 from ...synthesis.controllers.black_box import BlackBox
 from ...synthesis.controllers.controllers import AffineController, Controller
 from ...synthesis.controllers.neural import NeuralController
@@ -20,6 +17,8 @@ from ...synthesis.safety.get_safety import Safety
 from ...synthesis.safety.problem import Problem
 from ...synthesis.schedule.schedule import Schedule
 from .tables import errors_of, json_text, write_text
+
+ALLOCATION = ("directions", "limits", "corners")  # what is published of an allocation
 
 
 def write_gains(path: Path, schedule: Schedule) -> None:
@@ -43,7 +42,15 @@ def flown(schedule: Schedule) -> dict[str, Any]:
 
 def system_table(problem: Problem) -> dict[str, Any]:
     """Return the system and its errors."""
-    system = problem.system
+    system, made = problem.system, problem.allocation
+    late = [  # no pushes where navigation is lost
+        {
+            "name": each.name,
+            "lasts": float(each.lasts),
+            **({"pushes": each.pushes} if len(each.pushes) else {}),
+        }
+        for each in system.transients
+    ]
     return {
         "kind": "linear" if system.mean_motion is None else "clohessy_wiltshire",
         "mean_motion": None if system.mean_motion is None else float(system.mean_motion),
@@ -56,25 +63,9 @@ def system_table(problem: Problem) -> dict[str, Any]:
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
         **errors_of(system),
-        **_allocation(problem.allocation),
-        **_transients(system.transients),
+        **({} if made is None else {"allocation": {key: getattr(made, key) for key in ALLOCATION}}),
+        **({"transients": late} if late else {}),
     }
-
-
-def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
-    """Faults that are isolated late, if any; no pushes where navigation is lost."""
-    found = [
-        {"name": fault.name, "lasts": float(fault.lasts)}
-        | ({"pushes": fault.pushes} if len(fault.pushes) else {})
-        for fault in faults
-    ]
-    return {"transients": found} if found else {}
-
-
-def _allocation(made: Allocation | None) -> dict[str, Any]:
-    if made is None:
-        return {}
-    return {"allocation": {"directions": made.directions, "limits": made.limits, "corners": made.corners}}
 
 
 def _controller(item: Controller, safety: Safety) -> dict[str, Any]:

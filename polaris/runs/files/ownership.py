@@ -47,10 +47,7 @@ def _link(before: str, name: str, digest: str) -> str:
 def read_list(folder: Path) -> dict[str, set[str]] | None:
     """Return the hashes of the files that Polaris wrote into a folder, by path; None without a list.
 
-    Raises
-    ------
-    ScenarioError
-        If the list was edited, is damaged, or is that of another version or program.
+    `ScenarioError` if the list was edited, is damaged, or is that of another version or program.
     """
     if not os.path.lexists(folder / MANIFEST):
         return None

@@ -14,7 +14,7 @@ from ...model.craft import Craft
 from ...model.errors import escape_controls
 from ...model.files import read_text
 from ...model.system import LinearSystem
-from ...model.timing import Observer, Timing
+from ...model.timing import Timing
 from ...planning.reference import Reference
 from ...simulation.metrics import finite
 from ...synthesis.safety.recoverable import directed
@@ -130,24 +130,20 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
     return Reference(system, delta, chi, nu)
 
 
-def _observer(observer: Observer) -> dict[str, Any]:
-    """Return the fields of an observer that are published."""
-    told = asdict(observer)
-    unsaid = "fading", *(() if observer.after else ("after",))
-    return {key: x for key, x in told.items() if x is not None and key not in unsaid}
-
-
 def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
     unsaid = "period", "unseen"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
+    observer = {} if system.observer is None else asdict(system.observer)
+    hidden = {"fading"} if observer.get("after") else {"fading", "after"}
+    observer = {key: x for key, x in observer.items() if x is not None and key not in hidden}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
         **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
         **({} if system.timing == Timing() else {"timing": timing}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
-        **({} if system.observer is None else {"observer": _observer(system.observer)}),
+        **({"observer": observer} if observer else {}),
     }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...model import keys as f
 from ...model.errors import ScenarioError
-from ...model.system import Array, LinearSystem
+from ...model.system import LinearSystem
 from ...planning import goals
 from .fields import BY_KIND, Described, unit
 
@@ -41,16 +41,12 @@ class GoalTable(Described):
             rate = {"rate": system.mean_motion or USUAL_RATE}
         goal: goals.Goal = self.make("goal", **rate).of(system)
         if isinstance(goal, goals.StationaryPoint):
-            _check_still(goal.center, system)
+            state, A = goal.center, system.A
+            drift, size = (float(np.abs(x).max()) for x in (A @ state, state))
+            if drift > 1e-9 * max(1.0, size) * max(1.0, float(np.abs(A).max())):
+                rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
+                raise ScenarioError("goal.state", state.tolist(), rule)
         return goal
-
-
-def _check_still(state: Array, system: LinearSystem) -> None:
-    """Refuse a state to rest in that does not keep itself."""
-    drift = float(np.abs(system.A @ state).max())
-    if drift > 1e-9 * max(1.0, float(np.abs(state).max())) * max(1.0, float(np.abs(system.A).max())):
-        rule = f"must keep itself without input (A x = 0, here {drift:.3g}); else use kind 'box'"
-        raise ScenarioError("goal.state", state.tolist(), rule)
 
 
 class EllipticalNMTGoal(
