@@ -236,6 +236,11 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
     profile, cells = safety.tracking.profile, safety.reference.cells
     sets, others = ([(u.name, u.keep_in, u.normals) for u in each] for each in (document.unsafe, unsafe))
     offsets = [np.stack([each.start, each.end], axis=1)[:cells] for each in document.unsafe]
+    drift, passive = document.drift, schedule.passive
+    clear = [] if drift is None else [parts is not None for parts in drift.steps]
+    steps = () if document.powered is None else document.powered.steps
+    powered = [way and [way.branch, way.cell] for way in steps]
+    ways = () if schedule.powered is None else schedule.powered.ways
     return [
         *((key, document.repeated[key], derived[key]) for key in derived),
         ("initial_set", [document.center, document.generators], [start.c, start.G.T]),
@@ -247,20 +252,8 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
         ("horizon", document.horizon, end.horizon),
         ("guarantee", document.guarantee, schedule.guarantee),
         ("assumptions", document.assumptions, list(schedule.assumptions[:-1])),
-        *_aborts(document, schedule),
-    ]
-
-
-def _aborts(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]]:
-    """Return the same of flights that are aborted."""
-    drift, powered, passive, proven = document.drift, document.powered, schedule.passive, schedule.powered
-    clear = [] if drift is None else [parts is not None for parts in drift.steps]
-    stated = [] if powered is None else [way and [way.branch, way.cell] for way in powered.steps]
-    ways = () if proven is None else proven.ways
-    derived = [None if way.branch is None else [way.branch, way.cell] for way in ways]
-    return [
         ("drift.steps", clear, [] if passive is None else passive.clear.tolist()),
-        ("powered.steps", stated, derived),
+        ("powered.steps", powered, [None if way.branch is None else [way.branch, way.cell] for way in ways]),
     ]
 
 

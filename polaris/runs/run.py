@@ -77,7 +77,14 @@ def run(
     stages, scenario = stages or Stages(), loaded(scenario, overrides, Scenario)
     target = f"runs/{scenario.name}" if out is None else out
     if isinstance(scenario, MonteCarloScenario):
-        return _run_many(target, scenario, draw, stages, executor=executor, fresh=fresh)
+        with stages.stage("runs"):
+            progress = stages.counting("{:,} of {:,} runs")
+            flown = run_monte_carlo(target, scenario, progress=progress, executor=executor, fresh=fresh)
+        folder = RunFolder(flown.path, scenario, MONTE_CARLO)
+        if draw is not None:
+            with stages.stage("figures"):
+                draw(folder)
+        return folder
     kind = KINDS[scenario.kind]
     place = check_target(target, kind.names)
     assert kind.fly is not None
@@ -86,19 +93,6 @@ def run(
     found = kind.fly(scenario, stages, **({"boxes": black_boxes} if black_boxes else {}))
     with stages.stage("run folder"):
         return write_folder(place, kind, scenario, found, draw=draw, stages=stages)
-
-
-def _run_many(
-    target: str | Path, scenario: MonteCarloScenario, draw: Draw | None, stages: Stages, **flying: Any
-) -> RunFolder:
-    with stages.stage("runs"):
-        progress = stages.counting("{:,} of {:,} runs")
-        flown = run_monte_carlo(target, scenario, progress=progress, **flying)
-    folder = RunFolder(flown.path, scenario, MONTE_CARLO)
-    if draw is not None:
-        with stages.stage("figures"):
-            draw(folder)
-    return folder
 
 
 def read_run(path: str | Path) -> RunFolder:

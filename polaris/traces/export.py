@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from reach.brief import brief
 
+from ..model.checks import one_of
 from ..model.errors import ScenarioError
 from ..model.scene.obstacle import Obstacle, RigidObstacle
 from ..model.scene.obstacles import BallObstacle, BoxObstacle
@@ -182,11 +183,9 @@ def export_run(
         with readable(run.path):
             flights = read_flights(run.path / "trajectories.npz")
     pilot = pilot or ("schedule" if option == "--method" else "polaris")
-    if pilot not in flights:
-        raise ScenarioError(option, pilot, f"must be one of {', '.join(flights)}")
+    one_of(option, pilot, flights)
     flown = flights[pilot]
-    if label not in flown.labels:
-        raise ScenarioError("--run", label, f"must be one of {', '.join(flown.labels)}")
+    one_of("--run", label, flown.labels)
     row = flown.labels.index(label)
     if option == "--method":
         modes = flown.modes[row]

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...model.checks import one_of
 from ...model.errors import ClockWarning, OutOfTime, PolarisError, ScenarioError, SynthesisInfeasible
 from ...model.scene.distances import signed_distances
 from ...model.scene.satellite import true_states
@@ -138,12 +139,8 @@ class ScheduleRuns(Kind):
         for mode in self.modes:
             if mode not in MODES and _number(mode) is None:
                 raise ScenarioError("--mode", mode, f"must be one of {', '.join(MODES)}, experimental_2, ...")
-        for option, given, allowed in (
-            ("--initial", self.initial, INITIALS),
-            ("--disturbance", self.disturbance, DISTURBANCES),
-        ):
-            if given not in allowed:
-                raise ScenarioError(option, given, f"must be one of {', '.join(allowed)}")
+        one_of("--initial", self.initial, INITIALS)
+        one_of("--disturbance", self.disturbance, DISTURBANCES)
         if not self.modes or len(set(self.modes)) < len(self.modes):
             raise ScenarioError("--mode", list(self.modes), "must name at least one mode, each once")
 

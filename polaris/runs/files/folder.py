@@ -5,13 +5,13 @@ The same scenario and seed give the same bytes, but for ``created`` and wall tim
 
 import csv
 import shutil
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 from reach.brief import brief
 
@@ -169,16 +169,7 @@ def readable(path: Path) -> Iterator[None]:
     """Turn whatever a damaged file causes into one message."""
     try:
         yield
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        IndexError,
-        TypeError,
-        RecursionError,
-        csv.Error,
-        zipfile.BadZipFile,
-    ) as error:
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, csv.Error, BadZipFile) as error:
         if isinstance(error, ScenarioError):
             raise
         told = " ".join(str(error).split()) or type(error).__name__

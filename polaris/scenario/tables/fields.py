@@ -129,11 +129,8 @@ class Described(ScenarioPart):
         model: dict[str, Any] = {"kind": (Literal[kind], unit("-", says))} if kind else {}
         for field, key in f.keys_of(makes).items():
             default: Any = ... if key.required or defaults[field] is MISSING else defaults[field]
-            default = (
-                round(math.degrees(default), 9)
-                if key.name.endswith("_deg") and default is not ...
-                else default
-            )
+            if key.name.endswith("_deg") and default is not ...:
+                default = round(math.degrees(default), 9)
             kinds = key.type | None if default is None else key.type
             model[key.name] = kinds, unit(key.unit, means.get(field), default=default)
         cls.MAKES, cls.__doc__ = makes, about
