@@ -11,7 +11,7 @@ from ..runs.files.tables import pilots
 from ..runs.inspections.inspection import MEANING
 from ..simulation.metrics import possible
 
-ABSENT = {
+ABSENT = {  # meaning of null by key: see the table in ``docs/guarantees.md``
     "min_distance_m": ("none", "there is no unsafe set"),
     "min_distance_mean_m": ("none", "there is no unsafe set"),
     "min_ttc_s": ("∞", "no run was ever on a collision course"),
@@ -20,9 +20,8 @@ ABSENT = {
     "max_thrust_ratio_experimental": ("none", "this controller never flew"),
     "until_s": ("∞", "for all time"),
 }
-"""Meaning of null by key: see the table in ``docs/guarantees.md``."""
 
-TITLES = {
+TITLES = {  # titles of metrics, in the order of tables
     "runs": "simulated runs",
     "min_distance_m": "least distance to an unsafe set",
     "violations": "violations",
@@ -45,7 +44,6 @@ TITLES = {
     "decision_p99_us": "time of a decision, 99th percentile",
     "synthesis_s": "time of synthesis",
 }
-"""Titles of metrics, in the order of tables."""
 
 SUFFIXES = {"_m_s2": "m/s²", "_m_s": "m/s", "_us": "µs", "_ms": "ms", "_s": "s", "_m": "m", "_N": "N"}
 BAD = ("collided", "collided_runs", "violations", "min_distance_m")
@@ -177,11 +175,10 @@ class Measure:
         return bool(value < 0) if self.key.endswith("_m") else bool(value > 0)
 
 
-BRIEF = (
+BRIEF = (  # metrics that the command line shows of a run
     *("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s", "experimental_share", "switches", "delta_v_m_s"),
     *("max_thrust_ratio_safety", "max_thrust_ratio_experimental", "collided_runs"),
 )
-"""Metrics that the command line shows of a run."""
 
 
 def metrics(summary: Mapping[str, Any], caption: str, keys: Sequence[str] | None = None) -> Table:

@@ -132,7 +132,6 @@ def _read(folder: Path, scenario: ScheduleScenario) -> ComparisonPicture:
     return ComparisonPicture(table, RunFolder(folder / "run", scenario, SCHEDULE), shown)
 
 
-COMPARISON = RunKind(
+COMPARISON = RunKind(  # run folder of a comparison
     "comparison", ("comparison.json", "comparison.npz"), _write, _tell, _read, summary="comparison.json"
 )
-"""Run folder of a comparison."""

@@ -1,10 +1,8 @@
 """Plot data of figures, taken from results or from the files of a run folder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +13,7 @@ from ..model.craft import Craft
 from ..model.scene.obstacle import Obstacle
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
-
-if TYPE_CHECKING:
-    from ..simulation.baselines import Flights
+from ..simulation.baselines import Flights
 
 PRINTED = 8  # most hand-overs that are drawn with their slices
 
@@ -46,7 +42,7 @@ class Frame:
     labels: tuple[str, ...]
 
     @classmethod
-    def of(cls, system: LinearSystem) -> Frame:
+    def of(cls, system: LinearSystem) -> Self:
         """Frame of a system: Hill's, or plain position coordinates."""
         if system.mean_motion is not None and system.d == 3:
             return cls((1, 0, 2), ("Along-track (m)", "Radial (m)", "Cross-track (m)"))

@@ -71,11 +71,10 @@ def row_of(folder: RunFolder, name: str, field: str, value: float | None) -> Row
         }
 
 
-EMPTY = (
+EMPTY = (  # columns that a point without a schedule leaves empty
     *("share", "weighted_share", "switches", "delta_v_undisturbed_m_s", "delta_v_most_m_s", "delta_v_m_s"),
     *("delta_v_max_m_s", "goal_reached", "goal_by_s", "goal_distance_m"),
 )
-"""Columns that a point without a schedule leaves empty."""
 
 
 def infeasible_row(folder: Path, field: str, value: float | None) -> Row:
@@ -132,7 +131,7 @@ def _tell_points(scenario: ScheduleScenario, found: Points, seconds: Mapping[str
     return {"points": list(rows), "needed": asked, "definitions": COLUMNS}
 
 
-TRADEOFF = RunKind(
+TRADEOFF = RunKind(  # run folder of a trade-off
     "tradeoff",
     (SCENARIO, "tradeoff.csv"),
     lambda folder, scenario, found: write_csv(folder / "tradeoff.csv", found[0]),
@@ -140,9 +139,8 @@ TRADEOFF = RunKind(
     lambda folder, scenario: list(read_json(folder / "tradeoff.json")["points"]),
     summary="tradeoff.json",
 )
-"""Run folder of a trade-off."""
 
-INFEASIBLE = RunKind(
+INFEASIBLE = RunKind(  # run folder of a point of a trade-off that has no schedule
     "infeasible",
     (SCENARIO,),
     lambda folder, scenario, reason: None,
@@ -150,4 +148,3 @@ INFEASIBLE = RunKind(
     lambda folder, scenario: read_json(folder / "infeasible.json"),
     summary="infeasible.json",
 )
-"""Run folder of a point of a trade-off that has no schedule."""

@@ -50,8 +50,7 @@ from .picturing import picture_of
 from .stages import Stages
 from .withheld import withheld
 
-SYNTHESIS = ("safety controller", "schedule")
-"""Stages of the synthesis, whose parts a schedule times itself."""
+SYNTHESIS = ("safety controller", "schedule")  # stages of the synthesis, whose parts a schedule times itself
 
 DATA_FILES = (
     SCENARIO,
@@ -293,5 +292,4 @@ def _read(folder: Path, scenario: ScheduleScenario) -> Picture:
     )
 
 
-SCHEDULE = RunKind("schedule", DATA_FILES, _write, _tell, _read, fly_schedule)
-"""Run folder of a schedule."""
+SCHEDULE = RunKind("schedule", DATA_FILES, _write, _tell, _read, fly_schedule)  # run folder of a schedule

@@ -50,10 +50,7 @@ def gains_of(model: ScenarioModel, system: LinearSystem) -> tuple[Array, ...]:
 def read_policies(
     model: ScenarioModel, system: Craft, unsafe: Sequence[Obstacle], folder: Path | None
 ) -> dict[str, tuple[Path, Policy]]:
-    """Networks of a scenario and their files, by the name of their controller.
-
-    Raises `ScenarioError` if a file cannot be read, or a network does not fit the system.
-    """
+    """Return networks and their files by controller; `ScenarioError` if one is unreadable or does not fit."""
     found: dict[str, tuple[Path, Policy]] = {}
     for path, spec in model.controllers():
         if not isinstance(spec, Neural):

@@ -25,11 +25,10 @@ from .tables import inspection as models
 from .tables.fields import check_length, in_file_terms, whole_parts
 from .tables.filters import FAMILY_NAMES, Alpha, FlightFilter
 
-SCHEDULES_ONLY = (
+SCHEDULES_ONLY = (  # tables and keys that inspection scenarios have without a meaning
     *(("thrusters", key) for key in ("directions", "thrust_max_N", "pulse", "remainder")),
     *(("timing", key) for key in ("missed_periods", "clock_error_s")),
 )
-"""Tables and keys that inspection scenarios have without a meaning."""
 
 
 class InspectionScenario(Scenario):

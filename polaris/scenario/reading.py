@@ -53,10 +53,7 @@ def join_path(path: Sequence[str | int]) -> str:
 
 
 def read_document(path: Path) -> tuple[dict[str, Any], str]:
-    """Read a TOML file; return its data and its text.
-
-    `ScenarioError` if it is no regular file, or cannot be read, or is too large, empty, or not TOML in UTF-8.
-    """
+    """Return data and text of a TOML file; `ScenarioError` if it is unreadable, too large or no TOML."""
     shown = printable(str(path))
     try:
         data = read_regular(path, MAX_BYTES)
@@ -67,8 +64,7 @@ def read_document(path: Path) -> tuple[dict[str, Any], str]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        rule = f"must be UTF-8 text; byte {error.start} is not"
-        raise ScenarioError("file", shown, rule) from error
+        raise ScenarioError("file", shown, f"must be UTF-8 text; byte {error.start} is not") from error
     if not text.strip():
         raise ScenarioError("file", shown, "must not be empty")
     return parse_toml(text, shown), text
@@ -83,10 +79,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def validate(model: type[Model], document: Mapping[str, Any], where: str | None = None) -> Model:
-    """Validate the fields of a document one by one (no rules that join several fields).
-
-    `ScenarioError` names the field as in the TOML, what was given, and the rule.
-    """
+    """Validate the fields of a document one by one; `ScenarioError` names field, value and rule."""
     try:
         return model.model_validate(document)
     except ValidationError as error:

@@ -94,8 +94,7 @@ def _pushed(system: LinearSystem, step: float) -> tuple[float, float]:
 
 def _size(scenario: ScheduleScenario, system: LinearSystem) -> float:
     """Largest distance [m] between the start, the frame's origin and the obstacles; 0 if there is none."""
-    origin = np.zeros(system.d)
-    places = [origin, system.position @ scenario.initial_set().c]
+    places = [np.zeros(system.d), system.position @ scenario.initial_set().c]
     for unsafe in scenario.obstacles():
         at = np.asarray(unsafe.centre(0.0, system), dtype=float)
         if np.all(np.isfinite(at)):

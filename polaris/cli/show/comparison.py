@@ -12,14 +12,14 @@ from ...model.checks import counted
 from ...synthesis.safety.recoverable import directed
 from . import say, show_table, table
 
-SAFETY = (
+SAFETY = (  # metrics of the first table, and their heads
     ("violations", "violations"),
     ("min_distance_m", "least\ndist. m"),
     ("mean_distance_m", "mean\ndist. m"),
     ("min_ttc_s", "least\nTTC s"),
     ("min_ttc_free_drift_s", "drift\nTTC s"),
 )
-COST = (
+COST = (  # metrics of the second table, and their heads
     ("experimental_share", "share\nof U"),
     ("switches", "switches"),
     ("delta_v_m_s", "delta-v\nm/s"),
@@ -28,7 +28,6 @@ COST = (
     ("decision_p99_us", "p99\nµs"),
     ("synthesis_s", "offline\ns"),
 )
-"""Metrics of the two tables, and their heads."""
 LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
 
 

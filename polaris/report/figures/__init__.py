@@ -106,13 +106,12 @@ def draw_run(folder: RunFolder) -> list[Path]:
 Figure = Callable[[Any], Any]
 """Draws one figure of what a run folder shows; nothing if there is nothing to be seen."""
 
-FIGURES: Mapping[str, Figure] = {
+FIGURES: Mapping[str, Figure] = {  # figures of a schedule, by name
     "scene": scene_figure,
     "distance": distance_figure,
     "modes": modes_figure,
     "margin": margin_figure,
 }
-"""Figures of a schedule, by name."""
 
 
 def draw_figures(picture: Any, folder: Path, figures: Mapping[str, Figure] = FIGURES) -> list[Path]:

@@ -26,14 +26,13 @@ ALONE: Mapping[str, Any] = {"lw": 0.6, "ls": DASHES}
 
 Methods = Sequence[Mapping[str, Any]]
 
-PANELS: tuple[tuple[str, str, bool], ...] = (
+PANELS: tuple[tuple[str, str, bool], ...] = (  # metric, label, and whether its axis is logarithmic
     ("min_distance_m", "Least distance\n(m)", False),
     ("experimental_share", "Share of time\nunder U", False),
     ("delta_v_m_s", "Delta-v\n(m/s)", False),
     ("deviation", "Deviation from\nU's input", False),
     ("decision_median_us", "Decision\n(µs)", True),
 )
-"""Metric, label, and whether its axis is logarithmic."""
 
 
 def tradeoffs_png(methods: Methods) -> bytes:
@@ -196,12 +195,11 @@ def _prices(here: Sequence[Mapping[str, Any]], known: Sequence[float]) -> str:
 FIGURES = {"tradeoffs": lambda found: _tradeoffs(found.table["methods"]), "paths": _paths}
 """Figures of a comparison."""
 
-LINES = {
+LINES = {  # lines against a field's values: colour, factor and name
     "share": (ORANGE, 100, "share"),
     "delta_v_m_s": (BLUE, 1, "mean m/s"),
     "delta_v_most_m_s": (GREY, 1, "proven m/s"),
 }
-"""Lines against a field's values: colour, factor and name."""
 
 
 def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
@@ -229,7 +227,6 @@ def _sensitivity(points: Sequence[Mapping[str, Any]]) -> Any:
     return figure
 
 
-TRADEOFF = {
+TRADEOFF = {  # figures of a trade-off; points without a front are those of fields
     "tradeoff": lambda points: (_sensitivity if points[0]["non_dominated"] is None else _front)(points)
 }
-"""Figures of a trade-off; points without a front are those of fields."""

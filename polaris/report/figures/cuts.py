@@ -14,8 +14,7 @@ from .labels import polylines
 from .style import dot
 
 OUT_OF_FRAME = "goes on outside"
-MARKERS = {(0, 0): "<", (0, 1): ">", (1, 0): "v", (1, 1): "^"}
-"""Markers of a cut by axis and side."""
+MARKERS = {(0, 0): "<", (0, 1): ">", (1, 0): "v", (1, 1): "^"}  # markers of a cut by axis and side
 ROUNDING = 1e-6
 APART = 0.03  # least distance of marks of one colour, in shares of the frame
 LINES = (Line2D, LineCollection)
@@ -23,10 +22,7 @@ PALE = 0.75  # a colour lighter than this is not seen as a mark
 
 
 def mark_cuts(ax: Any) -> list[Any]:
-    """Mark where the frame cuts lines and sets, by markers in their colours that point on.
-
-    The list has a handle for the legend; it is empty if nothing is cut.
-    """
+    """Mark where the frame cuts lines and sets by markers that point on; return a handle of them, if any."""
     limits = np.array([ax.get_xlim(), ax.get_ylim()])
     apart = APART * np.ptp(limits, axis=1)
     to_data, places = ax.transData.inverted(), {side: list[tuple[float, str]]() for side in MARKERS}

@@ -134,7 +134,7 @@ def _passive(ax: Any, run: InspectionRun) -> None:
     legend_above(ax, handles, 3)
 
 
-FIGURES: Mapping[str, Callable[[InspectionRun], Any]] = {
+FIGURES: Mapping[str, Callable[[InspectionRun], Any]] = {  # figures of a flight
     "overview": _overview,
     "speed": _speed_figure,
     "velocity": partial(_over_time, "velocity", 1.25),
@@ -145,4 +145,3 @@ FIGURES: Mapping[str, Callable[[InspectionRun], Any]] = {
     "thrust": partial(_over_time, "thrust", 1.25),
     "delta_v": partial(_over_time, "delta_v", 1.6),
 }
-"""Figures of a flight."""

@@ -119,5 +119,4 @@ def _thrust(run: FuelRun) -> Any:
     return timeline_figure(timeline.panels[1:], timeline.pilots, timeline.marks)
 
 
-FUEL_FIGURES = {"path": _path, "fuel": _fuel, "thrust": _thrust}
-"""Figures of a flight into the fuel limit."""
+FUEL_FIGURES = {"path": _path, "fuel": _fuel, "thrust": _thrust}  # figures of a flight into the fuel limit

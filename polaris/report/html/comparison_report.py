@@ -190,7 +190,6 @@ def _log(own: Sequence[Decisions]) -> Markup:
         )
     total, changes = sum(map(len, own)), len(own)
     heads = ["time", "who flies", "decisions", "least margin", "reason"]
-    caption = f"{total} decisions in {changes} stretches of the same reason"
-    body = table(Table(caption, heads, rows))
+    body = table(Table(f"{total} decisions in {changes} stretches of the same reason", heads, rows))
     more = [f"and {changes - MOST_STRETCHES} more"] if changes > MOST_STRETCHES else []
     return body + (Markup(macros().items(more)) if more else "")

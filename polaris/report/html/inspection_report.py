@@ -20,11 +20,10 @@ LIMITS = (
     "Anything beyond this flight: simulated flights illustrate, they prove nothing.",
 )
 
-ELSEWHERE = {
+ELSEWHERE = {  # keys of a summary that the table of its values leaves out
     *("schema_version", "scenario", "kind", "title", "guarantee", "definitions", "seconds", "versions"),
     *("created", "constraints", "barriers", "studies"),
 }
-"""Keys of a summary that the table of its values leaves out."""
 
 
 def inspection_page(folder: RunFolder) -> Page:

@@ -18,7 +18,7 @@ from ...model.errors import escape_controls
 from ..tables import Cell, Measure, Table
 from .assets import own_script, plotly, resource
 
-BADGES = {
+BADGES = {  # class and text of a badge, by kind of guarantee
     "proved": ("proved", "✓ proved"),
     "statistical": ("limited", "≈ statistical"),
     "per_period": ("limited", "≈ per period"),
@@ -26,7 +26,6 @@ BADGES = {
     "all_time": ("proved", "✓ for all time"),
     "none": ("nothing", "✕ nothing proven"),
 }
-"""Class and text of a badge, by kind of guarantee."""
 
 MOST = 4  # columns of a table that have room on any screen
 

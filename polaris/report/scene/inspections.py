@@ -66,8 +66,7 @@ def deputies(run: InspectionRun) -> list[Pilot]:
 def fuel_view(run: FuelRun) -> View:
     """Return the surroundings of a deputy, and the backup flights as they were predicted."""
     flights = Shape("line", gapped((one.x[::4, ORDER] for one in run.predictions), 3))
-    predicted = [Item("predicted", (flights,))] if run.predictions else []
-    return _view(run.inspection, run.x[:, :3], predicted)
+    return _view(run.inspection, run.x[:, :3], [Item("predicted", (flights,))] if run.predictions else [])
 
 
 def fuel_timeline(run: FuelRun) -> Timeline:

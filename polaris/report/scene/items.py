@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,10 @@ from ...model.scene.satellite import SatelliteObstacle
 from ...model.scene.shapes import Ball
 from ...model.system import Array
 from ...runs.picture import Picture
+from ...simulation.baselines import Flights
 from .geometry import Shape, flat_outline, gapped
 from .palette import PILOTS, mode_colour
 from .space import Space
-
-if TYPE_CHECKING:
-    from ...simulation.baselines import Flights
 
 
 @dataclass(frozen=True, eq=False)

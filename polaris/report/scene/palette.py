@@ -1,7 +1,4 @@
-"""Colours safe for colour-blind readers, and what things are called, in print and on the page alike.
-
-No two kinds of thing share a colour.
-"""
+"""Colours safe for colour-blind readers, no two kinds of thing alike, and names in print and on the page."""
 
 from dataclasses import dataclass
 
@@ -12,17 +9,14 @@ from ...model.system import LinearSystem
 # Okabe and Ito's palette; the paper's orange for U and blue for S are in it.
 BLUE, ORANGE, VERMILION = "#0072B2", "#E69F00", "#D55E00"
 GREEN, SKY, PURPLE, YELLOW, BLACK = "#009E73", "#56B4E9", "#CC79A7", "#F0E442", "#000000"
-RED = "#C0202B"
-"""Unsafe sets: darker than the orange, so that they differ in grey too."""
+RED = "#C0202B"  # unsafe sets: darker than the orange, so that they differ in grey too
 GREY = "#767676"
 DULL_RED, OLIVE, DARK_OLIVE = "#9C4A50", "#8A7F00", "#6B6200"
 """Covers of other satellites, edges of recoverable sets, and what is written at them."""
 
 MODE_COLOURS = (BLUE, ORANGE, "#7A1FA2", SKY, "#6B4A0F", "#8FB93A", "#1F3A93", "#4D7A00")
-SET_SHADES = ("#9A141D", "#F3A6AB")
-"""Darkest and lightest of unsafe sets that are told apart."""
-INPUT_SHADES = ("#3C3C3C", "#D4D4D4")
-"""Darkest and lightest of inputs."""
+SET_SHADES = ("#9A141D", "#F3A6AB")  # darkest and lightest of unsafe sets that are told apart
+INPUT_SHADES = ("#3C3C3C", "#D4D4D4")  # darkest and lightest of inputs
 
 METHOD_COLOURS = (
     *(BLUE, ORANGE, BLACK, GREEN, PURPLE, VERMILION, SKY),
@@ -36,7 +30,7 @@ DEPUTY_COLOURS = (BLUE, VERMILION, PURPLE, BLACK, ORANGE, SKY, "#8C6D1F", "#5B5B
 MARGIN_COLOURS = (BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """One for each constraint of a diagram of margins, in turn."""
 
-ANSWERS = {
+ANSWERS = {  # name and colour of each answer of a filter of the inspection problem
     0: ("wanted thrust applied", "#BFD7E6"),
     1: ("filtered", ORANGE),
     2: ("no answer satisfies all: violated least", PURPLE),
@@ -44,7 +38,6 @@ ANSWERS = {
     4: ("backup", GREEN),
     5: ("backup, not proven", RED),
 }
-"""Name and colour of each answer of a filter of the inspection problem."""
 BACKUP_MODES = {0: ("primary controller", ORANGE), 1: ("backup controller", BLUE)}
 
 
@@ -58,7 +51,7 @@ class Look:
     group: str
 
 
-LOOKS = {
+LOOKS = {  # by role of an item of a scene
     "unsafe": Look(RED, "unsafe set", "unsafe", "unsafe"),
     "cover": Look(DULL_RED, "is within", "satellite is within", "unsafe"),
     "keep_in": Look(RED, "stay inside", "stay inside", "unsafe"),
@@ -76,14 +69,12 @@ LOOKS = {
     "sun": Look(ORANGE, "towards the sun", "", "sun"),
     "predicted": Look(SKY, "backup flights as predicted", "backup flights, predicted", "predicted"),
 }
-"""By role of an item of a scene."""
 
-PILOTS = {
+PILOTS = {  # pilots of a run folder: name on the page and in print, colour, dashes on the page
     "polaris": ("Polaris (the schedule)", "Polaris", BLACK, "solid"),
     "safety": ("S alone", "S alone", BLUE, "dash"),
     "experimental": ("U alone", "U alone", ORANGE, "dot"),
 }
-"""Pilots of a run folder: name on the page and in print, colour, dashes on the page."""
 
 
 def mode_colour(mode: int) -> str:

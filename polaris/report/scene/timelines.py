@@ -90,8 +90,7 @@ def schedule_timeline(
 ) -> Timeline:
     """Describe the flights of a schedule and its pilots over time.
 
-    The distance that is proven is shown if there is a proof. The page opens at `opened` [s], by default the
-    closest approach.
+    If `proved`, the proven distance is shown. The page opens at `opened` [s], or at the closest approach.
     """
 
     def named(mode: int) -> tuple[str, str]:

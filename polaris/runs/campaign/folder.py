@@ -166,8 +166,7 @@ def open_campaign(out: str | Path, plan: CampaignPlan, fresh: bool = False) -> C
         data = plan.data()
         names = [name for name in data if name != "runs" and known.get(name) != data[name]]
         differs = "other " + ", ".join(names) if names else "its manifest was changed"
-        rule = f"holds another campaign ({differs}); --fresh replaces it"
-        raise ScenarioError("--out", str(out), rule)
+        raise ScenarioError("--out", str(out), f"holds another campaign ({differs}); --fresh replaces it")
     if known["runs"] > plan.runs:
         rule = f"the campaign in {path} has {known['runs']} already; ask for as many or more, or --fresh"
         raise ScenarioError("--runs", plan.runs, rule)

@@ -29,8 +29,7 @@ class Parquet:
             name: pa.array(values.tolist(), pa.string()) if values.dtype.kind == "U" else values
             for name, values in columns.items()
         }
-        table = pa.table(kept).replace_schema_metadata({KEY: told})
-        pq.write_table(table, path, write_page_checksum=True)
+        pq.write_table(pa.table(kept).replace_schema_metadata({KEY: told}), path, write_page_checksum=True)
 
     def read(self, path: Path, names: Sequence[str] | None = None) -> Columns:
         """Some columns, or all of them."""

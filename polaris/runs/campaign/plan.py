@@ -78,8 +78,7 @@ class CampaignPlan:
         """SHA-256 of all that the results hang on but the number of runs, which may grow."""
         data = self.data()
         del data["runs"]
-        text = json.dumps(data, sort_keys=True, ensure_ascii=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(json.dumps(data, sort_keys=True, ensure_ascii=True).encode()).hexdigest()
 
     def asking(self, boxes: Mapping[str, Ask] | None) -> "CampaignPlan":
         """Return the plan with functions that ask black boxes, by their names: this process alone flies it.

@@ -88,7 +88,7 @@ def position_tube(arrays: Mapping[str, Any], C: Array) -> TubePicture:
     return TubePicture(arrays["center"] @ C.T, generators, arrays["bow"] @ np.abs(C).T)
 
 
-FLIGHTS = {
+FLIGHTS = {  # attribute of the flights of a controller or method by the name of its array
     "controller": "controller",
     "labels": "labels",
     "t_s": "times",
@@ -98,7 +98,6 @@ FLIGHTS = {
     "distance_m": "nearest",
     "input_range": "input_range",
 }
-"""Attribute of the flights of a controller or method by the name of its array."""
 
 
 def flight_arrays(flown: Mapping[str, Flights]) -> dict[str, Any]:

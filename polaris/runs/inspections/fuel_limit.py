@@ -125,4 +125,3 @@ def _read(folder: Path, scenario: FuelLimitScenario) -> FuelRun:
 
 
 FUEL_LIMIT = RunKind("fuel_limit", (SCENARIO, "fuel.npz"), _write, _tell, _read, fly_fuel)
-"""Run folder of a flight into the fuel limit."""

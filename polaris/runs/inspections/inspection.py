@@ -28,7 +28,7 @@ from ..files.folder import SCENARIO, RunKind
 from ..files.tables import write_csv
 from ..stages import Stages
 
-ARRAYS = {
+ARRAYS = {  # attribute of a flight by the name of its array
     "t_s": "t",
     "states": "x",
     "sun_rad": "sun",
@@ -37,7 +37,6 @@ ARRAYS = {
     "status": "status",
     "barriers": "h",
 }
-"""Attribute of a flight by the name of its array."""
 
 
 def fly_flight(scenario: FlightScenario, stages: Stages | None = None) -> JudgedRun:
@@ -240,4 +239,3 @@ def _argument(spec: BarrierFilter | AssuredFilter, missed: int, exact: bool) -> 
 
 
 FLIGHT = RunKind("inspection", (SCENARIO, "constraints.csv", "flight.npz"), _write, _tell, _read, fly_flight)
-"""Run folder of one flight."""

@@ -17,8 +17,7 @@ from ...rta.projection import DESIRED
 from ...scenario.inspection import FlightScenario
 from ...scenario.tables.filters import AssuredFilter, BarrierFilter, CentralizedFilter, ImplicitFilter
 
-STATUSES = np.array(["desired", "filtered", "short", "backup"])
-"""Names of the barrier filter's answers."""
+STATUSES = np.array(["desired", "filtered", "short", "backup"])  # names of the barrier filter's answers
 
 
 class InspectionFlights:

@@ -93,14 +93,12 @@ def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | N
 def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
     """What the thrusters make of inputs in every fault; None where nothing is said of them."""
     failed = [fault for fault in (fault.build() for fault in faults) if fault.left < 1]
-    directions = None if given is None else given.directions
-    limits = None if given is None else given.thrust_max_N
+    directions, limits = (given.directions, given.thrust_max_N) if given else (None, None)
     if (directions is None) != (limits is None):
         rule = "must be given both or neither"
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
-        pairs = axis_pairs(u_max)
-        return Allocation.of(*pairs, u_max, failed) if failed else None
+        return Allocation.of(*axis_pairs(u_max), u_max, failed) if failed else None
     most = per_axis("thrusters.thrust_max_N", limits, len(directions))
     return Allocation.of(np.array(directions), most, u_max, failed)
 

@@ -164,7 +164,7 @@ class SimplexImplicitFilter(_Switching):
 Filter = Annotated[CentralizedFilter | DecentralizedFilter, *BY_KIND]
 """Those of a Monte Carlo: they answer for many runs at once."""
 
-FlightFilter = Annotated[
+FlightFilter = Annotated[  # filters of one flight
     CentralizedFilter
     | DecentralizedFilter
     | ExplicitFilter
@@ -173,4 +173,3 @@ FlightFilter = Annotated[
     | SimplexImplicitFilter,
     *BY_KIND,
 ]
-"""Those of one flight."""
