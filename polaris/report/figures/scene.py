@@ -55,10 +55,7 @@ def scene_figure(picture: Picture, new: Callable[[float], Any] = new_figure) -> 
 
 
 def draw_scene(ax: Any, scene: Scene, handles: Sequence[Any] = (), lettered: bool = False) -> float:
-    """Draw all in the plane (or over time), close-ups perhaps lettered; height of the legend [in].
-
-    The legend also has the handles of others, each name once.
-    """
+    """Draw all in the plane or over time, and a legend, of `handles` too; return the legend's height [in]."""
     frame_axes(ax, scene)
     ax.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
     ax.grid(True)

@@ -67,10 +67,7 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Items in two or three axes of the position, from `low` to `high` (dim,) [m].
-
-    Motion on a line is drawn `over_time`: the first axis is time [s].
-    """
+    """Items in two or three axes, from `low` to `high` (dim,) [m]; `over_time` the first is time [s]."""
 
     axes: list[int]
     labels: tuple[str, ...]

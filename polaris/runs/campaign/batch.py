@@ -1,7 +1,7 @@
 """One task of a campaign, and what a kind of run brings to it; only text and plain arrays travel."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import zip_longest
 from pathlib import Path
@@ -92,18 +92,6 @@ class Batch:
     trajectory: Replayed | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Results:
-    """A finished campaign, as statistics see it; `read` gives columns of all runs of a case, in order."""
-
-    cases: Sequence[Case]
-    runs: int
-    seed: int
-    batch: int
-    failures: Mapping[int, Mapping[str, Any]]
-    read: Callable[[int, Sequence[str] | None], Columns]
-
-
 @dataclass(frozen=True)
 class Kind(ABC):
     """Kind of run of a campaign, as plain data. Every run is flown once by each of the `modes`."""
@@ -129,8 +117,8 @@ class Kind(ABC):
         """Fly and measure one mode of a batch, the same in every process, with the trajectory of `run`."""
 
     @abstractmethod
-    def summarise(self, results: Results, worst: int) -> dict[str, Any]:
-        """Contents of ``summary.json``, with at most `worst` of the worst runs per case and mode."""
+    def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
+        """Contents of ``summary.json`` of a `CampaignFolder`, with `worst` runs at most per case and mode."""
 
 
 def fly_batch(task: Task) -> Batch:

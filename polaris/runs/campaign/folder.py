@@ -27,7 +27,7 @@ from ..files.atomic import adding, check_target, refuse_taken, replacing, try_wr
 from ..files.folder import provenance, read_json
 from ..files.ownership import Owned, read_list, tidy
 from ..files.tables import json_text, write_text
-from .batch import Batch, Columns, Results, Task, joined
+from .batch import Batch, Columns, Task, joined
 from .formats import FORMATS, usable
 from .plan import CampaignPlan
 
@@ -56,9 +56,7 @@ class CampaignFolder:
 
     def write_summary(self, worst: int) -> None:
         """Write ``summary.json``, once all parts are there."""
-        plan = self.plan
-        results = Results(plan.cases, plan.runs, plan.seed, plan.batch, self.failures(), self.read)
-        self._add("summary.json", json_text(plan.kind.summarise(results, worst)))
+        self._add("summary.json", json_text(self.plan.kind.summarise(self, worst)))
 
     def part(self, task: Task) -> Path:
         """Return the path of a batch: ``runs/case-0000-batch-00000.parquet`` and so on."""

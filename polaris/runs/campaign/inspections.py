@@ -18,7 +18,7 @@ from ...simulation.metrics import CONFIDENCE, lower_bound
 from ..files.arrays import held_by
 from ..files.folder import summary_of
 from ..inspections.inspection import ARRAYS
-from .batch import Batch, Case, Kind, Replayed, Results, Task, of_mode
+from .batch import Batch, Case, Kind, Replayed, Task, of_mode
 
 BLOCK = 100  # runs flown together: what fits into fast memory
 STATES = ("rx_m", "ry_m", "rz_m", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -66,25 +66,25 @@ class InspectionRuns(Kind):
         }
         return Batch("", columns, trajectory=_trajectory(kept[0].flight()) if kept else None)
 
-    def summarise(self, results: Results, worst: int) -> dict[str, Any]:
+    def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
-        (case,) = results.cases
+        (case,), runs = folder.plan.cases, folder.plan.runs
         scenario = _made(case.text)[0]
         plan = scenario.model.campaign
         told: dict[str, Any] = {
-            "runs": results.runs,
+            "runs": runs,
             "deputies": plan.deputies,
             "duration_s": plan.duration_s,
             "period_s": plan.period_s,
             "seed": plan.seed,
         }
-        for failure in results.failures.values():
+        for failure in folder.failures().values():
             told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
             return summary_of(scenario, scenario.kind, told)
         drawn = InitialConditions(scenario.families(), plan.seed)
-        drawn.first(results.runs)
+        drawn.first(runs)
         told["acceptance"] = drawn.acceptance
-        found = outcomes(case, results.read(0, None))
+        found = outcomes(case, folder.read(0))
         told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
         told |= {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
         return summary_of(scenario, scenario.kind, told)

@@ -30,7 +30,7 @@ from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.schedule.synthesize import synthesize
 from ..files.tables import columns
 from ..schedule import digest
-from .batch import Batch, Columns, Kind, Replayed, Results, Task, of_mode
+from .batch import Batch, Columns, Kind, Replayed, Task, of_mode
 
 MODES: dict[str, int | None] = {"polaris": None, "safety": 0, "experimental": 1}
 """Modes: the schedule, S alone, the preferred U alone; further U are ``experimental_2`` and so on."""
@@ -186,19 +186,19 @@ class ScheduleRuns(Kind):
         }
         return Batch(known, flown, trajectory=None if run is None else _trajectory(task, runs, run))
 
-    def summarise(self, results: Results, worst: int) -> dict[str, Any]:
+    def summarise(self, folder: Any, worst: int) -> dict[str, Any]:
         """As `Kind.summarise`."""
-        cases = []
-        for number, case in enumerate(results.cases):
+        cases, plan, failures = [], folder.plan, folder.failures()
+        for number, case in enumerate(plan.cases):
             told: dict[str, Any] = {
                 "case": number,
                 "scenario": case.scenario,
                 "parameters": dict(case.parameters),
                 "label": case.label,
             }
-            failure = results.failures.get(number)
+            failure = failures.get(number)
             if failure is None:
-                rows = results.read(number, COLUMNS)
+                rows = folder.read(number, COLUMNS)
                 told["modes"] = {mode: _told(of_mode(rows, mode), worst) for mode in self.modes}
             else:
                 told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
@@ -207,13 +207,13 @@ class ScheduleRuns(Kind):
         return {
             "schema_version": 1,
             "kind": "campaign",
-            "runs": results.runs,
-            "seed": results.seed,
-            "batch": results.batch,
+            "runs": plan.runs,
+            "seed": plan.seed,
+            "batch": plan.batch,
             "initial": self.initial,
             "disturbance": self.disturbance,
             "confidence": CONFIDENCE,
-            "flown": results.runs * len(self.modes) * (len(cases) - len(results.failures)),
+            "flown": plan.runs * len(self.modes) * (len(cases) - len(failures)),
             "cases": cases,
             "assumptions": [ASSUMPTIONS[name] for name in (kind, "independent", "normal")],
             "definitions": DEFINITIONS,

@@ -110,10 +110,7 @@ def transients(
     networks: Sequence[Array],
     asked: bool,
 ) -> tuple[Transient, ...]:
-    """What faults do until they are isolated, if that takes time; gains of laws, and of networks.
-
-    `asked` says whether there are black boxes.
-    """
+    """Return what late faults do until isolated, by gains of laws and networks; `asked`: with black boxes."""
     flown = np.max(np.abs(gains), axis=0), asked, np.max(networks, axis=0) if len(networks) else None
     found = []
     for fault in (fault.build() for fault in faults):

@@ -117,7 +117,7 @@ class Navigation(Estimate):
     def known(
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> Craft:
-        """Return the system with these errors; `horizon` are steps and their length [s], `late` late faults."""
+        """Return the system with these errors; `horizon`: steps, their length [s]; `late`: late faults."""
         declared = self.build(system)
         if self.measurement is not None:
             if np.any(declared) or self.phases:
