@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
@@ -68,8 +68,7 @@ def campaign_command(
     if options.workers is not None and options.scheduler is not None:
         rule = "must not be given with --scheduler: the cluster has its own"
         raise ScenarioError("--workers", options.workers, rule)
-    stages = output.stages
-    scheduler = options.scheduler
+    stages, scheduler = output.stages, options.scheduler
     crew = nullcontext(local(options.workers)) if scheduler is None else cluster(scheduler)
     with stages.stage("load"):
         loaded = [load_scenario(name) for name in scenarios]
@@ -77,7 +76,7 @@ def campaign_command(
     if inspected and asked.black_box:
         raise ScenarioError("--black-box", asked.black_box, "is for switching schedules")
     if inspected:
-        _fly_inspection(loaded, inspected[0], options, output, crew, stages)
+        _fly_inspection(loaded, inspected[0], options, output, crew)
         return None
     from ..runs.campaign import run_campaign
     from ..runs.campaign.folder import check_place
@@ -160,7 +159,6 @@ def _fly_inspection(
     options: Options,
     output: Output,
     crew: AbstractContextManager[Workers],
-    stages: Stages,
 ) -> None:
     """Fly a scenario of the inspection problem, alone, and tell what its run folder holds."""
     from ..runs.run import run
@@ -177,16 +175,9 @@ def _fly_inspection(
         raise ScenarioError("scenario", one.name, "is one flight: polaris run flies it")
     overrides = list(options.assignments or [])
     overrides += [f"campaign.runs={options.runs}"] if options.runs is not None else []
+    how: dict[str, Any] = {"draw": output.draw, "stages": output.stages, "fresh": not options.resume}
     with crew as executor:
-        folder = run(
-            one,
-            options.out,
-            overrides=overrides,
-            draw=output.draw,
-            stages=stages,
-            executor=executor,
-            fresh=not options.resume,
-        )
+        folder = run(one, options.out, overrides=overrides, executor=executor, **how)
     output.finish(folder)
 
 

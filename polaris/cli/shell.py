@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, is_dataclass
-from functools import wraps
+from functools import cached_property, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
@@ -129,7 +129,7 @@ class Output:
     as_json: Json = False
     quiet: Quiet = False
 
-    @property
+    @cached_property
     def stages(self) -> Stages:
         """Progress on standard error, unless nothing else than the result may be printed."""
         from .console import ShownStages

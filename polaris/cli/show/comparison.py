@@ -4,30 +4,28 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from rich.box import SIMPLE
-from rich.table import Table
 from rich.text import Text
 
 from ...model.checks import counted
 from ...synthesis.safety.recoverable import directed
 from . import say, show_table, table
 
-SAFETY = (  # metrics of the first table, and their heads
-    ("violations", "violations"),
-    ("min_distance_m", "least\ndist. m"),
-    ("mean_distance_m", "mean\ndist. m"),
-    ("min_ttc_s", "least\nTTC s"),
-    ("min_ttc_free_drift_s", "drift\nTTC s"),
-)
-COST = (  # metrics of the second table, and their heads
-    ("experimental_share", "share\nof U"),
-    ("switches", "switches"),
-    ("delta_v_m_s", "delta-v\nm/s"),
-    ("deviation", "deviation"),
-    ("decision_median_us", "median\nµs"),
-    ("decision_p99_us", "p99\nµs"),
-    ("synthesis_s", "offline\ns"),
-)
+SAFETY = {  # metrics of the first table, and their heads
+    "violations": "violations",
+    "min_distance_m": "least\ndist. m",
+    "mean_distance_m": "mean\ndist. m",
+    "min_ttc_s": "least\nTTC s",
+    "min_ttc_free_drift_s": "drift\nTTC s",
+}
+COST = {  # metrics of the second table, and their heads
+    "experimental_share": "share\nof U",
+    "switches": "switches",
+    "delta_v_m_s": "delta-v\nm/s",
+    "deviation": "deviation",
+    "decision_median_us": "median\nµs",
+    "decision_p99_us": "p99\nµs",
+    "synthesis_s": "offline\ns",
+}
 LEAST = ("min_distance_m", "min_ttc_s", "min_ttc_free_drift_s")
 
 
@@ -35,19 +33,13 @@ def show_comparison(summary: Mapping[str, Any], folder: str) -> None:
     """Print the comparison as a table, and where its folder lies."""
     say(f"{summary['title']}: {counted(summary['protocol']['runs'], 'run')} per method", "bold")
     flown = [method for method in summary["methods"] if method["available"]]
-    for columns in (SAFETY, COST):
-        shown = Table(pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE)
-        width = 22 if columns is SAFETY else 17
-        shown.add_column("method", min_width=width, max_width=width)
-        if columns is SAFETY:
-            shown.add_column("guarantee", no_wrap=True)
-        for _, head in columns:
-            shown.add_column(head, justify="right", no_wrap=True)
+    for named, columns in ((("method", "guarantee"), SAFETY), (("method",), COST)):
+        shown = table(*named, *columns.values(), words=len(named), wrap=1)
         for method in flown:
-            claim = [method["guarantee"]] if columns is SAFETY else []
-            cells = [_cell(key, method["metrics"].get(key)) for key, _ in columns]
-            shown.add_row(Text(method["name"]), *claim, *cells)
+            words = (Text(str(method["name"])), Text(str(method["guarantee"])))[: len(named)]
+            shown.add_row(*words, *(_cell(key, method["metrics"].get(key)) for key in columns))
         show_table(shown)
+        say("")
     say("Least distance and TTC: worst over all runs. The others: means over runs, whose")
     say("95 % intervals and paired differences are in comparison.json and in the report.")
     for method in summary["methods"]:

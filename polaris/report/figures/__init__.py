@@ -43,12 +43,8 @@ def plot_schedule(schedule: Schedule, ax: Any = None) -> Any:
     ----------
     schedule : Schedule
         Result of `synthesize`.
-    ax : matplotlib axes, optional
-        A new figure's if not given.
-
-    Returns
-    -------
-    matplotlib axes
+    ax
+        As for `plot_reference`, which returns the axes too.
     """
     of_kind("schedule", schedule, Schedule, "polaris.synthesize")
     return _plot(picture_of(schedule), ax)

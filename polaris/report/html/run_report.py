@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -128,12 +129,8 @@ def guarantee_section(claim: Mapping[str, Any]) -> Markup:
 
 def aborts(claim: Mapping[str, Any]) -> Markup:
     """Return the table of aborts with thrust; steps with one branch and time, or one failure, share a row."""
-
-    def alike(step: Mapping[str, Any]) -> tuple[Any, ...]:
-        return step["leaves_s"], step["by_s"], step["why"]
-
-    rows = []
-    for (leaves, by, why), group in groupby(claim.get("powered_abort", {}).get("steps", ()), alike):
+    rows, known = [], claim.get("powered_abort", {}).get("steps", ())
+    for (leaves, by, why), group in groupby(known, itemgetter("leaves_s", "by_s", "why")):
         steps = list(group)
         most = max((each["delta_v_m_s"] for each in steps if why is None), default=0.0)
         told = why or f"{directed(most, '.4g', up=True)} m/s"
