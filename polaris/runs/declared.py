@@ -1,6 +1,7 @@
 """Search for the declared errors that keep a scenario from having a safe reference, and by how much."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -65,10 +66,6 @@ def _lowered(scenario: ScheduleScenario, bounds: Bounds) -> str:
     """With how much of some bounds a safe reference is found, the most that was; "" if with none."""
     if not _found(scenario, bounds, SHARES[-1]):
         return ""
-    none, some = 0, len(SHARES) - 1
-    while some - none > 1:
-        tried = (none + some) // 2
-        none, some = (none, tried) if _found(scenario, bounds, SHARES[tried]) else (tried, some)
-    return " and ".join(
-        f"{key} = {_less(value, SHARES[some])} (not {value})" for key, value in bounds.items()
-    )
+    last = len(SHARES) - 1
+    most = SHARES[bisect_left(SHARES, True, 1, last, key=lambda share: _found(scenario, bounds, share))]
+    return " and ".join(f"{key} = {_less(value, most)} (not {value})" for key, value in bounds.items())

@@ -25,6 +25,7 @@ from ..synthesis.controllers.policy import Policy, Senses
 from ..synthesis.safety.get_safety import Safety
 from ..synthesis.safety.problem import Problem
 from ..synthesis.tracker.lqr import lqr_gain
+from .tables.fields import per_axis
 from .tables.goals import hill_rate
 from .tables.scene import Affine, Neural
 from .tables.scene import AnyThrust as AnyThrustTable
@@ -63,8 +64,7 @@ def read_policies(
         except ReachError as error:
             raise ScenarioError(f"{path}.path", spec.path, f"cannot be used: {error}") from error
         scale = np.ones(network.inputs) if spec.input_scale is None else np.array(spec.input_scale)
-        thrust = np.array(spec.output_scale_N, dtype=float)
-        thrust = np.full(system.m, thrust) if thrust.ndim == 0 else thrust
+        thrust = per_axis(f"{path}.output_scale_N", spec.output_scale_N, system.m)
         policy = Policy(network, spec.inputs, scale, thrust)
         policy.check(Senses.of(system, spec.inputs, unsafe, f"{path}.inputs"), path)
         found[spec.name] = file, policy
