@@ -56,7 +56,7 @@ def system_table(problem: Problem) -> dict[str, Any]:
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
         **errors_of(system),
-        **_allocation(problem.allocation),
+        **_allocation(problem.allocation, system.nozzles is not None),
         **_transients(system.transients),
     }
 
@@ -71,10 +71,11 @@ def _transients(faults: Iterable[Transient]) -> dict[str, Any]:
     return {"transients": found} if found else {}
 
 
-def _allocation(made: Allocation | None) -> dict[str, Any]:
+def _allocation(made: Allocation | None, layout: bool) -> dict[str, Any]:
     if made is None:
         return {}
-    return {"allocation": {"directions": made.directions, "limits": made.limits, "corners": made.corners}}
+    table = {"directions": made.directions, "limits": made.limits, "mixes": made.mixes}
+    return {"allocation": {**table, "layout": layout}}
 
 
 def _controller(item: Controller, safety: Safety) -> dict[str, Any]:
