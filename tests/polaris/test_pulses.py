@@ -147,10 +147,6 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     [
         ([*SAMPLED, "thrusters.pulse=first"], "thrusters.pulse"),
         ([*PULSED, "timing.jitter_s=0.01"], "timing.jitter_s"),
-        (
-            [*PULSED, "thrusters.directions=[[1,0],[-1,1],[0,-1]]", "thrusters.thrust_max_N=2"],
-            "thrusters.pulse",
-        ),
     ],
 )
 def test_what_is_not_covered_is_refused_by_name(assignments, field):
