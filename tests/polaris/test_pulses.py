@@ -218,6 +218,8 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         "jitter": 0.0,
         "prompt": (0.5, 0, 0),
         "spent": lambda most: arb(1),
+        "weighted": lambda sizes: sum(sizes, arb(0)),
+        "weights": (),
     }
     column = SimpleNamespace(ncols=lambda: 1)
     plant = SimpleNamespace(**known, B=column, carried=carried, thrusters=(0.5, 0.0, 0.0))
