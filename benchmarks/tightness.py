@@ -5,10 +5,9 @@
 Of every unsafe set, in the period in which the proof leaves it least: the share of what is booked there
 (from the undisturbed flight to the proven margin) that the closed-form worst case of that facet takes. Of
 the velocity change until T: the most that its own worst case spends, over the bound. And what each relaxation
-costs: the same share with errors of thrusters of one sign in every input throughout; with errors of
-estimates and thrusters set free, as forces of any sign within what is booked of them, whatever is commanded;
-and that of the sets at the ends of the period, if they kept all generators, and as they are. Random scenes
-of the tests, commanded periodically; `--write` puts the table into docs/guarantees.md.
+costs: the same share with errors of thrusters of one sign in every input throughout, and that of the sets at
+the ends of the period, if they kept all generators, and as they are. Random scenes of the tests, commanded
+periodically; `--write` puts the table into docs/guarantees.md.
 """
 
 from __future__ import annotations
@@ -22,20 +21,16 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polaris.model.errors import PolarisError
 from polaris.model.system import Array
-from polaris.model.thrusters import Thrusters
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.attacks import Attack, Attacker
 from polaris.simulation.falsification.claims import Claims
-from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers import controllers
 from polaris.synthesis.schedule.schedule import Schedule
-from polaris.synthesis.schedule.spending import Spell
 from polaris.synthesis.schedule.synthesize import synthesize
-from reach.tubes.flow import LinearFlow
+from polaris.synthesis.tracker import affine_law
 from tests.polaris.random_scenarios import random_scenario
 
 SEEDS = (5000, 5004, 5008, 5012)
@@ -135,37 +130,11 @@ def worst(attacker: Attacker, place: Place, alike: bool = False) -> float:
     return used
 
 
-class Freed(Integrator):
-    """A flight whose inputs are off by all that is booked of estimates and thrusters."""
-
-    def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
-        super().__init__(schedule, modes, substeps)
-        p, m, self.booked = self.system.p, self.system.m, []
-        self.thrusters, self.fired = Thrusters(), np.zeros(0)
-        self.columns = slice(p), slice(p, p), slice(p, p + m), slice(p + m, p + m)
-        for step in schedule.steps:
-            law = schedule.controllers[step.mode]
-            errors = Spell.of(law, step.tube, step.k).errors
-            here = law.system.at_step(step.k)
-            off = sum(errors) if errors else here.input_error(law.gain, here.u_max)
-            self.booked += list(np.broadcast_to(off, (self.steps_per_cell, self.system.m)))
-
-    def applied(self, raw: Array, step: int) -> Array:
-        """What is commanded, and any error."""
-        return np.asarray(
-            np.clip(raw, -self.system.u_max, self.system.u_max) + self.thrust[step] * self.booked[step]
-        )
-
-
 def unmerged(schedule: Schedule) -> Claims:
     """What would be claimed if the sets of the same schedule kept all of their generators."""
     steps, start, safety = [], schedule.steps[0].tube.nodes[0], schedule.safety
     fresh = [law.along(safety.reference, safety.tracking) for law in schedule.controllers]
-    nodes = LinearFlow.disturbance_nodes
-    whole = patch.object(
-        LinearFlow, "disturbance_nodes", lambda flow, count, together: nodes(flow, count, 1e9)
-    )
-    with patch.multiple(controllers, ORDER=1e9, WIDE=1e9), whole:
+    with patch.multiple(controllers, ORDER=1e9, WIDE=1e9, WHOLE=1e9), patch.object(affine_law, "ORDER", 1e9):
         for step in schedule.steps:
             steps.append(replace(step, tube=fresh[step.mode].fly(start, step.k)))
             start = steps[-1].tube.end
@@ -173,19 +142,18 @@ def unmerged(schedule: Schedule) -> Claims:
 
 
 def parts(schedule: Schedule) -> Iterator[tuple[float, ...]]:
-    """Of every set, as shares of what is booked: flown with errors alike, at its worst, with errors set free.
+    """Of every set, as shares of what is booked: flown with errors alike, and at its worst.
 
     Then what sets need that keep all generators, and sets as they are: the rest are bows between nodes.
     """
     attacker = Attacker.of(schedule, False, np.random.default_rng(0))
     claims, kept = attacker.claims, unmerged(schedule)
-    freed = Attacker(claims, Freed(schedule, claims.modes, 1), attacker.rng)
     for place in tightest(attacker):
         k, at = divmod(place.period, claims.q)
         nominal = schedule.safety.reference.fine(claims.q)[k, at : at + 2]
         off = (place.undisturbed - nominal) @ place.row
         needs = (one._needs(place.row[None])[0][k, at : at + 2, 0] - off for one in (kept, claims))
-        flown = worst(attacker, place, True), worst(attacker, place), worst(freed, place)
+        flown = worst(attacker, place, True), worst(attacker, place)
         yield *flown, *(float(np.max(need / place.booked)) for need in needs)
 
 
@@ -231,7 +199,7 @@ def main() -> None:
     given = parser.parse_args()
     head = (
         "| Errors | scenes | sets | used up, median | sets with 75 % | velocity change, median | least |"
-        " of one sign | set free | unmerged | sets |\n|---|---|---|---|---|---|---|---|---|---|---|"
+        " of one sign | unmerged | sets |\n|---|---|---|---|---|---|---|---|---|---|"
     )
     lines = [head]
     print(head)

@@ -60,6 +60,7 @@ class Premises:
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point
     allocated: bool = False  # whether inputs are made by thrusters of which one may have failed
+    layout: bool = False  # whether thrusters push along directions of their own
     late: Iterable[tuple[str, float]] = ()  # kinds of faults that are isolated late; how long that takes [s]
     sampled: Mapping[str, Any] | None = None  # of black boxes: probability, confidence, flights, outside, ...
     position: Iterable[Iterable[float]] = ()  # the rows of C
@@ -111,11 +112,17 @@ class Premises:
             off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
             told = "what is made of its command, u_i" if self.carried else "its command u_i"
             yield f"thrusters: what is applied to an input is within {off} of {told}"
-        if self.carried:
+        if self.carried and self.layout:
+            left = f"at first nothing, of an input at most {self.carried:g} N s in all"
+            yield f"impulses: what thrusters leave of what they are asked for, {left}, is carried to the next"
+        elif self.carried:
             made = f"a period makes a multiple of {self.carried:g} N s, or all that its limit allows"
             yield f"impulses: of each input {made}; what is left, at first nothing, is carried to the next"
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
             made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
+            if self.layout:
+                made = "one pulse of each thruster per period, in the middle of it, of which those at once "
+                made += f"make at most [{fired}] N"
             yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
         late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
         if self.allocated:

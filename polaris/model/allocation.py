@@ -1,19 +1,20 @@
-"""Thrusters that push only: the box of inputs that they can make, whichever one of them has failed."""
+"""Thrusters that push only: the box of inputs that they make, whichever one of them has failed, and how."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
-
-from reach.numerics.programs import maximise
+from scipy.optimize import linprog
 
 from .errors import ScenarioError, SynthesisInfeasible
 from .system import Array
 
-MOST_INPUTS = 6  # most inputs: the box has two corners for each
+MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
+MOST_THRUSTERS = 100
 ROUNDED = 1e-9  # share by which the box is smaller than what is found: rounding of a linear program
+LEAST = 1e-7  # share of the largest thrust of a mix below which a thruster takes no part in it
 
 
 @dataclass(frozen=True)
@@ -30,18 +31,22 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Allocation:
-    """What N thrusters ``0 <= f <= limits`` with ``u = directions' f`` can make of m inputs."""
+    """Mixing table of N thrusters ``0 <= f <= limits`` for m inputs ``u = directions' f``.
+
+    An input u is made by ``f = sum_i |u_i| mixes[case, sign of u_i, i]``, the case being which thruster has
+    failed. What a thruster is asked for is thus known, whatever the other inputs are.
+    """
 
     directions: Array  # (N, m)
     limits: Array  # (N,) [N]
     u_max: Array  # (m,): every input within these is made in every case (docs/theory.md, Proposition 5 (c))
-    corners: Array
-    """Thrusts (cases, 2^m, N) that reach at least to each corner of the box: without a fault, or of each
-    fault in turn with each thruster."""
+    mixes: Array
+    """Thrusts per unit of each input, forwards and backwards, (cases, 2, m, N): without a fault, then with
+    each fault of each thruster."""
 
     @classmethod
     def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> "Allocation":
-        """The largest box of the shape of `wanted` (m,), and no larger, that is made in every case.
+        """The largest box of the shape of `wanted` (m,), and no larger, and the least thrust that makes it.
 
         Raises
         ------
@@ -51,25 +56,50 @@ class Allocation:
             If there is none: the thrusters that are left do not push every way.
         """
         count, m = directions.shape
-        if m != len(wanted) or m > MOST_INPUTS:
-            rule = f"must have {len(wanted)} numbers per thruster, for at most {MOST_INPUTS} inputs"
+        if m != len(wanted) or m > MOST_INPUTS or count > MOST_THRUSTERS:
+            rule = f"must have {len(wanted)} numbers per thruster, for at most {MOST_INPUTS} inputs and "
+            rule += f"{MOST_THRUSTERS} thrusters"
             raise ScenarioError("thrusters.directions", directions.shape, rule)
-        share, corners = 1.0, []
-        for what, capacity in cases(limits, faults):
-            found = []
-            for signs in product((1.0, -1.0), repeat=m):
-                given = directions, capacity, np.array(signs) * wanted
-                reach, f = _towards(*(np.asarray(part, dtype=float).tobytes() for part in given))
-                if not reach > ROUNDED:
-                    way = ", ".join(f"{x:g}" for x in signs)
-                    raise SynthesisInfeasible(
-                        f"no thrust is left towards [{way}] of the inputs {what}.",
-                        relax="add thrusters (thrusters.directions), or take the fault out.",
-                    )
-                share = min(share, reach * (1 - ROUNDED))
-                found.append(f)
-            corners.append(found)
-        return cls(directions, limits, share * wanted, np.array(corners))
+        every, share = cases(limits, faults), 1.0
+        scaled = (directions / wanted).tobytes()
+        for what, capacity in every:
+            reach = _mixes(scaled, capacity.tobytes(), 0.0)[0]
+            if not reach > ROUNDED:
+                raise SynthesisInfeasible(
+                    f"the thrusters do not push every way {what}.",
+                    relax="add thrusters (thrusters.directions), or take the fault out.",
+                )
+            share = min(share, reach * (1 - ROUNDED))
+        found = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
+        mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in found])
+        asked, capacity = (share * wanted) @ mixes.max(axis=1), np.array([top for _, top in every])
+        fits = np.min(capacity[asked > 0] / asked[asked > 0], initial=2.0)
+        u_max = min(float(fits) * (1 - ROUNDED), 1.0) * share * wanted
+        return cls(directions, limits, u_max, mixes)
+
+    def made(self, u: Array) -> Array:
+        """Return the thrusts that make inputs (..., m) without a fault, shape (..., N)."""
+        return np.asarray(np.maximum(u, 0) @ self.mixes[0, 0] + np.maximum(-u, 0) @ self.mixes[0, 1])
+
+    @cached_property
+    def used(self) -> Array:
+        """Return which thrusters may be asked at once, 1 or 0, (combinations, N)."""
+        signs = np.array(list(product((0, 1), repeat=len(self.u_max))))
+        each = self.mixes[:, signs, np.arange(len(self.u_max))] > 0
+        return np.unique(each.any(axis=2).reshape(-1, len(self.limits)), axis=0).astype(float)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Return the length of each thruster's direction, (N,)."""
+        return np.asarray(np.linalg.norm(self.directions, axis=1))
+
+    def together(self, each: Array) -> Array:
+        """Return the largest sum over thrusters asked at once of something of each, (N, ...), shape (...)."""
+        return np.asarray(np.tensordot(self.used, each, 1).max(axis=0))
+
+    def shares(self, each: Array) -> Array:
+        """Bound sums over thrusters of their thrusts times `each` (N, m) by inputs: (m, m) per unit of u."""
+        return np.asarray(np.max(self.mixes @ each, axis=(0, 1)).T)
 
 
 def axis_pairs(limits: Array) -> tuple[Array, Array]:
@@ -79,8 +109,8 @@ def axis_pairs(limits: Array) -> tuple[Array, Array]:
 
 
 def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
-    """Limits without a fault if none is declared, else with each fault of each thruster, in words."""
-    found = [("with all thrusters", limits)] if not faults else []
+    """Limits without a fault, and with each fault of each thruster, in words."""
+    found = [("with all thrusters", limits)]
     for fault in faults:
         for j in range(len(limits)):
             capacity = np.where(np.arange(len(limits)) == j, fault.left * limits, limits)
@@ -89,13 +119,43 @@ def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
 
 
 @lru_cache(maxsize=1024)
-def _towards(*given: bytes) -> tuple[float, Array]:
-    """Return how many times a corner is reached, at most twice, and the thrusts; arrays by their entries."""
-    flat, capacity, corner = (np.frombuffer(part) for part in given)
-    directions, count, eye = flat.reshape(-1, len(corner)), len(capacity), np.eye(len(capacity))
-    aim = np.hstack([-(np.sign(corner)[:, None] * directions.T), np.abs(corner)[:, None]])
-    rows = np.vstack([aim, np.eye(count + 1), np.hstack([-eye, np.zeros((count, 1))])])
-    limits = np.concatenate([np.zeros(len(corner)), capacity, [2.0], np.zeros(count)])
-    best = maximise(np.eye(count + 1)[-1], rows, limits)
-    f = np.clip(np.nan_to_num(best.point[:-1]), 0.0, capacity)
-    return float(np.min(np.sign(corner) * (directions.T @ f) / np.abs(corner))), f
+def _mixes(scaled: bytes, capacity: bytes, share: float) -> tuple[float, Array]:
+    """Return how many times a box is made, at most twice, and mixes (2, m, N) that make it by least thrust.
+
+    Directions are per unit of the box, and arrays given by their entries. The share of the box is searched
+    where 0 is given; the mixes are those of this share.
+    """
+    limits = np.frombuffer(capacity)
+    N = len(limits)
+    D = np.frombuffer(scaled).reshape(N, -1)
+    m, eye = D.shape[1], np.eye(N)
+    count = 2 * m * N  # thrusts by sign, input and thruster; then the larger ones of both signs; the share
+    makes = np.hstack([np.kron(np.eye(2 * m), D.T), np.zeros((2 * m * m, m * N)), np.zeros((2 * m * m, 1))])
+    makes[:, -1] = -np.kron([1.0, -1.0], np.eye(m).ravel())
+    larger = np.hstack([np.eye(count), -np.tile(np.eye(m * N), (2, 1)), np.zeros((count, 1))])
+    within = np.hstack([np.zeros((N, count)), np.tile(eye, m), np.zeros((N, 1))])
+    cost = np.zeros(makes.shape[1])
+    cost[:count] = share > 0
+    cost[-1] = -1.0 * (share == 0)
+    solved = linprog(
+        cost,
+        A_ub=np.vstack([larger, within]),
+        b_ub=np.concatenate([np.zeros(count), limits]),
+        A_eq=makes,
+        b_eq=np.zeros(len(makes)),
+        bounds=[(0, None)] * (len(cost) - 1) + [(share or 0.0, share or 2.0)],
+        method="highs",
+    )
+    if solved.status != 0:
+        return 0.0, np.zeros((2, m, N))
+    return float(solved.x[-1]), solved.x[:count].reshape(2, m, N)
+
+
+def _exact(directions: Array, mixes: Array) -> Array:
+    """Return mixes (2, m, N) that make a unit of their input to rounding, with no more thrusters."""
+    found = np.where(mixes > LEAST * mixes.max(), mixes, 0.0)
+    for sign, mix in zip((1.0, -1.0), found, strict=True):
+        for unit, f in zip(sign * np.eye(len(mix)), mix, strict=True):
+            some = np.flatnonzero(f)
+            f[some] += np.linalg.pinv(directions[some].T) @ (unit - directions.T @ f)
+    return np.maximum(found, 0.0)

@@ -12,6 +12,7 @@ from reach.numerics.linear import discretize
 
 from .checks import of_kind
 from .errors import ScenarioError
+from .nozzles import Nozzles
 from .system import Array as Array  # for the many that need both
 from .system import LinearSystem, as_finite
 from .thrusters import Thrusters
@@ -40,6 +41,8 @@ class Craft(LinearSystem):
         Source of the estimates, where their errors are worked out from those of measurements.
     transients : tuple of Transient
         Faults that are isolated late, of which at most one occurs.
+    nozzles : Nozzles, optional
+        Layout of thrusters from whose errors one by one `thrusters` was worked out.
     """
 
     estimate_error: Array | None = None
@@ -48,6 +51,7 @@ class Craft(LinearSystem):
     error_by_step: Array | None = None
     observer: Observer | None = None
     transients: tuple[Transient, ...] = ()
+    nozzles: Nozzles | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -150,9 +154,23 @@ class Craft(LinearSystem):
         """
         return np.asarray(np.abs(gain) @ self.navigation + self.thrusters.error(most))
 
+    @property
+    def weights(self) -> Array:
+        """Return how much of velocity change a unit of each input counts, (m,): what all thrusters make."""
+        return np.ones(self.m) if self.nozzles is None else self.nozzles.weights
+
     def spent(self, most: Array) -> Array:
-        """Return bounds on what is applied, on average over time, under commands up to `most`, (..., m)."""
-        return np.asarray(self.longest * (most + self.prompt.thrusters.error(most)))
+        """Return bounds on what is applied, on average over time, under commands up to `most`, (..., m).
+
+        Each by its weight: the sum bounds what counts of velocity change.
+        """
+        return np.asarray(self.longest * (most + self.prompt.thrusters.error(most)) * self.weights)
+
+    @property
+    def owed(self) -> float:
+        """Return what may be left of impulses from before, of all inputs [N s], with its errors."""
+        sides = 1 if self.nozzles is None else 2  # each way thrusters of their own
+        return self.thrusters.made(sides * self.m * self.timing.carried)
 
     @property
     def longest(self) -> float:

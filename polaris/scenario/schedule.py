@@ -104,9 +104,10 @@ class ScheduleScenario(Scenario):
     def system(self) -> Craft:
         """The controlled system, how well its state is known and how late, and its thrusters."""
         model, system = self.model, Craft.of(self.model.system.build())
-        if model.thrusters is not None:
-            system = replace(system, thrusters=model.thrusters.build(system, self.period()))
         allocation, limits = self.allocation(), system.u_max
+        if model.thrusters is not None:
+            system = replace(system, nozzles=model.thrusters.nozzles(allocation))
+            system = replace(system, thrusters=model.thrusters.build(system, self.period()))
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
         if (model.navigation, model.thrusters, model.timing) == (None, None, None):

@@ -13,44 +13,70 @@ from .failing import Failing
 class Firing:
     """Thrusters over steps of an integration, R runs at once.
 
-    Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Pulses have
-    the thrust `fired` (m,); without any, what is commanded is held. From `begin` on, the rest of an impulse
-    is `left` (R, m) [N s] if it is carried. What fails is `failing`.
+    Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Of N thrusters
+    that push along the rows of `ways` (N, m), those of a layout or else one both ways along every input,
+    pulses have the thrust `fired` (N,); without any, what is commanded is held. From `begin` on, the rest of
+    an impulse is `left` (R, N) [N s] if it is carried. What fails is `failing`.
     """
 
     system: Craft
     thrusters: Thrusters
-    fired: Array
-    asked: Array  # without errors, (R, m)
+    asked: Array  # of each thruster without errors, (R, N)
     dt: float
     substeps: int
     thrust: Array | None = None
     failing: Failing | None = None
     left: Array | None = None
 
+    @cached_property
+    def ways(self) -> Array:
+        """Return what a unit of thrust of each thruster makes of every input, (N, m)."""
+        layout = self.system.nozzles
+        return np.eye(self.system.m) if layout is None else layout.made.directions
+
+    @cached_property
+    def fired(self) -> Array:
+        """Return the thrust of pulses, (N,); empty where what is commanded is held."""
+        layout, timing = self.system.nozzles, self.system.timing
+        return np.array(timing.fired) if layout is None or not layout.pulsed else layout.made.limits
+
     def begin(self, runs: int) -> None:
         """Nothing is left of impulses."""
-        self.left = np.zeros((runs, self.system.m)) if self.system.timing.carried else None
+        self.left = np.zeros((runs, len(self.ways))) if self.system.timing.carried else None
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
-        told = u = np.clip(raw, -self.system.u_max, self.system.u_max)
+        told = np.clip(raw, -self.system.u_max, self.system.u_max)
+        layout, timing, most = self.system.nozzles, self.system.timing, self.system.u_max
+        f = told if layout is None else layout.made.made(told)
         if self.left is not None:
-            h, bit = self.dt * self.substeps, self.system.timing.carried
-            due = told * h + self.left
+            bit, most = (timing.carried, most) if layout is None else (layout.bit, layout.made.limits)
+            h = self.dt * self.substeps
+            due = f * h + self.left
             whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
-            u = np.sign(due) * np.minimum(whole / h, self.system.u_max)
-            self.left = due - u * h
-        self.asked = u
-        u = u if self.thrust is None else u + self.thrust[step] * self.thrusters.error(told)
-        return u if self.failing is None else u + self.failing.added(self.asked, step)
+            f = np.sign(due) * np.minimum(whole / h, most)
+            self.left = due - f * h
+        self.asked, made = f, f @ self.ways
+        u = made if self.thrust is None else made + self.thrust[step] * self.thrusters.error(told)
+        return u if self.failing is None else u + self.failing.added(made, step)
+
+    def size(self, u: Array) -> Array:
+        """Return what counts of velocity change while inputs u (R, m) are applied, (R,) [N].
+
+        Of a layout the thrust of every thruster, and what is applied beside it.
+        """
+        if (layout := self.system.nozzles) is None:
+            return np.asarray(np.abs(u).sum(axis=1))
+        return np.asarray(
+            np.abs(self.asked) @ layout.made.sizes + np.abs(u - self.asked @ self.ways).sum(axis=1)
+        )
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:
         """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
         on = np.abs(self.asked) / self.fired / 2
         within = np.maximum(np.minimum(0.5 + on, end) - np.maximum(0.5 - on, start), 0)
         mean = np.sign(self.asked) * self.fired * within / np.maximum(end - start, 1e-300)
-        return np.asarray(mean - self.asked)
+        return np.asarray((mean - self.asked) @ self.ways)
 
     def bow(self) -> Array | float:
         """What pulses within one step add to the state at its end beyond their mean, (R, n); 0 without."""
@@ -62,10 +88,10 @@ class Firing:
 
     @cached_property
     def _series(self) -> list[Array]:
-        """A pulse about a step's middle: per share of the step to the third, fifth, ... power, (m, n)."""
+        """A pulse about a step's middle: per share of the step to the third, fifth, ... power, (N, n)."""
         A, h = self.system.A, self.dt
         parts: list[Array] = []
-        term = first = expm(A * h / 2) @ self.system.B * h
+        term = first = expm(A * h / 2) @ self.system.B @ self.ways.T * h
         while np.abs(term).max() > 1e-15 * np.abs(first).max():
             power = 2 * len(parts) + 2
             term = (h / 2) ** 2 / (power * (power + 1)) * A @ A @ term

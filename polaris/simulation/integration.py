@@ -42,7 +42,6 @@ class Integrator(Firing):
         self.bodies: dict[str, Array] = {}
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
-        self.fired = np.array(self.system.timing.fired)
         self.thrusters = (self.system.prompt if len(self.fired) else self.system).thrusters
         self.q = self.tracking.feedback.nodes_per_cell
         self.dt = self.tracking.flow.h / substeps
@@ -139,7 +138,7 @@ class Integrator(Firing):
         """Fly from one node of cell k to the next, under any law, clipped or not.
 
         Returned are the states there (R, n), the input (R, m), its demand (R,), and the sum over the steps
-        of the 1-norm of the input (R,).
+        of what counts of velocity change (R,).
         """
         limit = self.system.u_max
         begin, spent = place * self.substeps, np.zeros(len(x))
@@ -154,10 +153,10 @@ class Integrator(Firing):
                 wrong = w[sub] @ Dd.T + (u - held) @ Bd.T
                 eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
                 self.failing.predict(at, Ad, wrong, eta)
-            size = np.abs(u)
+            size = self.size(u)
             if self.system.timing.jitter > 0:  # moves thrust in time, and adds little of it
-                size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)))
-            spent += size.sum(axis=1)
+                size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)).sum(axis=1))
+            spent += size
         return x, held, demanded, spent
 
     def run(self, x0: Array, w: Array) -> Runs:
@@ -208,7 +207,8 @@ class Integrator(Firing):
         is what `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
-        inexact = any(part is not None for part in (self.thrust, self.left, self.failing))
+        parts = self.thrust, self.left, self.failing, self.system.nozzles
+        inexact = any(part is not None for part in parts)
         if not isinstance(law, AffineController) or self.substeps > 1 or inexact or len(self.fired):
             return None
         own = self.own.get(number, self.safe)[k][:-1]  # of the law's reference, at every step's start

@@ -64,7 +64,8 @@ def test_without_faults_nothing_changes_and_pairs_stated_are_the_pairs_there_wer
         ([FIVE[0]], "thrusters.directions"),
         (["thrusters.directions=[[1.0],[-1.0]]", "thrusters.thrust_max_N=1.0"], "thrusters.directions"),
         ([FIVE[0], "thrusters.thrust_max_N=[1.0]"], "thrusters.thrust_max_N"),
-        ([*FIVE, "thrusters.magnitude_error=0.1"], "thrusters.magnitude_error"),
+        ([*FIVE, "thrusters.misalignment_deg=1.0"], "thrusters.misalignment_deg"),
+        ([*FIVE, "thrusters.impulse_bit_N_s=100.0"], "thrusters.impulse_bit_N_s"),
         (['faults=[{kind="loss",share=1.0}]'], "faults"),
         (['faults=[{kind="stuck_on"}]'], "faults"),
     ],
@@ -95,16 +96,19 @@ def test_forged_faults_are_refused(tmp_path):
     def turned(system):
         system["allocation"]["directions"][0] = [(0.0).hex(), (1.0).hex()]
 
-    def backwards(system):
-        system["allocation"]["corners"][0][0][1] = (-1.0).hex()
+    def other(system):
+        system["allocation"]["mixes"][0][0] = system["allocation"]["mixes"][0][1]
 
     def working(system):
-        system["allocation"]["corners"][0][0][0] = (0.1).hex()
+        system["allocation"]["mixes"][1] = system["allocation"]["mixes"][2]
 
     def fewer(system):
-        system["allocation"]["corners"].pop()
+        system["allocation"]["mixes"].pop()
 
-    for change in (stronger, push, turned, backwards, working, fewer):
+    def pairs(system):
+        system["allocation"]["layout"] = False
+
+    for change in (stronger, push, turned, other, working, fewer, pairs):
         verdict = forged(change)
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system"), change.__name__
     assert forged(lambda system: system.pop("allocation")).claim == "assumptions"

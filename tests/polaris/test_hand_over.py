@@ -166,6 +166,7 @@ def stated(s):
         error_by_step=[],
         thrusters=[errors.along, errors.across, errors.bit],
         prompt_thrusters=[errors.along, errors.across, timing.bit],
+        allocation=None,
         timing={"delay": timing.delay, "missed": timing.missed},
         carried=timing.carried,
         at_nodes=system.displaced_at_nodes.tolist(),

@@ -44,6 +44,7 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
         thrusters=(),
         carried=0.0,
         prompt_thrusters=(),
+        allocation=None,
         timing={},
         transients=[],
         delta=delta,

@@ -50,13 +50,7 @@ ALTERNATIVES = (
 )
 """An observer works out what estimates are off by: nobody declares both."""
 
-REFUSED = {
-    frozenset({"jitter", "pulses"}): "not covered with pulses",
-    frozenset({"layout", "pulses"}): "without directions",
-    frozenset({"layout", "magnitude"}): "not covered with directions",
-    frozenset({"layout", "bit"}): "not covered with directions",
-    frozenset({"layout", "carried bit"}): "not covered with directions",
-}
+REFUSED = {frozenset({"jitter", "pulses"}): "not covered with pulses"}
 """Pairs that are refused, and how the reason reads."""
 
 LATE = {"weak thruster, late", "lost navigation"}

@@ -147,10 +147,6 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     [
         ([*SAMPLED, "thrusters.pulse=first"], "thrusters.pulse"),
         ([*PULSED, "timing.jitter_s=0.01"], "timing.jitter_s"),
-        (
-            [*PULSED, "thrusters.directions=[[1,0],[-1,1],[0,-1]]", "thrusters.thrust_max_N=2"],
-            "thrusters.pulse",
-        ),
     ],
 )
 def test_what_is_not_covered_is_refused_by_name(assignments, field):
@@ -222,6 +218,8 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         "jitter": 0.0,
         "prompt": (0.5, 0, 0),
         "spent": lambda most: arb(1),
+        "weighted": lambda sizes: sum(sizes, arb(0)),
+        "weights": (),
     }
     column = SimpleNamespace(ncols=lambda: 1)
     plant = SimpleNamespace(**known, B=column, carried=carried, thrusters=(0.5, 0.0, 0.0))

@@ -235,6 +235,7 @@ def checked(system, sat, delta, cells, thrust):
         **{"estimate": [], "thrusters": [], "prompt_thrusters": [], "timing": {}, "carried": 0.0},
         **{"transients": [], "mass": system.mass, "mean_motion": system.mean_motion},
         system_kind="linear" if system.mean_motion is None else "clohessy_wiltshire",
+        allocation=None,
     )
     offsets = found.offsets.swapaxes(0, 1).tolist()
     item = UnsafeSet("s", False, found.normals.tolist(), *offsets)

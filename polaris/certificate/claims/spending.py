@@ -40,9 +40,12 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
     rows = list(accumulate(range(count - 1), lambda row, _: row * craft.F, initial=craft.commands))
     stacked = above(*rows)
     pushes = craft.disturbed(stacked)
-    since = accumulate((sum(pushes[i * m : (i + 1) * m], arb(0)) for i in range(count - 1)), initial=arb(0))
-    base = sum((abs(x) for spell in spells for x in spell.middle.entries()), arb(0))
-    base = sum([*row_sums(stacked * first.start.G), *since], base)
+    since = accumulate(
+        (plant.weighted(pushes[i * m : (i + 1) * m]) for i in range(count - 1)), initial=arb(0)
+    )
+    base = sum((plant.weighted(list(map(abs, spell.middle.entries()))) for spell in spells), arb(0))
+    begun = row_sums(stacked * first.start.G)
+    base = sum([*(plant.weighted(begun[i * m : (i + 1) * m]) for i in range(count)), *since], base)
     known_of, made_of = ([-(row * way) for row in rows] for way in (craft.held, craft.turned))
     rest = sum(map(magnitude, rows[1:]), magnitude(rows[0])) * craft.uneven
     known, made = (
@@ -51,11 +54,12 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
     )
     if plant.carried:  # what is commanded, and the errors of what is made of it
         most, more = _amplified(known_of, arb(1)) * known + (_amplified(made_of) + rest) * made, arb(0)
-        more += sum((x for spell in spells for x in spell.errors[1]), more)
+        more += sum((plant.weighted(spell.errors[1]) for spell in spells), more)
     else:  # what is applied, but for errors that stand for pulses
-        more = arb(count * m) * (plant.bit - replace(plant, thrusters=plant.prompt).bit)
+        apart = plant.bit - replace(plant, thrusters=plant.prompt).bit
+        more = count * plant.weighted([arb(apart)] * m)
         most = _amplified(known_of, arb(1)) * known + (_amplified(made_of, arb(1)) + rest) * made
-    return (base + sum(most.entries(), more)) * plant.h
+    return (base + plant.weighted(most.entries()) + more) * plant.h
 
 
 def _amplified(answers: Sequence[arb_mat], *own: arb) -> arb_mat:

@@ -25,7 +25,7 @@ from .parts import (
 from .structure import Lengths, conform, contents, strict_json
 
 FORMAT = "polaris-certificate"
-VERSION = 4
+VERSION = 5
 
 ROUNDED = 1e-12  # rounding of what is worked out from numbers of the file or the scenario, relative to them
 MOST_NODES = 100_000  # most periods in a step
@@ -219,6 +219,7 @@ class Document:
             carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
+            layout=self.allocation is not None and self.allocation["layout"],
             late=[(each["name"], each["lasts"]) for each in self.transients],
             sampled=self.statement or None,
             position=self.C,

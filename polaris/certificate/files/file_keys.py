@@ -69,7 +69,8 @@ CERTIFICATE = {
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
                       "after?": grid("missed n measured"), **every(grid("n"), "initial? settled?")},
         "allocation?": {
-            "directions": grid("thrusters m"), "limits": grid("thrusters"), "corners": grid("* * thrusters"),
+            "directions": grid("thrusters m"), "limits": grid("thrusters"), "layout": bool,
+            "mixes": grid("* two m thrusters", AT_LEAST_0),
         },
         "transients?": Items({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
     },

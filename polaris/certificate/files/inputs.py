@@ -9,7 +9,7 @@ from flint import arb, arb_mat
 from ..kernel.balls import largest, matrix, require, row_sums
 from ..kernel.verdict import Record, Rejected
 from ..kernel.zonotopes import inner_radius
-from ..model.allocation import check_allocation, per_axis
+from ..model.allocation import Nozzles, check_allocation, per_axis
 from ..model.bodies import bodies_of
 from ..model.lqr import check_gain, positive_definite
 from ..model.navigation import measured_errors
@@ -31,8 +31,8 @@ def check_inputs(document: Document, scenario: dict[str, Any], record: Record) -
         if scenario["name"] != document.scenario:
             raise Rejected("system", f"{document.scenario} is not the scenario {scenario['name']}")
         _check_system(document, scenario["system"])
-        _check_thrusters(document, scenario)
         check_allocation(document, scenario)
+        _check_thrusters(document, scenario)
         check_timing(document, scenario, measured_errors(document, scenario))
         check_transients(document, scenario)
         record.holds("system", "matrices, limits and errors of estimates of the scenario")
@@ -152,12 +152,18 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
     turned = turn.sin() * (1 + magnitude) / (1 - mass)
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
-    rounding = bit / (2 * arb(document.delta) / document.q)
+    period, layout = arb(document.delta) / document.q, Nozzles.of(document, spec)
     carried = spec.get("remainder", "dropped") == "carried"
-    _need("system", "impulse that is carried", document.carried, spec.get("impulse_bit_N_s", 0.0) * carried)
-    along = largest(((magnitude + mass) / (1 - mass), 1 - turn.cos() * (1 - magnitude) / (1 + mass)))
-    share = turned * arb(len(document.u_max) - 1).sqrt()
-    wanted = along, turned, rounding * (2 * share if carried else 1 + along + share)
+    if layout is None:
+        left = spec.get("impulse_bit_N_s", 0.0) * carried
+        _need("system", "impulse that is carried", document.carried, left)
+        along = largest(((magnitude + mass) / (1 - mass), 1 - turn.cos() * (1 - magnitude) / (1 + mass)))
+        share = turned * arb(len(document.u_max) - 1).sqrt()
+        wanted = along, turned, bit / (2 * period) * (2 * share if carried else 1 + along + share)
+    else:
+        wanted = layout.errors(period, carried)
+        least = layout.left(carried)
+        require("system", document.carried - least * (1 - ROUNDED), f"impulses left: {document.carried}")
     names = ("along", "across", "of the bit")
     for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
         require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")

@@ -73,6 +73,7 @@ class Plant:
     prompt: tuple[float, ...] = ()  # the same without jitter
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
+    weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
     hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
 
@@ -115,9 +116,13 @@ class Plant:
         return self.thrusters[2] if self.thrusters else 0.0
 
     def spent(self, most: Sequence[arb]) -> arb:
-        """Bound on the integral of the 1-norm of what is applied in a period, under commands up to `most`."""
+        """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""
         applied = sums(most, replace(self, thrusters=self.prompt).thruster_error(most))
-        return sum(applied, arb(0)) * (self.h + 2 * arb(self.jitter))
+        return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
+
+    def weighted(self, sizes: Sequence[arb]) -> arb:
+        """Sum of what inputs take, each by its weight."""
+        return dot(sizes, self.weights or [1.0] * len(sizes))
 
     def push(self, error: list[arb]) -> list[Push]:
         """Errors of the inputs as what pushes, if there are any."""

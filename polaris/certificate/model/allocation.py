@@ -1,15 +1,22 @@
-"""Thrusters that push only: every input within the limits is made, whichever one of them has failed."""
+"""Thrusters that push only: every input within the limits is made, whichever one of them has failed.
 
+Each input has a mix of thrusters either way, and what is commanded is the sum of these mixes.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any
 
 from flint import arb
 
 from ..files.document import Document
-from ..kernel.balls import dot, require
+from ..kernel.balls import dot, largest, require, root
 from ..kernel.verdict import Rejected
 
-MOST_INPUTS = 6  # most inputs: their box has two corners for each
+MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
+MIXED = 1e-12  # how far a mix may be off the unit that it makes
+BEYOND = 1e-11  # share by which thrusters can make more than is needed, so that they make that exactly
 
 
 def per_axis(given: Any, count: int) -> list[float]:
@@ -22,11 +29,12 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
 
     What they make is convex. It holds a box if for each of its corners it has a point that lies, in every
     input, at least as far out as the corner: no plane separates the box from those points (Proposition 5).
+    Sums of mixes are such points.
     """
     spec, every = scenario.get("thrusters", {}), scenario.get("faults", [])
     faults = [fault for fault in every if fault["kind"] != "navigation_lost"]
-    made, m, told = document.allocation, len(document.u_max), "directions" in spec or bool(faults)
-    if (made is not None) != told or ("directions" in spec) != ("thrust_max_N" in spec):
+    made, m, layout = document.allocation, len(document.u_max), "directions" in spec
+    if (made is not None) != (layout or bool(faults)) or layout != ("thrust_max_N" in spec):
         raise Rejected("system", "certificate and scenario do not both speak of the thrusters")
     if made is None:
         return
@@ -36,27 +44,107 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
         raise Rejected("system", "limits of the inputs exceed those of the scenario")
     directions = [[float(s * (i == k)) for k in range(m)] for s in (1, -1) for i in range(m)]
     limits = most * 2
-    if "directions" in spec:
+    if layout:
         directions = spec["directions"]
         limits = per_axis(spec["thrust_max_N"], len(directions))
-        if any(spec.get(key, 0.0) > 0 for key in ("magnitude_error", "impulse_bit_N_s")):
-            raise Rejected(
-                "system", "errors of single thrusters are not covered with directions of their own"
-            )
-    if made["directions"] != directions or made["limits"] != limits:
+    if (made["directions"], made["limits"], made["layout"]) != (directions, limits, layout):
         raise Rejected("system", "thrusters are not those of the scenario")
     shares = [arb(1) - arb(fault["share"]) if fault["kind"] == "loss" else arb(0) for fault in faults]
-    cases = [(j, left) for left in shares for j in range(len(limits))] or [(0, arb(1))]
-    if [len(case) for case in made["corners"]] != [2**m] * len(cases):
-        raise Rejected("system", "corners are missing from the limits of the inputs")
-    for (failed, left), thrusts in zip(cases, made["corners"], strict=True):
-        for signs, f in zip(product((1, -1), repeat=m), thrusts, strict=True):
-            for j, (x, limit) in enumerate(zip(f, limits, strict=True)):
-                top = arb(limit) * left if j == failed else arb(limit)
-                if not x >= 0:
-                    raise Rejected("system", f"thruster {j} is to push backwards")
-                require("system", top * (1 + arb(2) ** -50) - arb(x), f"thruster {j} with {failed} failed")
-            for i, (sign, u) in enumerate(zip(signs, document.u_max, strict=True)):
-                along = dot([arb(row[i]) for row in directions], f) * sign
-                told_of = f"{document.input_names[i]} with thruster {failed} failed"
-                require("system", along - arb(u), f"{told_of}: {u:.6g} are not made")
+    cases = [(0, arb(1)), *((j, left) for left in shares for j in range(len(limits)))]
+    if len(made["mixes"]) != len(cases):
+        raise Rejected("system", "mixes of thrusters are missing")
+    for (failed, left), mixes in zip(cases, made["mixes"], strict=True):
+        for sign, i in product((1, -1), range(m)):
+            f, told = mixes[sign < 0][i], f"{document.input_names[i]} with thruster {failed} failed"
+            for j in range(m):
+                off = abs(dot([arb(row[j]) for row in directions], f) - sign * (i == j))
+                require("system", MIXED - off, f"{told} is not what its mix makes")
+        for j, limit in enumerate(limits):
+            asked = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
+            top = arb(limit) * left if j == failed else arb(limit)
+            told = f"thruster {j} with {failed} failed is asked for more than it makes"
+            require("system", top - sum(asked, arb(0)) * (1 + BEYOND), told)
+
+
+def input_weights(made: dict[str, Any] | None) -> tuple[arb, ...]:
+    """Return the most thrust of all thrusters that a unit of each input takes; nothing without a layout."""
+    if made is None or not made["layout"]:
+        return ()
+    lengths = [root(dot(d, d)) for d in map(list, (map(arb, d) for d in made["directions"]))]
+    mixes = [mixes[sign] for mixes in made["mixes"] for sign in (0, 1)]
+    return tuple(largest(dot(lengths, mix[i]) for mix in mixes) for i in range(len(mixes[0])))
+
+
+@dataclass(frozen=True)
+class Nozzles:
+    """Errors of thrusters one by one, as the scenario declares them, in the allocation of a certificate."""
+
+    made: dict[str, Any]
+    along: arb
+    across: arb
+    mass: arb
+    bit: arb  # impulse of which every thruster makes multiples
+
+    @classmethod
+    def of(cls, document: Document, spec: dict[str, Any]) -> "Nozzles | None":
+        """From the table of thrusters of a scenario; None without directions."""
+        if "directions" not in spec or document.allocation is None:
+            return None
+        names = "magnitude_error", "mass_error", "misalignment_deg", "impulse_bit_N_s"
+        magnitude, mass, angle, bit = (arb(spec.get(name, 0.0)) for name in names)
+        turn = angle * arb.pi() / 180
+        along = largest((magnitude, 1 - turn.cos() * (1 - magnitude)))
+        return cls(document.allocation, along, turn.sin() * (1 + magnitude), mass, bit)
+
+    @cached_property
+    def off(self) -> list[list[arb]]:
+        """Return bounds on the error of a unit of thrust in every input, the mass being exact, (N, m)."""
+        found = []
+        for d in self.made["directions"]:
+            sides = [[x for k, x in enumerate(d) if k != j] for j in range(len(d))]
+            each = zip(d, sides, strict=True)
+            found.append([self.along * abs(x) + self.across * root(dot(y, y)) for x, y in each])
+        return found
+
+    @cached_property
+    def most(self) -> list[list[arb]]:
+        """Return the most that a unit of thrust makes of every input, (N, m)."""
+        each = zip(self.made["directions"], self.off, strict=True)
+        return [[(abs(x) + y) / (1 - self.mass) for x, y in zip(*rows, strict=True)] for rows in each]
+
+    def together(self, each: list[list[arb]]) -> list[arb]:
+        """Return the largest sums over thrusters that are asked at once, of (N, m), shape (m)."""
+        m, used = len(each[0]), set[tuple[int, ...]]()
+        for mixes in self.made["mixes"]:
+            for signs in product((0, 1), repeat=m):
+                asked = zip(*(mixes[sign][i] for i, sign in enumerate(signs)), strict=True)
+                used.add(tuple(int(any(x > 0 for x in thrusts)) for thrusts in asked))
+        return [largest(dot([x[j] for x in each], row) for row in used) for j in range(m)]
+
+    def errors(self, period: arb, carried: bool) -> tuple[arb, arb, arb]:
+        """Return errors of the inputs along, across, and of the bit, as `Document.thrusters` has them."""
+        m, columns = len(self.off[0]), list(zip(*self.off, strict=True))
+        mixes = [mixes[sign] for mixes in self.made["mixes"] for sign in (0, 1)]
+        T = [[largest([dot(mix[i], column) for mix in mixes]) for i in range(m)] for column in columns]
+        own = largest([(T[j][j] + self.mass) / (1 - self.mass) for j in range(m)])
+        apart = [[x for i, x in enumerate(row) if i != j] for j, row in enumerate(T)]
+        across = largest([root(dot(row, row)) for row in apart]) / (1 - self.mass)
+        ways = zip(self.most, self.made["directions"], strict=True)
+        if carried:
+            wrong = [[x - abs(d) for x, d in zip(*rows, strict=True)] for rows in ways]
+        else:
+            wrong = [[x / 2 for x in row] for row in self.most]
+        return own, across, self.bit / period * largest(self.together(wrong))
+
+    def left(self, carried: bool) -> arb:
+        """Return the most of an input's impulse that may be left in all thrusters."""
+        columns = list(zip(*self.made["directions"], strict=True))
+        sides = [
+            dot([max(s * x, 0.0) for x in column], [1.0] * len(column)) for column in columns for s in (1, -1)
+        ]
+        return self.bit * carried * largest(sides)
+
+    def fired(self) -> list[arb]:
+        """Return bounds on what pulses of thrusters that are asked at once make of every input."""
+        rows = zip(self.most, self.made["limits"], strict=True)
+        return self.together([[x * limit for x in row] for row, limit in rows])

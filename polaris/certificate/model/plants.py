@@ -10,6 +10,7 @@ from ..files.document import Document
 from ..kernel.balls import PRECISION, exponential, largest, magnitude, matrix, require
 from ..kernel.motion import Plant
 from ..kernel.verdict import Rejected, Undecided
+from .allocation import input_weights
 
 WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
 
@@ -34,7 +35,8 @@ def plant_of(document: Document) -> Plant:
     jitter = document.timing.get("jitter", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
-    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, *errors, jitter, document.carried)
+    weights = input_weights(document.allocation)
+    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, *errors, jitter, document.carried, weights)
     return replace(plant, unmeasured=delay + missed * h, hidden=0 if document.transients else hidden)
 
 

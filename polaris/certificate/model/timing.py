@@ -9,7 +9,7 @@ from ..files.document import ROUNDED, Document
 from ..kernel.balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
 from ..kernel.motion import PARTS, Plant
 from ..kernel.verdict import Rejected
-from .allocation import per_axis
+from .allocation import Nozzles, per_axis
 from .plants import plant_of
 
 AT_NODES = arb(1e-6)
@@ -36,10 +36,15 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         raise Rejected("system", "the control period must be at least twice the jitter")
     pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
     top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
-    if document.fired != (per_axis(top, len(document.u_max)) if pulsed else []):
+    fired = list(map(arb, per_axis(top, len(document.u_max)))) if pulsed else []
+    if pulsed and (layout := Nozzles.of(document, thrusters)) is not None:
+        fired = layout.fired()
+    if len(document.fired) != len(fired):
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
-    if pulsed and (jitter or "directions" in thrusters):
-        raise Rejected("system", "pulses go with no jitter, and no directions of thrusters")
+    for most, needed in zip(document.fired, fired, strict=True):
+        require("system", most - needed * (1 - ROUNDED), f"pulses of {most}")
+    if pulsed and jitter:
+        raise Rejected("system", "pulses go with no jitter")
     exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
     none = arb(0), [arb(0)] * len(stored)
     late, moved = _jitter(plant) if jitter else none
@@ -80,7 +85,8 @@ def carried_away(plant: Plant) -> list[arb]:
 
 def owed(plant: Plant) -> arb:
     """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
-    return plant.B.ncols() * arb(plant.carried) * (1 + arb(plant.thrusters[0] if plant.thrusters else 0.0))
+    along, sides = plant.thrusters[0] if plant.thrusters else 0.0, 2 if plant.weights else 1
+    return sides * plant.B.ncols() * arb(plant.carried) * (1 + arb(along))
 
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:

@@ -18,7 +18,7 @@ from ...synthesis.safety.problem import Problem
 from ...synthesis.schedule.schedule import Schedule
 from .tables import errors_of, json_text, write_text
 
-ALLOCATION = ("directions", "limits", "corners")  # what is published of an allocation
+ALLOCATION = ("directions", "limits", "mixes")  # what is published of an allocation
 
 
 def write_gains(path: Path, schedule: Schedule) -> None:
@@ -43,6 +43,7 @@ def flown(schedule: Schedule) -> dict[str, Any]:
 def system_table(problem: Problem) -> dict[str, Any]:
     """Return the system and its errors."""
     system, made = problem.system, problem.allocation
+    table = {key: getattr(made, key) for key in ALLOCATION if made is not None}
     late = [  # no pushes where navigation is lost
         {
             "name": each.name,
@@ -63,7 +64,7 @@ def system_table(problem: Problem) -> dict[str, Any]:
         "disturbance_max": float(system.w_max),
         "input_names": list(system.input_names),
         **errors_of(system),
-        **({} if made is None else {"allocation": {key: getattr(made, key) for key in ALLOCATION}}),
+        **({} if made is None else {"allocation": table | {"layout": system.nozzles is not None}}),
         **({"transients": late} if late else {}),
     }
 

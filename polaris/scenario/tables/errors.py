@@ -11,6 +11,7 @@ from ...model.allocation import Allocation, axis_pairs
 from ...model.checks import MAX_STEPS
 from ...model.craft import Craft
 from ...model.errors import ScenarioError
+from ...model.nozzles import Nozzles
 from ...model.prediction import predicting
 from ...model.system import Array, LinearSystem
 from ...model.thrusters import Thrusters as Errors
@@ -31,41 +32,49 @@ class Thrusters(ScenarioPart):
     )
     misalignment_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
     """Angle by which the thrust as a whole may be turned. If nozzles along the axes are misaligned one by
-    one, 1.42 times their angle. Hill's frame only."""
+    one, 1.42 times their angle. With `directions`, the angle of each nozzle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
-    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded."""
+    """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. With
+    `directions` that of each thruster."""
     remainder: Literal["dropped", "carried"] = unit("-", default="dropped")
     """What becomes of the rest that is no multiple of the bit: dropped, the nearest multiple being made; or
     carried to the next period, from none at the start: what is commanded and left from before is rounded
     towards zero, and never exceeds the limits."""
     pulse: Literal["held", "centred"] = unit("-", default="held")
     """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
-    the full `system.thrust_max_N` (`input_max`) and as long as it takes. Errors of the thrusters are constant
-    in a period then."""
+    the full `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long
+    as it takes. Errors of the thrusters are constant in a period then."""
     directions: f.Matrix | None = unit("-", default=None)
     """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
     thrust). Without it there is one either way along every input."""
     thrust_max_N: f.PositivePerAxis | None = unit("N", default=None)
     """Largest thrust, one number for all thrusters or one each; needed with `directions`. The limits of the
-    inputs are then those of the largest box within the system's own, and of its shape, that they make."""
+    inputs are then those of the largest box within the system's own, and of its shape, that they make. Every
+    input has a fixed mix of them either way, of least thrust in all, by which commands are allocated."""
 
-    def build(self, system: LinearSystem, period: float) -> Errors:
-        """Bounds on the errors of the inputs."""
+    def nozzles(self, made: Allocation | None) -> Nozzles | None:
+        """Return the thrusters of a layout with what each may do wrong; None where none is given."""
+        if self.directions is None or made is None:
+            return None
+        errors = self.magnitude_error, float(np.deg2rad(self.misalignment_deg)), self.mass_error
+        carried = self.remainder == "carried"
+        return Nozzles.of(made, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
+
+    def build(self, system: Craft, period: float) -> Errors:
+        """Bound the errors of the inputs, by the layout of the system's thrusters if it has one."""
+        layout = system.nozzles
+        limits = system.u_max if layout is None else layout.made.limits
         if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
             rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
             raise ScenarioError("thrusters.misalignment_deg", self.misalignment_deg, rule)
-        if self.impulse_bit_N_s > (most := float(system.u_max.min()) * period):
+        if self.impulse_bit_N_s > (most := float(limits.min()) * period):
             rule = f"must be at most what full thrust makes in a period, {most:.6g} N s"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
-        if self.pulse != "held" and self.directions is not None:
-            raise ScenarioError("thrusters.pulse", self.pulse, "needs thrusters without directions")
-        if self.directions is not None and (self.magnitude_error > 0 or self.impulse_bit_N_s > 0):
-            given, rule = (self.magnitude_error, self.impulse_bit_N_s), "is not covered with directions"
-            raise ScenarioError("thrusters.magnitude_error, impulse_bit_N_s", given, rule)
-        bit = self.impulse_bit_N_s / (2 * period)
-        turned = float(np.deg2rad(self.misalignment_deg))
+        if layout is not None:
+            return layout.errors(period)
+        bit, turned = self.impulse_bit_N_s / (2 * period), float(np.deg2rad(self.misalignment_deg))
         if self.remainder == "dropped":
             return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
         found = Errors.of(self.magnitude_error, turned, self.mass_error, 0.0, system.m)
@@ -78,9 +87,11 @@ class Timing(Described, makes=Delays):
 
 def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | None, limits: Array) -> Craft:
     """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
-    made = thrusters or Thrusters()
+    made, layout = thrusters or Thrusters(), system.nozzles
     fired = () if made.pulse == "held" else tuple(limits.tolist())
     carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
+    if layout is not None:
+        fired, carried = layout.fired, layout.left
     if timing.jitter > period / 2:
         rule = f"must be at most half of the period of {period:g} s"
         raise ScenarioError("timing.jitter_s", timing.jitter, rule)

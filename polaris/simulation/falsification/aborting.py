@@ -28,9 +28,10 @@ def exceeded(schedule: Schedule, step: int, runs: Runs) -> tuple[Failure, int]:
     way = powered.ways[step]
     assert way.branch is not None
     safety, goal = runs.schedule.safety, powered.branches[way.branch].goal
-    q, h, mass = safety.clearance.q, safety.tracking.flow.h, safety.problem.system.mass
+    q, h, system = safety.clearance.q, safety.tracking.flow.h, safety.problem.system
     off = goal.distance(runs.states[:, way.cell * q], np.zeros(1), 0.0)
-    pushed = np.abs(runs.inputs[:, step * q : way.cell * q]).sum(axis=(1, 2)) * h / mass
+    commands = np.abs(runs.inputs[:, step * q : way.cell * q]).sum(axis=1)
+    pushed = commands @ system.weights * h / system.mass
     parts = {"orbit": goal.tolerance - off, "velocity change": way.delta_v - pushed}
     limit = min(parts, key=lambda name: float(parts[name].min()))
     run = int(np.argmin(parts[limit]))

@@ -131,7 +131,7 @@ class _TrueMotion(Integrator):
     ballistic: Array
     residual: Array  # largest within each period, (nodes, R)
     axis: Array  # about which the last runs' thrusters are turned, (r, 3)
-    strength: Array  # of each of them, as a share of the error, (r, 3)
+    strength: Array  # of each of them, as a share of the error, (r, N)
     errors = Thrusters()  # of thrusters alone, jitter left out
 
     def command(self, number: int, k: int, at: int, x: Array) -> Array:
@@ -149,19 +149,26 @@ class _TrueMotion(Integrator):
         force = (w[..., :p] @ system.D.T)[..., 3:] * (self.env.other / max(system.w_max, 1e-300))
         axis = rng.normal(size=(n - len(adjoint), 3))
         self.axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
-        self.strength = rng.choice([-1.0, 1.0], axis.shape)
+        self.strength = rng.choice([-1.0, 1.0], (len(axis), len(self.ways)))
         return np.concatenate([np.where(worst[:, None], force, pushed), w[..., p:]], axis=2), adjoint
 
     def applied(self, raw: Array, step: int) -> Array:
         u, errors = super().applied(raw, step), self.errors
         if errors.exact:
             return u
-        built = slice(len(u) - len(self.axis), None)
+        built, layout = slice(len(u) - len(self.axis), None), self.system.nozzles
         told, bit = self.asked[built], errors.rounding(self.system.m)
+        if layout is not None:
+            bit = layout.bit / (self.dt * self.substeps)
         told = np.round(told / bit) * bit if bit > 0 and self.left is None else told
         if len(self.fired):  # no pulse is longer than a period
             self.asked = self.asked.copy()
             self.asked[built] = told = np.clip(told, -self.fired, self.fired)
+        if layout is not None:
+            strong = told * (1 + layout.along * self.strength)
+            turned = layout.across * np.cross(self.axis, told @ self.ways)
+            u[built] = (strong @ self.ways + turned) / (1 + layout.mass * self.strength[:, :1])
+            return u
         turned = errors.across * np.cross(self.axis, told)
         u[built] = told * (1 + errors.along * self.strength) + turned
         return u

@@ -205,7 +205,8 @@ class Tail(Nearness):
         each, once = flight.mean(), flight.once()
         if each is None or once is None or system.spent(each).sum() >= system.spent(most).sum():
             return system.spent(most), 0 * most
-        return system.spent(np.minimum(each, most)), system.longest * (once + system.thrusters.summed(once))
+        more = system.longest * system.weights * (once + system.thrusters.summed(once))
+        return system.spent(np.minimum(each, most)), more
 
     def upkeep(self, taken: float) -> Upkeep | None:
         """Bound S's velocity change for all time, from that until T (Proposition 14 (d)).
@@ -225,7 +226,7 @@ class Tail(Nearness):
         ahead = float(system.spent(most).sum()) / system.mass * h * bool(system.timing.fired)
         ahead = ahead * (1 + spare(tracking)) + once * h  # a pulse ends before its period does
         until = (taken * (1 + spare(tracking)) + self.correcting(nodes)) * (1 + ROUNDING) + ahead
-        before = system.thrusters.made(system.m * system.timing.carried) / system.mass  # left from before
+        before = system.owed / system.mass
         orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
         tank, lasts = problem.tank, None
         if tank is not None and rate > 0:

@@ -150,6 +150,7 @@ class Schedule:
             carried=problem.system.timing.carried,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
+            layout=problem.system.nozzles is not None,
             late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
             position=problem.system.position.tolist(),

@@ -111,11 +111,11 @@ def together(run: Sequence[Spell], count: int) -> float:
     rest = np.abs(rows).sum(axis=0) @ closed.loop.uneven
     size, off = (np.sqrt(count * np.sum(each**2, axis=0)) for each in (known, made))
     if system.timing.carried:  # what is commanded, and the errors of what is made of it
-        told, more = seen[1] @ size + (wrong[0] + rest) @ off, made.sum()
+        told, more = seen[1] @ size + (wrong[0] + rest) @ off, float((made @ system.weights).sum())
     else:  # what is applied, but for errors that stand for pulses
         told = seen[1] @ size + (wrong[1] + rest) @ off
-        more = count * system.m * (system.thrusters.bit - system.prompt.thrusters.bit)
-    return float((base.sum() + told.sum() + more) * (1 + ROUNDING))
+        more = count * system.weights.sum() * (system.thrusters.bit - system.prompt.thrusters.bit)
+    return float(((base.sum(axis=0) + told) @ system.weights + more) * (1 + ROUNDING))
 
 
 def _answered(answers: Array) -> tuple[Array, Array]:

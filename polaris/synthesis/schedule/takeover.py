@@ -118,5 +118,5 @@ class Branch:
         spent = tracked(self.goal.commands, [taken.handed], taken.k * q, end * q)
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         more = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
-        more += system.thrusters.made(system.m * system.timing.carried)
+        more += system.owed
         return (spent + more / system.mass) * (1 + SPARE)

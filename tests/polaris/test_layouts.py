@@ -1,0 +1,142 @@
+"""Layouts of thrusters: errors and impulses of each, flown one by one, within the bounds of the inputs."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from polaris.model.allocation import Allocation, Fault
+from polaris.model.nozzles import Nozzles
+from polaris.simulation.simulate import simulate
+from polaris.synthesis.schedule.synthesize import synthesize
+
+from .forging import CERTIFICATE, COARSE, Forger, make
+from .test_faults import FIVE
+from .test_pairs_of_sources import SOURCES, static
+
+PERIOD = 2.0  # [s]
+
+BIT = 1e-3  # [N s]
+
+
+def drawn(seed, carried=False, faults=False):
+    """Draw a layout, and the errors of magnitude, direction [rad] and mass that it was made with."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(int(rng.integers(10, 17)), 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    limits, failing = rng.uniform(0.02, 0.05, len(directions)), [Fault("stuck_off", 0.0)] * faults
+    made = Allocation.of(directions, limits, np.full(3, 0.05), failing)
+    errors = rng.uniform(0, 0.1), np.deg2rad(rng.uniform(0, 5)), rng.uniform(0, 0.05)
+    return rng, Nozzles.of(made, *errors, BIT, carried, True), errors
+
+
+def flown(rng, layout, errors, f):
+    """Return inputs (R, m) by thrusts f (R, N), every nozzle as far off one input as its errors allow."""
+    (magnitude, turned, lighter), d, runs = errors, layout.made.directions, len(f)
+    axis, way = np.eye(3)[rng.integers(0, 3, runs)], rng.choice([-1.0, 1.0], runs)
+    along = axis @ d.T
+    aside = axis[:, None] - along[..., None] * d  # across each nozzle, towards the input
+    aside /= np.maximum(np.linalg.norm(aside, axis=2, keepdims=True), 1e-12)
+    strong = f * (1 + magnitude * way[:, None] * np.sign(along))
+    angle = turned * rng.choice([0.5, 1.0], runs)[:, None, None] * way[:, None, None]
+    force = np.einsum("rn,rnj->rj", strong, np.cos(angle) * d + np.sin(angle) * aside)
+    return force / (1 + lighter * rng.choice([-1.0, 1.0], runs))[:, None]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("faults", [False, True])
+def test_errors_of_nozzles_lie_within_the_bound_of_the_inputs_and_reach_most_of_it(seed, faults):
+    rng, layout, errors = drawn(seed, faults=faults)
+    bounds, made, reached = layout.errors(PERIOD), layout.made, 0.0
+    u = rng.uniform(-1, 1, (2000, 3)) * made.u_max * rng.choice([1.0, 0.0], (2000, 3), p=[0.7, 0.3])
+    for mixes in made.mixes:
+        f = np.maximum(u, 0) @ mixes[0] + np.maximum(-u, 0) @ mixes[1]
+        np.testing.assert_allclose(f @ made.directions, u, atol=1e-12)
+        off, bound = np.abs(flown(rng, layout, errors, f) - u), bounds.part(u)
+        assert np.all(off <= bound + 1e-12)
+        reached = max(reached, float(np.max(off / np.maximum(bound, 1e-9))))
+        rounded = np.round(f * PERIOD / BIT) * BIT / PERIOD
+        assert np.all(np.abs(flown(rng, layout, errors, rounded) - u) <= bounds.error(u) + 1e-12)
+    assert reached > 0.75
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
+    rng, layout, errors = drawn(seed, carried=True)
+    made, bounds, left, before = layout.made, layout.errors(PERIOD), 0.0, 0.0
+    most, asked, spent = 0.0, 0.0, 0.0
+    held = rng.uniform(-1, 1, (60, 3)) * made.u_max
+    for k in range(400):
+        u = held[k % 60 if k < 200 else 0] * rng.choice([1.0, 0.02])
+        f = made.made(u)
+        due = f * PERIOD + left
+        whole = np.minimum(BIT * np.floor(due / BIT * (1 + 1e-12)) / PERIOD, made.limits)
+        left = due - whole * PERIOD
+        now = left @ made.directions
+        most = max(most, float(np.abs(now).max()))
+        applied = flown(rng, layout, errors, whole[None])[0]
+        off = np.abs(applied - (u + (before - now) / PERIOD))
+        assert np.all(off <= bounds.error(u) + 1e-12)
+        before, asked, spent = now, asked + np.abs(u), spent + whole @ made.sizes
+        assert spent <= asked @ layout.weights + 1e-9
+    assert most <= layout.left * (1 + 1e-9) and most > 0.2 * layout.left
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(seed):
+    """A double integrator: within a period from where held inputs have it, velocity and position."""
+    rng, layout, errors = drawn(seed)
+    made, fired = layout.made, np.array(layout.fired)
+    u = rng.uniform(-1, 1, (300, 3)) * made.u_max
+    f, s = made.made(u), np.linspace(0, 1, 201)[:, None, None]
+    on = f / made.limits
+    since = np.clip(s - (1 - on) / 2, 0.0, on) * made.limits - s * f  # impulse per period, beyond held thrust
+    for speed in since:
+        one = np.maximum(speed, 0), np.maximum(-speed, 0)
+        moved = sum(abs(flown(rng, layout, errors, each)) for each in one)
+        assert np.all(moved <= fired / 8 * (1 + 1e-9))
+
+
+def test_every_error_of_a_layout_flies_within_what_is_proven(tmp_path):
+    """Errors, carried impulses and pulses of five thrusters: certified, and forgeries of them refused."""
+    errors = ["thrusters.magnitude_error=0.02", "thrusters.mass_error=0.01"]
+    impulses = [
+        "thrusters.impulse_bit_N_s=0.002",
+        'thrusters.remainder="carried"',
+        'thrusters.pulse="centred"',
+    ]
+    forger = Forger(make([*FIVE, *errors, *impulses, COARSE], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+
+    def changed(*path, share):
+        data = copy.deepcopy(forger.honest)
+        table, last = data["system"], path[-1]
+        for key in path[:-1]:
+            table = table[key]
+        old = table[last]
+        lower = [(float.fromhex(x) * share).hex() for x in old] if isinstance(old, list) else None
+        table[last] = lower or (float.fromhex(old) * share).hex()
+        return forger.judge({CERTIFICATE: json.dumps(data)})
+
+    for path in (("thrusters", "along"), ("thrusters", "across"), ("timing", "carried"), ("timing", "fired")):
+        assert changed(*path, share=0.99).outcome == "REJECTED", path
+    assert changed("allocation", "limits", share=0.99).claim == "system"
+
+
+def test_runs_with_a_layout_fire_its_thrusters():
+    """Impulses of a canted layout are multiples of the bit for each thruster, and cost what it pushes."""
+    names = "layout", "magnitude", "carried bit", "pulses"
+    scenario = static().with_assignments([text for name in names for text in SOURCES[name]])
+    system = scenario.system()
+    assert system.nozzles is not None and np.all(system.weights > 1.2)
+    assert system.timing.carried == pytest.approx(2.8 * 0.005)
+    assert np.all(np.array(system.timing.fired) > 2.8 * 0.15)
+
+
+@pytest.mark.slow
+def test_flights_of_a_layout_keep_to_what_is_proven():
+    names = "layout", "magnitude", "direction", "mass", "bit", "estimate"
+    schedule = synthesize(static().with_assignments([text for name in names for text in SOURCES[name]]))
+    runs = simulate(schedule, 200, 0, initial="corners")
+    assert not np.any(runs.metrics().collided) and float(runs.delta_v.max()) <= schedule.delta_v[1]
