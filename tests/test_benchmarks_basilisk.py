@@ -10,7 +10,12 @@ from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
-SAMPLED = ["feedback.period_s=10", "recoverable.recourse=none"]
+SAMPLED = [
+    "feedback.period_s=10",
+    "recoverable.recourse=none",
+    "simulation.runs=2",
+    "schedule.bound_programs=0",
+]
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """Compiled loops against the formulas in NumPy, their oracle; without numba, the loops as they stand."""
 
 import importlib.util
+import os
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from polaris.rta.projection import FILTERED, PRIMAL, project_coupled
 from .test_filters import situation
 
 NUMBA = importlib.util.find_spec("numba") is not None
-EXAMPLES = 25 if NUMBA else 2
+EXAMPLES = 25 if NUMBA else 2  # as the loops stand, a plain run takes a fifth of them
 needs_numba = pytest.mark.skipif(not NUMBA, reason="numba (the extra `fast`) is not installed")
 
 
@@ -161,6 +162,8 @@ def test_filters_answer_alike(sharing, sampled, seed):
     np.testing.assert_allclose(a.u[regular], b.u[regular], atol=1e-7)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="a plain run compiles nothing")
 @needs_numba
 def test_calls_in_odd_arrays_compile_nothing_anew(monkeypatch):
     monkeypatch.setenv("POLARIS_COMPILED", "1")

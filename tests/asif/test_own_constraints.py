@@ -77,7 +77,7 @@ class Upwards:
 
 def flown(q, kind, sampled=True):
     families = Families(q, "linear", sampled=SampledData(1.0) if sampled else None)
-    flights = Flights(q, START[None], np.zeros(1), 200.0, 1.0, Upwards())
+    flights = Flights(q, START[None], np.zeros(1), 80.0, 1.0, Upwards())
     return judge(
         fly_one(flights, make_filter(families, kind)), Families(q, "linear", exact=True), 4
     ).constraints

@@ -8,11 +8,11 @@ import pytest
 pytest.importorskip("flint")
 
 from .choices import changes, forged
-from .forging import QUARTER, Forger, make
+from .forging import COARSE, Forger, make
 
 ORBIT = '{kind="stationary",state=[0.0,6.0,0.0,0.0],tolerance_m=0.5}'
 ASKED = (
-    QUARTER,
+    COARSE,
     f"abort={{orbit={ORBIT},within_s=10.0,delta_v_max_m_s=20.0,drift_s=6.0}}",
     "thrusters.magnitude_error=0.02",
     "schedule.bound_programs=0",

@@ -14,7 +14,7 @@ from polaris.certificate.model.craft.needs import Needs
 
 from .test_hand_over import BEFORE, CASES, PARTS, Flight, checker_needs, tracking
 
-REMEMBERED, PERIODS = 80, 300
+REMEMBERED, PERIODS = 80, 240
 
 
 class Flown:

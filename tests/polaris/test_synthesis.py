@@ -73,7 +73,7 @@ def attack(name, n, seed, *more):
     ],
 )
 def test_no_run_breaks_the_claim(name):
-    attack(name, 250, 1, *quick(name))
+    attack(name, 120, 1, *quick(name))
 
 
 @pytest.mark.slow

@@ -142,8 +142,8 @@ def spare(root: Path, name: str, like: Path) -> Path:
     return next(path for path in _names(place / last) if not os.path.lexists(path) or _same(path, like))
 
 
-def _names(path: Path) -> list[Path]:
-    return [path, *(path.with_name(f"{path.name}.kept{number or ''}") for number in range(1000))]
+def _names(path: Path) -> "map[Path]":
+    return map(path.with_name, (path.name + f".kept{i or ''}" * (i >= 0) for i in range(-1, 1000)))
 
 
 def _is_folder(path: Path) -> bool:
