@@ -23,7 +23,9 @@ from .powered import check_aborts
 from .spending import spent
 from .upkeep import check_upkeep
 
-ORDER = 64  # generators per state of the plant that sets are merged to where they have twice as many
+ORDER = (
+    64  # generators per state of the plant that sets are merged to where they come to several times as many
+)
 
 SAMPLES_SLACK = 1e-9
 """By how much the bound of black boxes may be off its exact value, relative to it: rounding."""

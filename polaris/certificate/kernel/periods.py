@@ -27,6 +27,11 @@ class Period:
     pushes: list[Push]
     bounds: list[arb]  # on the commands
 
+    @property
+    def columns(self) -> int:
+        """Generators that it adds."""
+        return sum(part.ncols() for part in (*self.held, *self.added))
+
     def ends(self, z: Zonotope) -> Zonotope:
         """Return the set at the end of the period without uncertain inputs."""
         return z.image(self.F).moved(self.moved)

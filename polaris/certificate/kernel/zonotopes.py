@@ -193,10 +193,15 @@ class Merging:
     states: int
     rows: arb_mat | None = None
 
-    def after(self, z: Zonotope) -> Zonotope:
-        """Enclosing set with few generators of one that has more than twice as many; else that one."""
+    def before(self, z: Zonotope, more: int = 0) -> Zonotope:
+        """Enclosing set with few generators of one that has several times as many once `more` are added.
+
+        What merging loses of fresh generators fades until then: `more` is told where a step begins, and of
+        sets at its ends little is lost. The set itself if it has few.
+        """
         limit, count = self.order * self.states, sum(part.ncols() for part in z.parts)
-        return z.reduced(limit, self.rows) if count > 2 * limit else z
+        most = 2 * limit - more if more else 3 * limit
+        return z.reduced(limit, self.rows) if limit < count > most else z
 
 
 def inner_radius(G: arb_mat) -> arb:
