@@ -73,3 +73,16 @@ def test_runs_with_any_sources_that_hold_are_confirmed(tmp_path):
         assert verdict.outcome == "VERIFIED", f"{names}, {sizes}: {verdict.text()}"
         confirmed += schedule.upkeep is not None
     assert confirmed >= 30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_a_camera_on_a_craft_with_weak_thrusters_is_confirmed(delay, tmp_path):
+    """U flies long with an observer: sets keep too few generators for all of their fresh noise."""
+    weak = ["system.mass_kg=12.0", "system.thrust_max_N=0.04", "system.mean_motion_rad_s=0.00113"]
+    start = "initial_set.center=[0.0,400.0,0.0,0.226,0.0,0.0]"
+    seen = ["navigation.measurement.position_error_m=0.1", f"timing.delay_s={delay}", "simulation.runs=1"]
+    scenario = load_scenario("static", [*weak, start, *seen])
+    schedule = synthesize(scenario)
+    assert schedule.share() >= 0.8
+    assert verify(write_run(tmp_path / "run", scenario, schedule).path).outcome == "VERIFIED"
