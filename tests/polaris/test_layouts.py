@@ -12,6 +12,9 @@ from polaris.model.errors import SynthesisInfeasible
 from polaris.model.nozzles import Nozzles
 from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.failing import Failing
+from polaris.simulation.orbit.environment import Environment
+from polaris.simulation.orbit.truth import fly_true
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.spending import Spell, together
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -147,6 +150,19 @@ def test_flights_of_a_layout_keep_to_what_is_proven():
     schedule = synthesize(static().with_assignments([text for name in names for text in SOURCES[name]]))
     runs = simulate(schedule, 200, 0, initial="corners")
     assert not np.any(runs.metrics().collided) and float(runs.delta_v.max()) <= schedule.delta_v[1]
+
+
+@pytest.mark.slow
+def test_thrusters_as_built_fail_too_in_the_nonlinear_motion(monkeypatch):
+    names = "layout", "magnitude", "weak thruster, late"
+    coarse = ["feedback.period_s=3.0", "recoverable.recourse=none"]
+    given = [*coarse, *(text for name in names for text in SOURCES[name])]
+    schedule = synthesize(static().with_assignments(given))
+    env = Environment(schedule.safety.problem.system.mean_motion, 0.9)
+    flown = fly_true(schedule, env, 24, substeps=1).runs
+    monkeypatch.setattr(Failing, "added", lambda self, u, step: 0 * u)
+    sound = fly_true(schedule, env, 24, substeps=1).runs
+    assert np.any(flown.states[12:] != sound.states[12:]) and not np.any(flown.metrics().collided)
 
 
 @pytest.mark.parametrize("lengths", [(1e4, 1.0, 1e-4), (1.0, 1e-5, 1e4)])
