@@ -14,7 +14,8 @@ from .system import Array
 MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
 MOST_THRUSTERS = 100
 ROUNDED = 1e-9  # share by which the box is smaller than what is found: rounding of a linear program
-LEAST = 1e-7  # share of the largest thrust of a mix below which a thruster takes no part in it
+LEAST = 1e-7  # share of the largest push of a mix below which a thruster takes no part in it
+OFF = 5e-13  # farthest that a mix is off the unit that it makes; thrusters that barely push a way are further
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,12 @@ class Allocation:
             share = min(share, reach * (1 - ROUNDED))
         found = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
         mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in found])
+        signed = np.array([1.0, -1.0])[:, None, None] * np.eye(m)
+        if np.max(np.abs(mixes @ directions - signed)) > OFF:
+            raise SynthesisInfeasible(
+                "the thrusters barely push every way, or are too unequal: rounding spoils what they make.",
+                relax="turn thrusters (thrusters.directions) so that more of their push is along each input.",
+            )
         asked, capacity = (share * wanted) @ mixes.max(axis=1), np.array([top for _, top in every])
         fits = np.min(capacity[asked > 0] / asked[asked > 0], initial=2.0)
         u_max = min(float(fits) * (1 - ROUNDED), 1.0) * share * wanted
@@ -153,7 +160,8 @@ def _mixes(scaled: bytes, capacity: bytes, share: float) -> tuple[float, Array]:
 
 def _exact(directions: Array, mixes: Array) -> Array:
     """Return mixes (2, m, N) that make a unit of their input to rounding, with no more thrusters."""
-    found = np.where(mixes > LEAST * mixes.max(), mixes, 0.0)
+    size = mixes * np.linalg.norm(directions, axis=1)
+    found = np.where(size > LEAST * size.max(axis=-1, keepdims=True), mixes, 0.0)
     for sign, mix in zip((1.0, -1.0), found, strict=True):
         for unit, f in zip(sign * np.eye(len(mix)), mix, strict=True):
             some = np.flatnonzero(f)

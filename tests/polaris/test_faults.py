@@ -112,3 +112,4 @@ def test_forged_faults_are_refused(tmp_path):
         verdict = forged(change)
         assert (verdict.outcome, verdict.claim) == ("REJECTED", "system"), change.__name__
     assert forged(lambda system: system.pop("allocation")).claim == "assumptions"
+    assert forged(lambda system: system["allocation"]["mixes"].clear()).claim == "format"

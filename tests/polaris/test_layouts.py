@@ -6,14 +6,24 @@ import json
 import numpy as np
 import pytest
 
+from polaris.certificate.checker import verify
 from polaris.model.allocation import Allocation, Fault
+from polaris.model.errors import SynthesisInfeasible
 from polaris.model.nozzles import Nozzles
+from polaris.runs.run import run
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.failing import Failing
+from polaris.simulation.orbit.environment import Environment
+from polaris.simulation.orbit.truth import fly_true
 from polaris.simulation.simulate import simulate
+from polaris.synthesis.schedule.spending import Spell, together
 from polaris.synthesis.schedule.synthesize import synthesize
+from reach.numerics.linear import discretize
 
 from .forging import CERTIFICATE, COARSE, Forger, make
 from .test_faults import FIVE
 from .test_pairs_of_sources import SOURCES, static
+from .tiny import TINY
 
 PERIOD = 2.0  # [s]
 
@@ -140,3 +150,78 @@ def test_flights_of_a_layout_keep_to_what_is_proven():
     schedule = synthesize(static().with_assignments([text for name in names for text in SOURCES[name]]))
     runs = simulate(schedule, 200, 0, initial="corners")
     assert not np.any(runs.metrics().collided) and float(runs.delta_v.max()) <= schedule.delta_v[1]
+
+
+@pytest.mark.slow
+def test_thrusters_as_built_fail_too_in_the_nonlinear_motion(monkeypatch):
+    names = "layout", "magnitude", "weak thruster, late"
+    coarse = ["feedback.period_s=3.0", "recoverable.recourse=none"]
+    given = [*coarse, *(text for name in names for text in SOURCES[name])]
+    schedule = synthesize(static().with_assignments(given))
+    env = Environment(schedule.safety.problem.system.mean_motion, 0.9)
+    flown = fly_true(schedule, env, 24, substeps=1).runs
+    monkeypatch.setattr(Failing, "added", lambda self, u, step: 0 * u)
+    sound = fly_true(schedule, env, 24, substeps=1).runs
+    assert np.any(flown.states[12:] != sound.states[12:]) and not np.any(flown.metrics().collided)
+
+
+@pytest.mark.parametrize("lengths", [(1e4, 1.0, 1e-4), (1.0, 1e-5, 1e4)])
+def test_a_long_thruster_takes_none_from_the_mixes_of_short_ones(lengths):
+    ways = np.diag(lengths)
+    made = Allocation.of(np.vstack([ways, -ways]), 1 / np.tile(lengths, 2), np.ones(3), [])
+    np.testing.assert_allclose(made.mixes[0, 0] @ made.directions, np.eye(3), atol=1e-12)
+
+
+def test_thrusters_whose_mixes_rounding_spoils_are_refused():
+    around = np.linspace(0, 2 * np.pi, 7)[:-1] + 0.3
+    flat = np.stack([np.cos(around), 1e-7 * np.sin(around)], axis=1)
+    with pytest.raises(SynthesisInfeasible, match="barely"):
+        Allocation.of(flat, np.ones(6), np.ones(2), [])
+
+
+def test_thrusters_spend_all_that_is_commanded_though_errors_take_a_part_of_it_back():
+    """A loop that answers a steady error by twice as much: half of it is seen in what is applied."""
+    unstable = [[0, 0, 1, 0], [0, 0, 0, 1], [0.3, 0, 0, 0], [0, 0.3, 0, 0]]
+    corners = [[x, y] for x in (-1, 1) for y in (-1, 1)]
+    scene = {"system.A": unstable, "system.disturbance_max": 0, "initial_set.half_widths": [1e-3] * 4}
+    scene |= {"goal.state": [0] * 4, "tracking.Q": [1e-3] * 4, "tracking.R": [60, 60]}
+    scene |= {"thrusters.directions": corners, "thrusters.thrust_max_N": 1, "thrusters.impulse_bit_N_s": 0.01}
+    scene |= {"horizon.duration_s": 40, "feedback.period_s": 0.5}
+    schedule = synthesize(load_scenario(TINY).with_assignments([f"{key}={x}" for key, x in scene.items()]))
+    system, law = schedule.safety.problem.system, schedule.controllers[0]
+    before, spells = schedule.steps[0].tube.states[0], []
+    for k in range(schedule.safety.problem.K):
+        spells.append(Spell.of(law, law.fly(before, k), k))
+        before = spells[-1].tube.end
+    count = sum(len(spell.most) for spell in spells)
+    off, x, asked = spells[0].errors[1][0], np.zeros(4), 0.0
+    Phi, Gamma = discretize(system.A, system.B, schedule.safety.tracking.flow.h)
+    for _ in range(count):
+        u = -law.gain @ x
+        x, asked = Phi @ x + Gamma @ (u + off), asked + np.abs(u) @ system.weights
+    assert asked <= together(spells, count)
+
+
+def layout(seed):
+    """Draw thrusters in the plane that push with 1 every way, and what goes wrong with them."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(6, 13))
+    at = 2 * np.pi * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count
+    ways = np.stack([np.cos(at), np.sin(at)], axis=1) * 10.0 ** rng.uniform(-0.5, 0.5, (count, 1))
+    limits = 10.0 ** rng.uniform(-0.5, 0.5, len(ways))
+    faults = [Fault("stuck_off", 0.0)] * (seed % 3 == 2)
+    limits *= 1.1 / Allocation.of(ways, limits, np.full(2, 1e3), faults).u_max.min()
+    table = {"thrusters.directions": ways.tolist(), "thrusters.thrust_max_N": limits.tolist()}
+    table |= {"thrusters.magnitude_error": 0.02, "thrusters.mass_error": 0.01 * (seed % 2)}
+    table |= {"thrusters.impulse_bit_N_s": 1e-3 * float(limits.min())}
+    table |= {"thrusters.pulse": '"centred"'} if seed % 4 > 1 else {"timing.jitter_s": 0.005}
+    table |= {"thrusters.remainder": '"carried"'} if seed % 5 > 1 else {"timing.delay_s": 0.5}
+    return [f"{key}={x}" for key, x in table.items()] + ['faults=[{kind="stuck_off"}]'] * len(faults)
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(i, marks=pytest.mark.slow) for i in range(2, 14))])
+def test_random_layouts_are_verified(seed, tmp_path):
+    made = run(
+        TINY, tmp_path / "run", overrides=["simulation.runs=2", "tracking.R=[60,60]", COARSE, *layout(seed)]
+    )
+    assert verify(made.path).outcome == "VERIFIED"

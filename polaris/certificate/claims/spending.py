@@ -52,7 +52,7 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
         column([_long(each, count) for each in zip(*part, strict=True)])
         for part in zip(*(spell.errors for spell in spells), strict=True)
     )
-    if plant.carried:  # what is commanded, and the errors of what is made of it
+    if plant.carried or plant.weights:  # what is commanded, and the errors of what is made of it
         most, more = _amplified(known_of, arb(1)) * known + (_amplified(made_of) + rest) * made, arb(0)
         more += sum((plant.weighted(spell.errors[1]) for spell in spells), more)
     else:  # what is applied, but for errors that stand for pulses

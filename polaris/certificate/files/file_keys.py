@@ -70,7 +70,7 @@ CERTIFICATE = {
                       "after?": grid("missed n measured"), **every(grid("n"), "initial? settled?")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "layout": bool,
-            "mixes": grid("* two m thrusters", AT_LEAST_0),
+            "mixes": Items(grid("two m thrusters", AT_LEAST_0), 1),
         },
         "transients?": Items({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
     },

@@ -164,13 +164,14 @@ class _TrueMotion(Integrator):
         if len(self.fired):  # no pulse is longer than a period
             self.asked = self.asked.copy()
             self.asked[built] = told = np.clip(told, -self.fired, self.fired)
+        shares = errors if layout is None else layout
+        made = (told * (1 + shares.along * self.strength)) @ self.ways
+        made += shares.across * np.cross(self.axis, told @ self.ways)
         if layout is not None:
-            strong = told * (1 + layout.along * self.strength)
-            turned = layout.across * np.cross(self.axis, told @ self.ways)
-            u[built] = (strong @ self.ways + turned) / (1 + layout.mass * self.strength[:, :1])
-            return u
-        turned = errors.across * np.cross(self.axis, told)
-        u[built] = told * (1 + errors.along * self.strength) + turned
+            made = made / (1 + layout.mass * self.strength[:, :1])
+        if self.failing is not None:
+            made = made + self.failing.added(self.asked @ self.ways, step)[built]
+        u[built] = made
         return u
 
     def _unclipped(self, *cell: Any) -> None:

@@ -110,7 +110,7 @@ def together(run: Sequence[Spell], count: int) -> float:
     seen, wrong = (_answered(-rows @ way) for way in (closed.loop.held, closed.loop.made))
     rest = np.abs(rows).sum(axis=0) @ closed.loop.uneven
     size, off = (np.sqrt(count * np.sum(each**2, axis=0)) for each in (known, made))
-    if system.timing.carried:  # what is commanded, and the errors of what is made of it
+    if system.timing.carried or system.nozzles:  # what is commanded, and the errors of what is made of it
         told, more = seen[1] @ size + (wrong[0] + rest) @ off, float((made @ system.weights).sum())
     else:  # what is applied, but for errors that stand for pulses
         told = seen[1] @ size + (wrong[1] + rest) @ off
