@@ -55,7 +55,6 @@ def verify_bundled(name, folder, *more):
     few = compare(schedule, 2, 0)
     verdict = verify(write_run(folder / name, scenario, schedule, few).path)
     assert verdict.outcome == "VERIFIED", verdict.text()
-    assert verdict.seconds < 60
     return verdict
 
 
