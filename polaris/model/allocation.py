@@ -15,7 +15,7 @@ MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
 MOST_THRUSTERS = 100
 ROUNDED = 1e-9  # share by which the box is smaller than what is found: rounding of a linear program
 LEAST = 1e-7  # share of the largest push of a mix below which a thruster takes no part in it
-OFF = 5e-13  # farthest that a mix is off the unit that it makes; thrusters that barely push a way are further
+OFF = 1e-12  # share of an input that mixes are off it; where thrusters barely push a way they are further
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Allocation:
             share = min(share, reach * (1 - ROUNDED))
         found = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
         mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in found])
-        signed = np.array([1.0, -1.0])[:, None, None] * np.eye(m)
-        if np.max(np.abs(mixes @ directions - signed)) > OFF:
+        off = np.abs(mixes @ directions - np.array([1.0, -1.0])[:, None, None] * np.eye(m)).max(axis=1)
+        if np.max(wanted @ off / wanted) > OFF:
             raise SynthesisInfeasible(
                 "the thrusters barely push every way, or are too unequal: rounding spoils what they make.",
                 relax="turn thrusters (thrusters.directions) so that more of their push is along each input.",

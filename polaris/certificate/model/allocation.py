@@ -15,8 +15,8 @@ from ..kernel.balls import dot, largest, require, root
 from ..kernel.verdict import Rejected
 
 MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
-MIXED = 1e-12  # how far a mix may be off the unit that it makes
 BEYOND = 1e-11  # share by which thrusters can make more than is needed, so that they make that exactly
+MIXED = BEYOND / 2  # share of an input's limit that mixes may be off it where all inputs are at their limits
 
 
 def per_axis(given: Any, count: int) -> list[float]:
@@ -54,11 +54,13 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     if len(made["mixes"]) != len(cases):
         raise Rejected("system", "mixes of thrusters are missing")
     for (failed, left), mixes in zip(cases, made["mixes"], strict=True):
-        for sign, i in product((1, -1), range(m)):
-            f, told = mixes[sign < 0][i], f"{document.input_names[i]} with thruster {failed} failed"
-            for j in range(m):
-                off = abs(dot([arb(row[j]) for row in directions], f) - sign * (i == j))
-                require("system", MIXED - off, f"{told} is not what its mix makes")
+        for j, top in enumerate(document.u_max):
+            column, off = [arb(row[j]) for row in directions], arb(0)
+            for i, u in enumerate(document.u_max):
+                ways = zip((1, -1), mixes, strict=True)
+                off += u * largest(abs(dot(column, mix[i]) - sign * (i == j)) for sign, mix in ways)
+            told = f"{document.input_names[j]} with thruster {failed} failed is not what mixes make"
+            require("system", MIXED * arb(top) - off, told)
         for j, limit in enumerate(limits):
             asked = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
             top = arb(limit) * left if j == failed else arb(limit)
