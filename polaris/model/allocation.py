@@ -84,25 +84,25 @@ class Allocation:
         u_max = min(float(fits) * (1 - ROUNDED), 1.0) * share * wanted
         return cls(directions, limits, u_max, mixes)
 
-    def made(self, u: Array) -> Array:
+    def thrusts(self, u: Array) -> Array:
         """Return the thrusts that make inputs (..., m) without a fault, shape (..., N)."""
         return np.asarray(np.maximum(u, 0) @ self.mixes[0, 0] + np.maximum(-u, 0) @ self.mixes[0, 1])
 
     @cached_property
-    def used(self) -> Array:
-        """Return which thrusters may be asked at once, 1 or 0, (combinations, N)."""
+    def asked(self) -> Array:
+        """Return the sets of thrusters that may be asked at once, (sets, N): 1 for each in one, else 0."""
         signs = np.array(list(product((0, 1), repeat=len(self.u_max))))
         each = self.mixes[:, signs, np.arange(len(self.u_max))] > 0
         return np.unique(each.any(axis=2).reshape(-1, len(self.limits)), axis=0).astype(float)
 
     @cached_property
-    def sizes(self) -> Array:
+    def lengths(self) -> Array:
         """Return the length of each thruster's direction, (N,)."""
         return np.asarray(np.linalg.norm(self.directions, axis=1))
 
-    def together(self, each: Array) -> Array:
-        """Return the largest sum over thrusters asked at once of something of each, (N, ...), shape (...)."""
-        return np.asarray(np.tensordot(self.used, each, 1).max(axis=0))
+    def at_once(self, each: Array) -> Array:
+        """Return the largest sums of numbers of thrusters (N, ...) over those asked at once, shape (...)."""
+        return np.asarray(np.tensordot(self.asked, each, 1).max(axis=0))
 
     def shares(self, each: Array) -> Array:
         """Bound sums over thrusters of their thrusts times `each` (N, m) by inputs: (m, m) per unit of u."""

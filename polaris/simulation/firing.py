@@ -32,13 +32,13 @@ class Firing:
     def ways(self) -> Array:
         """Return what a unit of thrust of each thruster makes of every input, (N, m)."""
         layout = self.system.nozzles
-        return np.eye(self.system.m) if layout is None else layout.made.directions
+        return np.eye(self.system.m) if layout is None else layout.allocation.directions
 
     @cached_property
     def fired(self) -> Array:
         """Return the thrust of pulses, (N,); empty where what is commanded is held."""
         layout, timing = self.system.nozzles, self.system.timing
-        return np.array(timing.fired) if layout is None or not layout.pulsed else layout.made.limits
+        return np.array(timing.fired) if layout is None or not layout.pulsed else layout.allocation.limits
 
     def begin(self, runs: int) -> None:
         """Nothing is left of impulses."""
@@ -48,9 +48,9 @@ class Firing:
         """What the thrusters make of commands in a step."""
         told = np.clip(raw, -self.system.u_max, self.system.u_max)
         layout, timing, most = self.system.nozzles, self.system.timing, self.system.u_max
-        f = told if layout is None else layout.made.made(told)
+        f = told if layout is None else layout.allocation.thrusts(told)
         if self.left is not None:
-            bit, most = (timing.carried, most) if layout is None else (layout.bit, layout.made.limits)
+            bit, most = (timing.carried, most) if layout is None else (layout.bit, layout.allocation.limits)
             h = self.dt * self.substeps
             due = f * h + self.left
             whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
@@ -68,7 +68,7 @@ class Firing:
         if (layout := self.system.nozzles) is None:
             return np.asarray(np.abs(u).sum(axis=1))
         return np.asarray(
-            np.abs(self.asked) @ layout.made.sizes + np.abs(u - self.asked @ self.ways).sum(axis=1)
+            np.abs(self.asked) @ layout.allocation.lengths + np.abs(u - self.asked @ self.ways).sum(axis=1)
         )
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:

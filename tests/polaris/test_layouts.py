@@ -43,7 +43,7 @@ def drawn(seed, carried=False, faults=False):
 
 def flown(rng, layout, errors, f):
     """Return inputs (R, m) by thrusts f (R, N), every nozzle as far off one input as its errors allow."""
-    (magnitude, turned, lighter), d, runs = errors, layout.made.directions, len(f)
+    (magnitude, turned, lighter), d, runs = errors, layout.allocation.directions, len(f)
     axis, way = np.eye(3)[rng.integers(0, 3, runs)], rng.choice([-1.0, 1.0], runs)
     along = axis @ d.T
     aside = axis[:, None] - along[..., None] * d  # across each nozzle, towards the input
@@ -58,7 +58,7 @@ def flown(rng, layout, errors, f):
 @pytest.mark.parametrize("faults", [False, True])
 def test_errors_of_nozzles_lie_within_the_bound_of_the_inputs_and_reach_most_of_it(seed, faults):
     rng, layout, errors = drawn(seed, faults=faults)
-    bounds, made, reached = layout.errors(PERIOD), layout.made, 0.0
+    bounds, made, reached = layout.errors(PERIOD), layout.allocation, 0.0
     u = rng.uniform(-1, 1, (2000, 3)) * made.u_max * rng.choice([1.0, 0.0], (2000, 3), p=[0.7, 0.3])
     for mixes in made.mixes:
         f = np.maximum(u, 0) @ mixes[0] + np.maximum(-u, 0) @ mixes[1]
@@ -74,12 +74,12 @@ def test_errors_of_nozzles_lie_within_the_bound_of_the_inputs_and_reach_most_of_
 @pytest.mark.parametrize("seed", range(3))
 def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
     rng, layout, errors = drawn(seed, carried=True)
-    made, bounds, left, before = layout.made, layout.errors(PERIOD), 0.0, 0.0
+    made, bounds, left, before = layout.allocation, layout.errors(PERIOD), 0.0, 0.0
     most, asked, spent = 0.0, 0.0, 0.0
     held = rng.uniform(-1, 1, (60, 3)) * made.u_max
     for k in range(400):
         u = held[k % 60 if k < 200 else 0] * rng.choice([1.0, 0.02])
-        f = made.made(u)
+        f = made.thrusts(u)
         due = f * PERIOD + left
         whole = np.minimum(BIT * np.floor(due / BIT * (1 + 1e-12)) / PERIOD, made.limits)
         left = due - whole * PERIOD
@@ -88,7 +88,7 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
         applied = flown(rng, layout, errors, whole[None])[0]
         off = np.abs(applied - (u + (before - now) / PERIOD))
         assert np.all(off <= bounds.error(u) + 1e-12)
-        before, asked, spent = now, asked + np.abs(u), spent + whole @ made.sizes
+        before, asked, spent = now, asked + np.abs(u), spent + whole @ made.lengths
         assert spent <= asked @ layout.weights + 1e-9
     assert most <= layout.left * (1 + 1e-9) and most > 0.2 * layout.left
 
@@ -97,9 +97,9 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
 def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(seed):
     """A double integrator: within a period from where held inputs have it, velocity and position."""
     rng, layout, errors = drawn(seed)
-    made, fired = layout.made, np.array(layout.fired)
+    made, fired = layout.allocation, np.array(layout.fired)
     u = rng.uniform(-1, 1, (300, 3)) * made.u_max
-    f, s = made.made(u), np.linspace(0, 1, 201)[:, None, None]
+    f, s = made.thrusts(u), np.linspace(0, 1, 201)[:, None, None]
     on = f / made.limits
     since = np.clip(s - (1 - on) / 2, 0.0, on) * made.limits - s * f  # impulse per period, beyond held thrust
     for speed in since:

@@ -54,13 +54,13 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
     if len(made["mixes"]) != len(cases):
         raise Rejected("system", "mixes of thrusters are missing")
     for (failed, left), mixes in zip(cases, made["mixes"], strict=True):
-        for j, top in enumerate(document.u_max):
+        for j, whole in enumerate(document.u_max):
             column, off = [arb(row[j]) for row in directions], arb(0)
             for i, u in enumerate(document.u_max):
                 ways = zip((1, -1), mixes, strict=True)
                 off += u * largest(abs(dot(column, mix[i]) - sign * (i == j)) for sign, mix in ways)
             told = f"{document.input_names[j]} with thruster {failed} failed is not what mixes make"
-            require("system", MIXED * arb(top) - off, told)
+            require("system", MIXED * arb(whole) - off, told)
         for j, limit in enumerate(limits):
             asked = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
             top = arb(limit) * left if j == failed else arb(limit)
@@ -81,7 +81,7 @@ def input_weights(made: dict[str, Any] | None) -> tuple[arb, ...]:
 class Nozzles:
     """Errors of thrusters one by one, as the scenario declares them, in the allocation of a certificate."""
 
-    made: dict[str, Any]
+    allocation: dict[str, Any]
     along: arb
     across: arb
     mass: arb
@@ -99,25 +99,25 @@ class Nozzles:
         return cls(document.allocation, along, turn.sin() * (1 + magnitude), mass, bit)
 
     @cached_property
-    def off(self) -> list[list[arb]]:
+    def error(self) -> list[list[arb]]:
         """Return bounds on the error of a unit of thrust in every input, the mass being exact, (N, m)."""
         found = []
-        for d in self.made["directions"]:
+        for d in self.allocation["directions"]:
             sides = [[x for k, x in enumerate(d) if k != j] for j in range(len(d))]
             each = zip(d, sides, strict=True)
             found.append([self.along * abs(x) + self.across * root(dot(y, y)) for x, y in each])
         return found
 
     @cached_property
-    def most(self) -> list[list[arb]]:
+    def largest(self) -> list[list[arb]]:
         """Return the most that a unit of thrust makes of every input, (N, m)."""
-        each = zip(self.made["directions"], self.off, strict=True)
+        each = zip(self.allocation["directions"], self.error, strict=True)
         return [[(abs(x) + y) / (1 - self.mass) for x, y in zip(*rows, strict=True)] for rows in each]
 
-    def together(self, each: list[list[arb]]) -> list[arb]:
+    def at_once(self, each: list[list[arb]]) -> list[arb]:
         """Return the largest sums over thrusters that are asked at once, of (N, m), shape (m)."""
         m, used = len(each[0]), set[tuple[int, ...]]()
-        for mixes in self.made["mixes"]:
+        for mixes in self.allocation["mixes"]:
             for signs in product((0, 1), repeat=m):
                 asked = zip(*(mixes[sign][i] for i, sign in enumerate(signs)), strict=True)
                 used.add(tuple(int(any(x > 0 for x in thrusts)) for thrusts in asked))
@@ -125,22 +125,22 @@ class Nozzles:
 
     def errors(self, period: arb, carried: bool) -> tuple[arb, arb, arb]:
         """Return errors of the inputs along, across, and of the bit, as `Document.thrusters` has them."""
-        m, columns = len(self.off[0]), list(zip(*self.off, strict=True))
-        mixes = [mixes[sign] for mixes in self.made["mixes"] for sign in (0, 1)]
+        m, columns = len(self.error[0]), list(zip(*self.error, strict=True))
+        mixes = [mixes[sign] for mixes in self.allocation["mixes"] for sign in (0, 1)]
         T = [[largest([dot(mix[i], column) for mix in mixes]) for i in range(m)] for column in columns]
         own = largest([(T[j][j] + self.mass) / (1 - self.mass) for j in range(m)])
         apart = [[x for i, x in enumerate(row) if i != j] for j, row in enumerate(T)]
         across = largest([root(dot(row, row)) for row in apart]) / (1 - self.mass)
-        ways = zip(self.most, self.made["directions"], strict=True)
+        ways = zip(self.largest, self.allocation["directions"], strict=True)
         if carried:
             wrong = [[x - abs(d) for x, d in zip(*rows, strict=True)] for rows in ways]
         else:
-            wrong = [[x / 2 for x in row] for row in self.most]
-        return own, across, self.bit / period * largest(self.together(wrong))
+            wrong = [[x / 2 for x in row] for row in self.largest]
+        return own, across, self.bit / period * largest(self.at_once(wrong))
 
     def left(self, carried: bool) -> arb:
         """Return the most of an input's impulse that may be left in all thrusters."""
-        columns = list(zip(*self.made["directions"], strict=True))
+        columns = list(zip(*self.allocation["directions"], strict=True))
         sides = [
             dot([max(s * x, 0.0) for x in column], [1.0] * len(column)) for column in columns for s in (1, -1)
         ]
@@ -148,5 +148,5 @@ class Nozzles:
 
     def fired(self) -> list[arb]:
         """Return bounds on what pulses of thrusters that are asked at once make of every input."""
-        rows = zip(self.most, self.made["limits"], strict=True)
-        return self.together([[x * limit for x in row] for row, limit in rows])
+        rows = zip(self.largest, self.allocation["limits"], strict=True)
+        return self.at_once([[x * limit for x in row] for row, limit in rows])

@@ -65,7 +65,7 @@ class Thrusters(ScenarioPart):
     def build(self, system: Craft, period: float) -> Errors:
         """Bound the errors of the inputs, by the layout of the system's thrusters if it has one."""
         layout = system.nozzles
-        limits = system.u_max if layout is None else layout.made.limits
+        limits = system.u_max if layout is None else layout.allocation.limits
         if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
             rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire')"
             raise ScenarioError("thrusters.misalignment_deg", self.misalignment_deg, rule)

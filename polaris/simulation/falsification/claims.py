@@ -219,13 +219,13 @@ def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> A
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.
     """
     layout, half = system.nozzles, expm(system.A * h / 2)
-    fired = np.array(system.timing.fired) if layout is None else layout.made.limits
+    fired = np.array(system.timing.fired) if layout is None else layout.allocation.limits
     mean = (after - before @ (half @ half).T) @ np.linalg.pinv(half @ system.B * h).T
-    mean = mean if layout is None else layout.made.made(mean)
+    mean = mean if layout is None else layout.allocation.thrusts(mean)
     on = np.minimum(np.abs(mean) / fired, 1.0)
     moved = np.clip(s - (1 - on) / 2, 0.0, on) ** 2 + 2 * on * np.maximum(s - (1 + on) / 2, 0.0)
     force = np.sign(mean) * fired * (moved - on * s**2) / 2
-    force = force if layout is None else force @ layout.made.directions
+    force = force if layout is None else force @ layout.allocation.directions
     return np.asarray(force @ (system.velocity @ system.B).T * h**2)
 
 
