@@ -200,8 +200,8 @@ def fly(
         most = [largest(each) for each in zip(*added, strict=True)]
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     z = start.moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
-    count = pilot.period(z, base, k, 0)[0].columns * pilot.plant.q
-    z = merging.before(z, count)
+    if z.count > merging.limit:
+        z = merging.before(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
         period, spell = pilot.period(z, base, k, i, since)

@@ -101,6 +101,11 @@ class Zonotope:
         """Its generators as they are kept, matrices side by side."""
         return self._made.matrices
 
+    @property
+    def count(self) -> int:
+        """Number of its generators."""
+        return sum(part.ncols() for part in self.parts)
+
     def image(self, M: arb_mat) -> Zonotope:
         """The set mapped by a matrix."""
         return Zonotope(M * self.c, self._made.mapped(M))
@@ -193,15 +198,19 @@ class Merging:
     states: int
     rows: arb_mat | None = None
 
+    @property
+    def limit(self) -> int:
+        """Generators that are kept."""
+        return self.order * self.states
+
     def before(self, z: Zonotope, more: int = 0) -> Zonotope:
         """Enclosing set with few generators of one that has several times as many once `more` are added.
 
         What merging loses of fresh generators fades until then: `more` is told where a step begins, and of
         sets at its ends little is lost. The set itself if it has few.
         """
-        limit, count = self.order * self.states, sum(part.ncols() for part in z.parts)
-        most = 2 * limit - more if more else 3 * limit
-        return z.reduced(limit, self.rows) if limit < count > most else z
+        most = 2 * self.limit - more if more else 3 * self.limit
+        return z.reduced(self.limit, self.rows) if self.limit < z.count > most else z
 
 
 def inner_radius(G: arb_mat) -> arb:
