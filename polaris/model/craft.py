@@ -10,9 +10,9 @@ import numpy as np
 from reach.brief import brief
 from reach.numerics.linear import discretize
 
+from .allocation import Nozzles
 from .checks import of_kind
 from .errors import ScenarioError
-from .nozzles import Nozzles
 from .system import Array as Array  # for the many that need both
 from .system import LinearSystem, as_finite
 from .thrusters import Thrusters

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from polaris.certificate.checker import verify
-from polaris.model.allocation import Allocation, Fault
+from polaris.model.allocation import Allocation, Fault, Nozzles
 from polaris.model.errors import SynthesisInfeasible
-from polaris.model.nozzles import Nozzles
 from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.failing import Failing

@@ -7,11 +7,10 @@ from typing import Annotated, Literal
 import numpy as np
 
 from ...model import keys as f
-from ...model.allocation import Allocation, axis_pairs
+from ...model.allocation import Allocation, Nozzles, axis_pairs
 from ...model.checks import MAX_STEPS
 from ...model.craft import Craft
 from ...model.errors import ScenarioError
-from ...model.nozzles import Nozzles
 from ...model.prediction import predicting
 from ...model.system import Array, LinearSystem
 from ...model.thrusters import Thrusters as Errors
