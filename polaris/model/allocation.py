@@ -48,7 +48,7 @@ class Allocation:
 
     @classmethod
     def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> "Allocation":
-        """The largest box of the shape of `wanted` (m,), and no larger, and the least thrust that makes it.
+        """Find the largest box of the shape of `wanted` (m,), no larger than it, and the least thrust for it.
 
         Raises
         ------
@@ -72,8 +72,8 @@ class Allocation:
                     relax="add thrusters (thrusters.directions), or take the fault out.",
                 )
             share = min(share, reach * (1 - ROUNDED))
-        found = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
-        mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in found])
+        rough = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
+        mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in rough])
         off = np.abs(mixes @ directions - np.array([1.0, -1.0])[:, None, None] * np.eye(m)).max(axis=1)
         if np.max(wanted @ off / wanted) > OFF:
             raise SynthesisInfeasible(
@@ -183,12 +183,12 @@ def axis_pairs(limits: Array) -> tuple[Array, Array]:
 
 def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
     """Limits without a fault, and with each fault of each thruster, in words."""
-    found = [("with all thrusters", limits)]
+    every = [("with all thrusters", limits)]
     for fault in faults:
         for j in range(len(limits)):
             capacity = np.where(np.arange(len(limits)) == j, fault.left * limits, limits)
-            found.append((f"with thruster {j} under the fault {fault.name}", capacity))
-    return found
+            every.append((f"with thruster {j} under the fault {fault.name}", capacity))
+    return every
 
 
 @lru_cache(maxsize=1024)
@@ -227,9 +227,9 @@ def _mixes(scaled: bytes, capacity: bytes, share: float) -> tuple[float, Array]:
 def _exact(directions: Array, mixes: Array) -> Array:
     """Return mixes (2, m, N) that make a unit of their input to rounding, with no more thrusters."""
     size = mixes * np.linalg.norm(directions, axis=1)
-    found = np.where(size > LEAST * size.max(axis=-1, keepdims=True), mixes, 0.0)
-    for sign, mix in zip((1.0, -1.0), found, strict=True):
+    exact = np.where(size > LEAST * size.max(axis=-1, keepdims=True), mixes, 0.0)
+    for sign, mix in zip((1.0, -1.0), exact, strict=True):
         for unit, f in zip(sign * np.eye(len(mix)), mix, strict=True):
             some = np.flatnonzero(f)
             f[some] += np.linalg.pinv(directions[some].T) @ (unit - directions.T @ f)
-    return np.maximum(found, 0.0)
+    return np.maximum(exact, 0.0)

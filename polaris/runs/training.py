@@ -177,11 +177,12 @@ class _Shielding:
     """Part of both shields: lets run-time assurance decide, and charges the policy for its interventions."""
 
     env: Any
+    penalty: float
 
-    def __init__(self, env: Any, penalty: float = 0.0, **options: Any) -> None:
-        super().__init__(env)  # type: ignore[call-arg]  # of the wrapper that the other base is
+    def put(self, penalty: float, options: Info) -> None:
+        """Let run-time assurance decide, at a price."""
         self.penalty = penalty
-        env.unwrapped.put_shield(**options)
+        self.env.unwrapped.put_shield(**options)
 
     def step(self, action: Any) -> Any:
         """Fly one period under the shield."""
@@ -213,9 +214,17 @@ class Shield(_Shielding, gym.Wrapper[Numbers, Numbers, Numbers, Numbers]):
         If the initial set of a switching scene is not recoverable.
     """
 
+    def __init__(self, env: gym.Env[Numbers, Numbers], penalty: float = 0.0, **options: Any) -> None:
+        super().__init__(env)
+        self.put(penalty, options)
+
 
 class VectorShield(_Shielding, VectorWrapper):
     """Shield of a `SwitchingVectorEnv` or `InspectionVectorEnv`, for all its episodes."""
+
+    def __init__(self, env: gym.vector.VectorEnv, penalty: float = 0.0, **options: Any) -> None:
+        super().__init__(env)
+        self.put(penalty, options)
 
 
 HERE = "polaris.runs.training:"

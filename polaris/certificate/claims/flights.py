@@ -201,7 +201,7 @@ def fly(
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     z = start.moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:
-        z = merging.before(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)
+        z = merging.at_start(z, pilot.period(z, base, k, 0)[0].columns * pilot.plant.q)
     spells, nodes, since = list[Spell](), list[Zonotope](), list[list[arb]]()
     for i in range(pilot.plant.q):
         period, spell = pilot.period(z, base, k, i, since)
@@ -219,7 +219,7 @@ def fly(
             along, rows_of = craft.along(barrier.rows)
             for place, x, more in zip((i, i + 1), (z, end), period.extra(along, z), strict=True):
                 _separate(barrier, rows_of, x, more, room[place], where)
-        z = merging.before(period.after(end))
+        z = merging.within(period.after(end))
         nodes.append(z.moved(craft.lifted(base.nodes[i + 1] - path.arcs[k].nodes[i + 1])))
     leave = z.moved(craft.lifted(base.nodes[-1] - path.starts[k + 1]))
     return Flown(pilot, start, leave, spells, nodes[:-1])

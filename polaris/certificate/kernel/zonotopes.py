@@ -203,14 +203,16 @@ class Merging:
         """Generators that are kept."""
         return self.order * self.states
 
-    def before(self, z: Zonotope, more: int = 0) -> Zonotope:
-        """Enclosing set with few generators of one that has several times as many once `more` are added.
+    def at_start(self, z: Zonotope, columns: int) -> Zonotope:
+        """Merge a set at the start of a step if it would exceed twice the limit with so many columns more.
 
-        What merging loses of fresh generators fades until then: `more` is told where a step begins, and of
-        sets at its ends little is lost. The set itself if it has few.
+        A merge loses most of fresh generators, and that fades in a step: sets at its end lose little.
         """
-        most = 2 * self.limit - more if more else 3 * self.limit
-        return z.reduced(self.limit, self.rows) if self.limit < z.count > most else z
+        return z.reduced(self.limit, self.rows) if self.limit < z.count > 2 * self.limit - columns else z
+
+    def within(self, z: Zonotope) -> Zonotope:
+        """Merge a set within a step if it exceeds three times the limit."""
+        return z.reduced(self.limit, self.rows) if z.count > 3 * self.limit else z
 
 
 def inner_radius(G: arb_mat) -> arb:

@@ -59,12 +59,12 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
             for i, u in enumerate(document.u_max):
                 ways = zip((1, -1), mixes, strict=True)
                 off += u * largest(abs(dot(column, mix[i]) - sign * (i == j)) for sign, mix in ways)
-            told = f"{document.input_names[j]} with thruster {failed} failed is not what mixes make"
+            told = f"mixes do not make {document.input_names[j]} exactly, with thruster {failed} failed"
             require("system", MIXED * arb(whole) - off, told)
         for j, limit in enumerate(limits):
             asked = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
             top = arb(limit) * left if j == failed else arb(limit)
-            told = f"thruster {j} with {failed} failed is asked for more than it makes"
+            told = f"mixes exceed the limit of thruster {j}, with thruster {failed} failed"
             require("system", top - sum(asked, arb(0)) * (1 + BEYOND), told)
 
 
@@ -101,12 +101,12 @@ class Nozzles:
     @cached_property
     def error(self) -> list[list[arb]]:
         """Return bounds on the error of a unit of thrust in every input, the mass being exact, (N, m)."""
-        found = []
+        rows = []
         for d in self.allocation["directions"]:
             sides = [[x for k, x in enumerate(d) if k != j] for j in range(len(d))]
             each = zip(d, sides, strict=True)
-            found.append([self.along * abs(x) + self.across * root(dot(y, y)) for x, y in each])
-        return found
+            rows.append([self.along * abs(x) + self.across * root(dot(y, y)) for x, y in each])
+        return rows
 
     @cached_property
     def largest(self) -> list[list[arb]]:

@@ -84,8 +84,8 @@ class InspectionRuns(Kind):
         drawn = InitialConditions(scenario.families(), plan.seed)
         drawn.first(runs)
         told["acceptance"] = drawn.acceptance
-        found = outcomes(case, folder.read(0))
-        told["studies"] = [_told(name, outcome) for name, outcome in found.items()]
+        studies = outcomes(case, folder.read(0))
+        told["studies"] = [_told(name, outcome) for name, outcome in studies.items()]
         told |= {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
         return summary_of(scenario, scenario.kind, told)
 
