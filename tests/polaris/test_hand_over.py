@@ -297,7 +297,8 @@ def along(s, nu, planned, by_step=()):
     path = SimpleNamespace(planned=planned, arcs=arcs)
     checks = CheckedSchedule(document, craft, memory, path)
     commanded.append(np.array([[float(x) for x in most] for most in checks.commanded]))
-    other = [[[float(x) for x in node] for node in cell] for cell in checks.along(matrix(rows.tolist()))]
+    checked_along = checks.along(Needs(craft, memory, matrix(rows.tolist())))
+    other = [[[float(x) for x in node] for node in cell] for cell in checked_along]
     nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (found, np.array(other))]
     return list(zip(nodes, commanded, strict=True))
 
@@ -346,14 +347,28 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
             assert np.all(found[L] <= exact * 1.2 + 1e-2), L
 
 
+def test_later_turns_of_the_tail_are_bounded_by_the_first():
+    """A burst at its start has come before in all turns but the first."""
+    s, planned, tail = tracking(proportional=True), 4, 10
+    nu = np.zeros((planned + tail, 2))
+    nu[planned] = [0.5, -0.6]
+    thrust, _ = units(s, planned + 4 * tail)
+    for found, commanded in along(s, nu, planned):
+        assert np.all(commanded[planned + tail // 2 :] == commanded[-1]) and commanded[-1].max() > 0.01
+        part = s.system.thrusters.part(np.vstack([commanded[:planned], *[commanded[planned:]] * 4]))
+        exact = np.array([sum(part[k] @ thrust[L - k] for k in range(L)) for L in range(1, len(part) + 1)])
+        turns = exact[planned:].reshape(4, tail, -1).max(axis=0)
+        assert np.all(found[planned + 1 :] >= turns * (1 - 1e-6))
+
+
 def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_schedule(monkeypatch):
     by_step = np.outer([3.0, 1, 4], [0.01, 0.02, 0.004, 0.003])
     s, caused = tracking(), Needs.caused
     s = replace(s, system=replace(s.system, error_by_step=by_step))
 
     def more(*given):
-        nodes, older, bent = caused(*given)
-        return nodes, [x + 1e-3 for x in older], [x + 2e-3 for x in bent]
+        older, bent = caused(*given)
+        return [x + 1e-3 for x in older], [x + 2e-3 for x in bent]
 
     monkeypatch.setattr(Needs, "caused", more)
     assert np.all(along(s, np.zeros((3, 2)), 2, by_step)[1][0] >= 3e-3)

@@ -11,6 +11,7 @@ from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
 
+from .random_scenarios import random_scenario
 from .tiny import TINY
 
 SOURCES = {
@@ -73,6 +74,26 @@ def test_runs_with_any_sources_that_hold_are_confirmed(tmp_path):
         assert verdict.outcome == "VERIFIED", f"{names}, {sizes}: {verdict.text()}"
         confirmed += schedule.upkeep is not None
     assert confirmed >= 30
+
+
+GOALS = {  # by the seed of the random scene
+    157: (
+        *("feedback.period_s=0.3125", "timing.delay_s=0.3125", f"tracking.R={[68.22] * 3}"),
+        'faults=[{kind="navigation_lost",lasts_s=0.79}]',
+    ),
+    1044: ("thrusters.mass_error=0.02", "thrusters.misalignment_deg=6"),
+}
+"""Declarations under which goals were refused: sets at T are merged, and short tails forget slowly."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", GOALS)
+def test_goals_that_hold_are_confirmed(seed, tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(random_scenario(seed))
+    scenario = load_scenario(path, ["simulation.runs=1", *GOALS[seed]])
+    verdict = verify(write_run(tmp_path / "run", scenario, synthesize(scenario)).path)
+    assert verdict.outcome == "VERIFIED", verdict.text()
 
 
 @pytest.mark.slow

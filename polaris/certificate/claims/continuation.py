@@ -98,7 +98,7 @@ class Continuation:
     tracker: Tracker
     facets: Sequence[list[int]] = ()  # others of the same tracker, so that rows of limits are the same
     _known: dict[Any, list[arb]] = field(default_factory=dict, repr=False)
-    _caused: dict[Needs, list[list[arb]]] = field(default_factory=dict, repr=False)
+    _caused: dict[tuple[Needs, bool], list[list[arb]]] = field(default_factory=dict, repr=False)
 
     def need(self, needs: Needs, handed: tuple[HandOver, ...], node: int, around: bool = False) -> list[arb]:
         """Bound errors along rows at a node and, if `around`, in the periods on both sides of it.
@@ -115,7 +115,7 @@ class Continuation:
                 found.append([largest(x).upper() for x in zip(*known, strict=True)])
             parts = [[smallest(x) for x in zip(*found, strict=True)]]
             if self.scheduled:
-                parts.append(self.from_thrust(needs, node))
+                parts.append(self.from_thrust(needs, node, around))
             if not around:  # commands do not answer to what is displaced
                 parts.append((magnitude(needs.rows) * column(self.document.at_nodes)).entries())
             if (since := node - self.document.steps * self.document.q) >= 0:
@@ -123,16 +123,16 @@ class Continuation:
             self._known[key] = sums(*parts)
         return self._known[key]
 
-    def from_thrust(self, needs: Needs, node: int) -> list[arb]:
+    def from_thrust(self, needs: Needs, node: int, around: bool = False) -> list[arb]:
         """Bound errors by the time of the flight along rows: at a node; in the tail, from it on."""
-        if needs not in self._caused:
+        if (key := (needs, around)) not in self._caused:
             assert self.scheduled is not None
-            cells, T = self.scheduled.along(needs.given), self.document.steps * self.document.q
+            cells, T = self.scheduled.along(needs, around), self.document.steps * self.document.q
             nodes = [each for cell in cells for each in cell[:-1]] + [cells[-1][-1]]
             for at in range(len(nodes) - 2, T - 1, -1):
                 nodes[at] = [largest(pair) for pair in zip(nodes[at], nodes[at + 1], strict=True)]
-            self._caused[needs] = nodes
-        return self._caused[needs][min(node, len(self._caused[needs]) - 1)]
+            self._caused[key] = nodes
+        return self._caused[key][min(node, len(self._caused[key]) - 1)]
 
     def commanded(self, needs: Needs, handed: tuple[HandOver, ...], period: int) -> list[arb]:
         """Bound S's commands in a period [N]; `needs` are those of `Tracker.commands`."""

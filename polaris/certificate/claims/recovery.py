@@ -38,7 +38,7 @@ class Recovery:
         """Against what the jump, and errors by the time of the flight, leave of limits around a path."""
         limits = limits.less_jump(needs, path)
         if scheduled is not None:
-            limits = limits.less(scheduled.along(limits.rows))
+            limits = limits.less(scheduled.along(needs))
         return cls(document, limits, needs, levels_of(document, needs, path))
 
     @property

@@ -96,9 +96,9 @@ class Clearance:
     def _scheduled(self) -> Scheduled:
         return Scheduled(self.tracking, self.reference, self.planned)
 
-    def scheduled(self, rows: Array) -> Array:
+    def scheduled(self, rows: Array, between: bool = True) -> Array:
         """Return what errors add along rows by the time of the flight, (cells, q + 1, r) (`Scheduled`)."""
-        return self._scheduled.along(rows)
+        return self._scheduled.along(rows, between)
 
     @cached_property
     def limits(self) -> "Limits":

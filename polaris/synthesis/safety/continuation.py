@@ -52,7 +52,7 @@ class PathRows:
     def path(self) -> Array:
         """Need of the path at both ends of every period, in the tail ever after, (2, periods + 1, r)."""
         clearance, plant = self.clearance, self.table.plant
-        found = by_ends(clearance.scheduled(self.rows) + clearance.jumped(plant)[:, None])
+        found = by_ends(clearance.scheduled(self.rows, self.between) + clearance.jumped(plant)[:, None])
         found = np.concatenate([found, np.stack([found[1, -1:]] * 2)], axis=1)
         tail = found[:, clearance.planned * clearance.q :]
         tail[:] = np.maximum.accumulate(tail[:, ::-1], axis=1)[:, ::-1]

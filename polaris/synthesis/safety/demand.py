@@ -13,7 +13,6 @@ from ..tracker.tightening import Response
 from ..tracker.tracking import Tracking
 
 ROUNDS = 300  # most rounds of a bound on commands: near errors that feed on themselves it grows for long
-LONGER = 3  # memories for which bounds at the end of the tail are constant: a checker remembers longer
 
 Effects = list[tuple[Channel, Response]]
 """Channels, and what each adds along some rows."""
@@ -35,6 +34,7 @@ class Scheduled:
 
     def __init__(self, tracking: Tracking, reference: Reference, planned: int) -> None:
         self.tracking, self.planned = tracking, planned
+        self.constant = planned + (reference.cells - planned) // 2  # cell from which bounds do not change
         self.off = errors_by_cell(tracking.step_errors, reference.cells, planned)
         self.nu = np.abs(reference.nu) + self.off @ np.abs(tracking.gain).T
 
@@ -42,28 +42,26 @@ class Scheduled:
     def commanded(self) -> Array:
         """Bound on the scheduled part of each command, shape (cells, m) [N]; beyond limits if none is found.
 
-        It does not grow over the tail, and is constant over the end of it that later turns remember.
+        It does not grow over the tail, and is constant over the second half of it.
         """
         found, tracking, u_max = self.nu, self.tracking, self.tracking.system.u_max
-        remembered = LONGER * (tracking.tightening.horizon + 2)
-        end = max(len(found) + -remembered // tracking.feedback.nodes_per_cell, self.planned)
         effects = self._effects(tracking.commands[: len(u_max)])
         for _ in range(ROUNDS):
             more = self._along(effects, found, len(u_max)).max(axis=1)
-            more[end:] = more[end:].max(axis=0, initial=0.0)
+            more[self.constant :] = more[self.constant :].max(axis=0, initial=0.0)
             more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
             before, found = found, self.nu + more * (1 + SPARE)
             if np.all(found - before <= SETTLED * more) or np.any(more > u_max):
                 return np.asarray(found)
         return np.asarray(found + u_max / SPARE)
 
-    def along(self, rows: Array) -> Array:
+    def along(self, rows: Array, between: bool = True) -> Array:
         """Return what they add along rows at every node of every cell, shape (cells, q + 1, r).
 
-        Rows are those of the error, (r, n), or of the loop state, (r, N). Between two nodes a row is at most
-        the chord of their entries.
+        Rows are those of the error, (r, n), or of the loop state, (r, N). If `between`, a row is at most the
+        chord of its entries between two nodes.
         """
-        return self._along(self._effects(rows), self.commanded, len(rows))
+        return self._along(self._effects(rows), self.commanded, len(rows), between)
 
     def _effects(self, rows: Array) -> Effects:
         tracking, n = self.tracking, self.tracking.system.n
@@ -72,19 +70,20 @@ class Scheduled:
             channels += [channel for channel in tracking.tightening.closed.loop.channels if channel.share]
         return [(channel, tracking.response(channel, rows)) for channel in channels]
 
-    def _along(self, effects: Effects, commanded: Array, count: int) -> Array:
+    def _along(self, effects: Effects, commanded: Array, count: int, between: bool = True) -> Array:
         cells, q = len(commanded), self.tracking.feedback.nodes_per_cell
-        at, for_ever, between = np.zeros((cells * q + 1, count)), np.zeros(count), np.zeros(count)
+        T, constant = self.planned * q, (cells - self.constant) * q
+        at, tail, bent = (np.zeros((nodes, count)) for nodes in (T + 1, cells * q - T + 1, 1))
         for channel, effect in effects:
             sizes = np.repeat(self._sizes(channel, commanded), q, axis=0)
-            at += effect.at(sizes)
-            for_ever += effect.ever(sizes[-1])
-            between += effect.between @ sizes.max(axis=0)
-        # The tail is flown again and again: as if its last commands had always been.
-        at[self.planned * q + 1 :] = np.maximum(at[self.planned * q + 1 :], for_ever)
-        found = np.concatenate([at[:-1].reshape(cells, q, -1), at[q::q, None]], axis=1)
-        found[self.planned :] = np.maximum(found[self.planned :], for_ever)
-        return np.asarray((found + between) * (1 + ROUNDING))
+            at += effect.at(sizes[:T])
+            bent += effect.between @ sizes.max(axis=0) * between
+            if constant:  # the tail is flown again and again: besides its last sizes, which have always been
+                last, most = sizes[-constant:].max(axis=0), sizes[T:].max(axis=0)
+                tail += effect.at(np.maximum(sizes - last, 0.0))[T:] + effect.ever(last)
+                tail += effect.ever(most - last, constant)
+        found = [part[i : i + q + 1] for part in (at, tail) for i in range(0, len(part) - 1, q)]
+        return np.asarray((np.array(found) + bent) * (1 + ROUNDING))
 
     def _sizes(self, channel: Channel, commanded: Array) -> Array:
         """Sizes of a channel in every cell, under commands of as many periods as it remembers."""

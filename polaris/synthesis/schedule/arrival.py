@@ -19,8 +19,8 @@ from .spending import Spell, commanded, spent, tracked
 
 GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached, where no length is given
 SPARE = 0.02
-"""Share by which claims are loosened where errors of thrusters grow with commands: a checker merges sets, and
-bounds what falls with time, in its own way."""
+"""Share by which claims are loosened where a craft is not ideal: a checker merges sets, and bounds what falls
+with time, in its own way."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Upkeep:
 
 def spare(tracking: Tracking) -> float:
     """Share by which bounds are larger than found."""
-    return ROUNDING if tracking.profile is None else SPARE
+    return ROUNDING if tracking.system.ideal else SPARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class Nearness:
         problem, tracking, rows = self.safety.problem, self.safety.tracking, self.rows[0]
         if problem.goal_tolerance is not None:
             return problem.goal_tolerance
-        need = self.along.table.settled + self.safety.clearance.scheduled(rows)[-1, -1]
+        need = self.along.table.settled + self.safety.clearance.scheduled(rows, between=False)[-1, -1]
         need = need + np.abs(rows) @ tracking.system.displaced_at_nodes
         hold = float(np.max(need, initial=0.0)) * (1 + spare(tracking)) * (1 + GOAL_SHARE)  # the jump apart
         return max(GOAL_SHARE * problem.goal.conditions.scale, hold)
@@ -142,9 +142,10 @@ class Tail(Nearness):
         tracking, rows = self.safety.tracking, along.rows
         each = [along.needs(handed, self.T, self.T + nodes)[0] for handed in self.held]
         need: Array = np.min(each, axis=0)
+        need = need + SPARE * np.abs(need) * (not tracking.system.ideal)
+        near = min(nodes - 1, tracking.memory)
         if tracking.profile is None:
             return need
-        need, near = need + SPARE * np.abs(need), min(nodes - 1, tracking.memory)
         away = np.abs(rows) @ tracking.system.displaced_at_nodes
         parts = [spell.tube.nodes.support(rows)[:-1] for spell in self.until(near)]
         flown = np.concatenate([need[:0], *parts])[:near]

@@ -259,6 +259,6 @@ class Response:
         found[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)
         return np.asarray(found * (1 + ROUNDING))
 
-    def ever(self, size: Array) -> Array:
-        """Return what one size (k,), at all times, adds at most, shape (r,)."""
-        return np.asarray((self.gains[:-1].sum(axis=0) + self.older) @ size * (1 + ROUNDING))
+    def ever(self, size: Array, until: int = 0) -> Array:
+        """Return what one size (k,), at all times until some periods ago, adds at most, shape (r,)."""
+        return np.asarray((self.gains[until:-1].sum(axis=0) + self.older) @ size * (1 + ROUNDING))

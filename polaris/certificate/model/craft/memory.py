@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 from flint import arb, arb_mat, arb_poly
@@ -97,12 +96,9 @@ class Gains:
         by_node = zip(*found, strict=True) if found else [()] * (count + 1)
         return [[each[kind] for kind in self.which] for each in by_node]
 
-    @cached_property
-    def _all(self) -> list[list[arb]]:
-        """Those of all periods together, ``[channel][row]``."""
-        totals = ([x.upper() for x in sums(*gains)] for gains in self.each)
-        return [[total[kind] for kind in self.which] for total in totals]
-
-    def always(self, sizes: list[arb]) -> list[arb]:
-        """Response to sizes that have always been as large; N periods of them."""
-        return sums(*([x * size for x in each] for each, size in zip(self._all, sizes, strict=True)))
+    def always(self, sizes: list[arb], until: int = 0) -> list[arb]:
+        """Response to sizes that have been as large until some periods ago, not more than N periods."""
+        none = [arb(0)] * len(self.each[0][0])
+        totals = (sums(none, *gains[until:]) for gains in self.each)
+        found = sums(*([x * size for x in each] for each, size in zip(totals, sizes, strict=True)))
+        return [found[kind].upper() for kind in self.which]

@@ -160,12 +160,10 @@ class Needs:
         """Needs besides the state at node l alone, l = 0 ... N, then at every later one."""
         return self._upset([*self.responses[:-1], self.settled])
 
-    def caused(
-        self, gains: Gains, sizes: list[list[arb]], off: bool
-    ) -> tuple[list[list[arb]], list[arb], list[arb]]:
-        """Response to sizes of a channel, period by period from rest: at nodes, besides, and between them.
+    def caused(self, sizes: list[list[arb]], off: bool) -> tuple[list[arb], list[arb]]:
+        """Response to sizes of a channel, period by period: to those older than N periods, and between nodes.
 
-        The second holds for what is older than N periods; `off` says that these are errors of estimates.
+        `off` says that these are errors of estimates.
         """
         worst, one = [largest(each) for each in zip(*sizes, strict=True)], identity(self.craft.F.nrows())
         per = self.craft.noise_gains(one) if off else self.craft.thrust_gains(one)
@@ -176,7 +174,7 @@ class Needs:
             for rate, needs in zip(rates, self.rates, strict=True)
         )
         bent = self.craft.bent(self.rows, (most[0], most[1]), worst if off else [], [] if off else worst)
-        return gains.summed(sizes), self.late(box), bent
+        return self.late(box), bent
 
     def _upset(self, found: list[list[arb]]) -> list[list[arb]]:
         return [sums(*each) for each in zip(found, self.upset, strict=True)] if self.upset else found

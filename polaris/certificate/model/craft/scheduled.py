@@ -2,7 +2,7 @@
 
 from math import ceil
 
-from flint import arb, arb_mat
+from flint import arb
 
 from ...files.document import Document
 from ...kernel.arcs import Path
@@ -24,12 +24,13 @@ class Scheduled:
 
     So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
 
-    The tail is flown again and again: bounds on commands do not grow over it, and are constant over the end
-    of it that later turns remember.
+    The tail is flown again and again: bounds on commands do not grow over it, and are constant over the
+    second half of it.
     """
 
     def __init__(self, document: Document, craft: Craft, memory: Memory, path: Path) -> None:
         self.craft, self.memory, self.planned = craft, memory, min(path.planned, len(path.arcs))
+        self.constant = self.planned + (len(path.arcs) - self.planned) // 2  # bounds do not change from it on
         self.off = [craft.extra(document, k) for k in range(len(path.arcs))]
         gain, plant = absolute(craft.gain), craft.plant
         noise = [(gain * column(off)).entries() for off in self.off]
@@ -37,11 +38,10 @@ class Scheduled:
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
         self.commanded, needs = nu, Needs(craft, memory, craft.commands)
         for _ in range(ROUNDS):
-            more = [[largest(each) for each in zip(*nodes, strict=True)] for nodes in self._along(needs)]
-            end = max(len(more) - ceil((memory.periods + 2) / plant.q), self.planned)
+            more = [_largest(nodes) for nodes in self.along(needs)]
             for k in range(len(more) - 2, self.planned - 1, -1):
                 more[k] = [largest(pair) for pair in zip(more[k], more[k + 1], strict=True)]
-            more[end:] = [more[end]] * (len(more) - end) if end < len(more) else []
+            more[self.constant :] = more[self.constant : self.constant + 1] * (len(more) - self.constant)
             cells = zip(nu, more, self.commanded, strict=True)
             if all(u + x <= most for each in cells for u, x, most in zip(*each, strict=True)):
                 return
@@ -51,36 +51,42 @@ class Scheduled:
             self.commanded = [sums(*pair) for pair in zip(nu, grown, strict=True)]
         raise Undecided("recoverable", "errors of thrusters feed on themselves along the reference")
 
-    def along(self, rows: arb_mat) -> Along:
-        """Response to them along rows at every node of every step; between nodes chords of it hold."""
-        return self._along(Needs(self.craft, self.memory, rows))
-
-    def _along(self, needs: Needs) -> Along:
+    def along(self, needs: Needs, between: bool = True) -> Along:
+        """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
         plant, q, off = self.craft.plant, self.craft.plant.q, self.off
         parts, back = [], ceil(self.craft.lag / q)
         if self.memory.profile:
             if self.craft.lag:
                 since = (self.commanded[max(k - back, 0) : k + 1] for k in range(len(off)))
-                before = [[largest(each) for each in zip(*some, strict=True)] for some in since]
-                lagged = (self.craft.lagged(self._clipped(most)) for most in before)
+                lagged = (self.craft.lagged(self._clipped(_largest(most))) for most in since)
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(most)) for most in self.commanded]
             parts.append((needs.thrust, [[x.upper() for x in each] for each in thrust], False))
         if any(x > 0 for each in off for x in each):
             parts.append((needs.noise, [[x.upper() for x in each] for each in off], True))
-        zero = [arb(0)] * needs.rows.nrows()
-        at, for_ever, booked = [zero] * (len(off) * q + 1), zero, zero
-        for gains, sizes, seen in parts:
-            nodes, older, bent = needs.caused(gains, [size for size in sizes for _ in range(q)], seen)
-            at = [sums(*pair) for pair in zip(at, nodes, strict=True)]
-            booked, for_ever = sums(booked, older, bent), sums(for_ever, gains.always(sizes[-1]))
-        found = []
-        for cell in range(len(off)):
-            nodes = at[cell * q : (cell + 1) * q + 1]
-            if cell >= self.planned:  # as if the tail's last commands had always been
-                nodes = [[largest(pair) for pair in zip(each, for_ever, strict=True)] for each in nodes]
-            found.append([sums(each, booked) for each in nodes])
-        return found
+        T, constant, booked = self.planned * q, (len(off) - self.constant) * q, [arb(0)] * needs.rows.nrows()
+        at, tail = [booked] * (T + 1), [booked] * (len(off) * q - T + 1)
+        for gains, by_cell, seen in parts:
+            sizes = [size for size in by_cell for _ in range(q)]
+            older, bent = needs.caused(sizes, seen)
+            booked = sums(booked, older, bent) if between else sums(booked, older)
+            at = [sums(*pair) for pair in zip(at, gains.summed(sizes[:T]), strict=True)]
+            if constant:  # besides the last sizes of the tail, as if they had always been
+                last, most = (_largest(some) for some in (sizes[-constant:], sizes[T:]))
+                more = gains.summed([_over(size, last) for size in sizes])[T:]
+                ever = sums(gains.always(last), gains.always(_over(most, last), constant))
+                tail = [sums(known, each, ever) for known, each in zip(tail, more, strict=True)]
+        ends = [part[i : i + q + 1] for part in (at, tail) for i in range(0, len(part) - 1, q)]
+        return [[sums(each, booked) for each in nodes] for nodes in ends]
 
     def _clipped(self, most: list[arb]) -> list[arb]:
         return [smallest(pair) for pair in zip(most, self.craft.plant.u_max, strict=True)]
+
+
+def _largest(sizes: list[list[arb]]) -> list[arb]:
+    return [largest(each) for each in zip(*sizes, strict=True)]
+
+
+def _over(sizes: list[arb], least: list[arb]) -> list[arb]:
+    """Parts of some sizes above others."""
+    return [largest((x - low, arb(0))).upper() for x, low in zip(sizes, least, strict=True)]
