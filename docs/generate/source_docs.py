@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from polaris.certificate.model.craft.craft import Craft
 from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
 from polaris.model.errors import ScenarioError
+from polaris.model.scene.obstacle import chaser_radius
 from polaris.rta.decision_grid import met_by_decisions
 from polaris.runs.certificate import hexadecimal
 from polaris.runs.files.controllers import system_table
@@ -29,7 +30,7 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.delayed import flies
 from polaris.simulation.integration import columns
 from polaris.synthesis.safety.problem import Problem
-from polaris.synthesis.sources.craft import sources
+from polaris.synthesis.sources.craft import assumed, sources
 from polaris.synthesis.sources.estimate import step_errors
 from polaris.synthesis.tracker.loop import Loop
 
@@ -43,6 +44,7 @@ HEAD = {
     "Loop": "polaris.synthesis.sources.craft.craft_loop",
     "Beside the loop": "polaris.scenario.schedule.ScheduleScenario.problem",
     "Checker": "polaris.certificate.model.craft.states.craft_of",
+    "Assumption": "polaris.synthesis.sources.craft.assumed",
     "Simulation, `falsify`": "polaris.simulation.delayed.flies",
     "Run-time methods": "polaris.rta.decision_grid.DecisionGrid.of",
 }
@@ -110,6 +112,9 @@ ROWS = (
 )
 """In the order of the page."""
 
+PARTS = "beside", "checked", "assumed", "flown"
+"""Columns that say what a declaration changes."""
+
 
 @dataclass(frozen=True)
 class Declared:
@@ -173,6 +178,14 @@ class Declared:
         }
 
     @cached_property
+    def assumed(self) -> dict[str, str]:
+        """Return the sentences that are printed with the guarantee, by their first words."""
+        premises = assumed(self.problem.system, self.problem.period)
+        allocated, radius = self.problem.allocation is not None, chaser_radius(self.problem.unsafe)
+        told = replace(premises, allocated=allocated, chaser=radius).told()
+        return {sentence.split(":")[0]: sentence for sentence in told}
+
+    @cached_property
     def flown(self) -> dict[str, object]:
         """Errors that simulations draw, and the kind of their flights."""
         system, kind = self.problem.system, f"`{flies(self.problem.system).__name__}`"
@@ -210,7 +223,7 @@ def table() -> str:
     for row in ROWS:
         found, base = Declared((*row.beside, *row.example)), Declared(row.beside)
         added = "; ".join(text for key, text in found.loop.items() if key not in base.loop) or "-"
-        pairs = ((getattr(found, part), getattr(base, part)) for part in ("beside", "checked", "flown"))
+        pairs = ((getattr(found, part), getattr(base, part)) for part in PARTS)
         cells = row.name, f"`{row.table}`", added, *(differing(*pair) for pair in pairs), found.online
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)

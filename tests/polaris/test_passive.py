@@ -316,3 +316,29 @@ def upkeep_judged(forger, change):
             data["guarantee"]["upkeep"][key] *= times
         files[name] = json.dumps(data)
     return forger.judge(files)
+
+
+@pytest.mark.slow
+def test_drifts_with_the_facets_of_s_would_seldom_be_clear():
+    schedule = synthesize(load_scenario("keep_out", ["abort.drift_s=1800.0"]))
+    flight, clearance = schedule.passive.flight, schedule.safety.clearance
+    rows, bend, pushed = flight._rows
+    first = np.cumsum([0, *(len(body.normals) for body in flight.sets)])
+    facets = [clearance.facets[:, [u.name for u in clearance.unsafe].index(b.name)] for b in flight.sets]
+    clear = []
+    for k, drifts in enumerate(schedule.passive.drifts):
+        cells, room = np.minimum(k + np.arange(flight.cells), len(facets[0]) - 1), np.inf
+        for start in (drift.start for drift in drifts):
+            size = np.abs(flight._powers @ start.c) + np.abs(flight._powers @ start.G).sum(-1)
+            far = rows @ start.c + np.abs(rows @ start.G).sum(-1)
+            for body, at, chosen in zip(flight.sets, first, facets, strict=False):
+                places = np.arange(len(far) - 1), at + np.repeat(chosen[cells], flight.parts)
+                offsets = body.fine(flight.parts)[k : k + flight.cells]
+                for end in (0, 1):
+                    side = offsets[:, end : end + flight.parts].reshape(len(far) - 1, -1)
+                    side = side[places[0], places[1] - at]
+                    need = far[places[0] + end, places[1]] + (size[:-1] @ bend.T + pushed)[places]
+                    room = min(room, np.min(-side - need))
+        clear.append(room > 0)
+    assert not np.any(clear & ~schedule.passive.clear)
+    assert np.mean(clear) < 0.2 and np.mean(schedule.passive.clear) > 0.6

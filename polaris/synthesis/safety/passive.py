@@ -1,4 +1,8 @@
-"""Passive safety: where the chaser drifts if all thrust stops, at whatever instant of a step."""
+"""Passive safety: where the chaser drifts if all thrust stops, at whatever instant of a step.
+
+The drift is no `Continuation`: it has facets of its own for every start, because with those of S, one for
+each time, far fewer steps are clear.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -186,18 +190,13 @@ class PassiveSafety:
         rooms = [part.room.min() for parts in self.drifts if clear(parts) for part in parts if part.room.size]
         return float(min(rooms)) * (1 - ROUNDING) if rooms else None
 
-    @property
-    def spans(self) -> list[tuple[float, float]]:
-        """When thrust may stop [s]: the steps that are clear, joined."""
-        return [(a * self.flight.delta, b * self.flight.delta) for a, b in stretches(self.clear)]
-
     def told(self) -> dict[str, Any]:
-        """What a run claims of it."""
-        abort = self.flight.abort
+        """Return what a run claims of it."""
+        abort, delta = self.flight.abort, self.flight.delta
         return {
             "drift_s": abort.horizon,
             "keep_in": abort.keep_in,
-            "clear_s": [list(span) for span in self.spans],
+            "clear_s": [[a * delta, b * delta] for a, b in stretches(self.clear)],  # steps, joined
             "least_m": self.least,
             "witness": self.witness(),
         }

@@ -1,7 +1,7 @@
 """The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,6 @@ from reach.brief import brief
 from reach.numerics.linear import growth
 from reach.sets.zonotope import Zonotope
 
-from ...certificate.assumptions import Premises
 from ...model.errors import ScenarioError
 from ...model.scene.obstacle import chaser_radius
 from ...model.scene.satellite import SatelliteObstacle
@@ -24,6 +23,7 @@ from ..safety.continuation import HandOver
 from ..safety.get_safety import Safety
 from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
+from ..sources.craft import assumed
 from .arrival import Arrival, Tail, Upkeep, spare
 from .powered import KnownBranches, PoweredSafety, powered
 from .rules import Prices, SwitchingRules
@@ -131,29 +131,16 @@ class Schedule:
         """What the guarantee rests on, for a mission to discharge."""
         safety = self.safety
         problem, cells, end = safety.problem, safety.reference.cells, safety.end
-        prompt, observer = problem.system.prompt, problem.system.observer
         offsets = [unsafe.offsets[:cells] for unsafe in safety.clearance.unsafe]
-        premises = Premises(
-            problem.system.w_max,
-            problem.delta / safety.clearance.q,
+        premises = replace(
+            assumed(problem.system, problem.delta / safety.clearance.q),
             resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
-            estimate=prompt.navigation.tolist(),
-            by_step=problem.system.error_by_step is not None,
-            observer=() if observer is None else observer.noise.tolist(),
-            initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
-            timing=astuple(problem.system.timing)[:4],
-            thrusters=astuple(prompt.thrusters),
-            pulses=problem.system.timing.fired,
-            carried=problem.system.timing.carried,
             chaser=chaser_radius(problem.unsafe),
             allocated=problem.allocation is not None,
-            layout=problem.system.nozzles is not None,
-            late=[(fault.name, fault.lasts) for fault in problem.system.transients],
             sampled=None if self.statement is None else asdict(self.statement),
-            position=problem.system.position.tolist(),
             networks=[
                 (law.name, law.policy.network.precision)
                 for law in self.controllers

@@ -1,7 +1,9 @@
 """The one list of sources of uncertainty, and the loop of a craft that they extend."""
 
+from dataclasses import astuple
 from functools import reduce
 
+from ...certificate.assumptions import Premises
 from ...model.craft import Craft
 from ..tracker.loop import Loop
 from .delay import Delay
@@ -30,3 +32,23 @@ def craft_loop(system: Craft, h: float) -> Loop:
     """
     plain = Loop.of(system.A, system.B, h)
     return reduce(lambda loop, source: source.extend(loop), sources(system, h), plain)
+
+
+def assumed(system: Craft, h: float) -> Premises:
+    """Return what is assumed of a system and of all its sources, its law renewed every h [s]."""
+    prompt, observer = system.prompt, system.observer
+    return Premises(
+        system.w_max,
+        h,
+        estimate=prompt.navigation.tolist(),
+        by_step=system.error_by_step is not None,
+        observer=() if observer is None else observer.noise.tolist(),
+        initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
+        timing=astuple(system.timing)[:4],
+        thrusters=astuple(prompt.thrusters),
+        pulses=system.timing.fired,
+        carried=system.timing.carried,
+        layout=system.nozzles is not None,
+        late=[(fault.name, fault.lasts) for fault in system.transients],
+        position=system.position.tolist(),
+    )

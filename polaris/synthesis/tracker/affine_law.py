@@ -83,10 +83,7 @@ class AffineLaw:
 
     def sizes(self, channel: Channel, most: Array | None) -> Array:
         """Bounds on the values of a channel under commands within a bound, or within the limits."""
-        if channel.share is None:
-            return channel.size
-        limit = self.system.u_max
-        return channel.size + channel.share(limit if most is None else np.minimum(most, limit))
+        return self.tracking.tightening.sizes(channel, self.system.u_max if most is None else most)
 
     def channels(self, before: Array | None = None) -> list[tuple[Channel, Array]]:
         """The loop's channels with bounds on their values in any period of a cell.

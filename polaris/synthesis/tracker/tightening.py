@@ -84,9 +84,8 @@ class Tightening:
     def remainder(self, rows: Array) -> Array:
         """Return what rows need, per unit of the norm at a hand-over, at any lag from N on, shape (r,)."""
         sizes = np.abs(self.carried(rows)) @ self.v
-        return np.asarray(
-            np.minimum(self.factor * sizes.max(axis=0), self._growth * sizes[-2]) * (1 + ROUNDING)
-        )
+        least = np.minimum(self.factor * sizes.max(axis=0), self._growth * sizes[-2])
+        return np.asarray(least * (1 + ROUNDING))
 
     @cached_property
     def _growth(self) -> float:
@@ -139,12 +138,8 @@ class Tightening:
     def reached(self, bound: Array | None) -> Array:
         """Bound on every loop state for ever, from rest, under commands within a bound, shape (states,)."""
         each = zip(self.closed.loop.channels, self.reach, strict=True)
-        return np.asarray(
-            sum(
-                (gains @ self.largest(channel, bound) for channel, gains in each),
-                np.zeros(self.closed.loop.N),
-            )
-        )
+        parts = [gains @ self.largest(channel, bound) for channel, gains in each]
+        return np.asarray(np.sum([np.zeros(self.closed.loop.N), *parts], axis=0))
 
     @cached_property
     def reach(self) -> tuple[Array, ...]:
@@ -173,10 +168,9 @@ class Tightening:
 
     def noise(self, bound: Array | None = None) -> Array:
         """Return what noise adds to a command of its own period, shape (m,)."""
-        each = (
-            self.closed.noise(channel) @ self.largest(channel, bound) for channel in self.closed.loop.channels
-        )
-        return np.asarray(sum(each, np.zeros(self.closed.loop.m)))
+        channels = self.closed.loop.channels
+        parts = [self.closed.noise(channel) @ self.largest(channel, bound) for channel in channels]
+        return np.asarray(np.sum([np.zeros(self.closed.loop.m), *parts], axis=0))
 
     def settled(self, rounds: int = 500) -> Array:
         """Bound on the commands long after a hand-over, shape (m,): ``P >= tightening of K under P + noise``.

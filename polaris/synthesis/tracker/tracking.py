@@ -270,9 +270,8 @@ class Tracking(Contraction):
     def handed_between(self, rows: Array) -> Array:
         """Return what `handed` leaves out over the periods next to a node, for rows of the error, (r, n)."""
         rates = self.handed(self.tightening.closed.rates)
-        return np.asarray(
-            self.tightening.bend(rows) @ np.maximum(rates, np.concatenate([rates[:1], rates[:-1]]))
-        )
+        before = np.concatenate([rates[:1], rates[:-1]])
+        return np.asarray(self.tightening.bend(rows) @ np.maximum(rates, before))
 
     def disturbance(self, rows: Array, failing: bool = True) -> Array:
         """Return what rows need besides the state at a hand-over, by age and ever after, (memory + 3, r).
