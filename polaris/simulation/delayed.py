@@ -18,7 +18,8 @@ class Predicting(Integrator):
     `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
     Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
     flown as the nearest whole number of steps of the integration; jitter makes commands late by up to one.
-    An observer, if there is one, filters measurements, each off by its bound, with the sign of `eta` there.
+    An observer, if there is one, filters measurements, each off by its bound, with the sign of `eta` there;
+    before the start it has made its first estimate, and the model has held since.
     """
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
@@ -73,22 +74,25 @@ class Predicting(Integrator):
             noise = np.minimum(noise, left[used])
         return np.asarray(noise)
 
+    def _begun(self, step: int, since: int) -> Array | float:
+        """Error of an observer's estimate in a step, (R, n), carried from `since` to the start if earlier."""
+        observer, A, h = self.system.observer, self.system.A, self.dt * self.substeps
+        if self.eta is None or observer is None:
+            return 0.0
+        told, left, loop = np.sign(self.eta[0]), observer.gain, observer.rest @ expm(A * h)
+        off = told * (0.0 if observer.initial is None else observer.initial)
+        for _ in range(PAST if observer.initial is None else 0):  # past updates
+            off, left = off + observer.noise * np.sign(self.eta[0] @ left) @ left.T, loop @ left
+        made = np.linalg.matrix_power(loop, -(-step // self.substeps))
+        return np.asarray(off @ (expm(-A * min(since, 0) * self.dt) @ made).T)
+
     def _observed(self, start: int) -> Array:
         """An observer's estimates (R, n) from all it has measured up to a step."""
         observer, (Ad, Bd, _) = self.system.observer, self.held
         assert observer is not None
         if self.measured < 0:
-            self.filtered, self.measured = self.seen[start], start
-            self.since = np.zeros(len(self.filtered), dtype=int)
-            if self.eta is not None:  # past updates, and those before the first that is flown
-                told, left = np.sign(self.eta[start]), observer.gain
-                off = np.zeros_like(told) if observer.initial is None else told * observer.initial
-                loop = observer.rest @ np.linalg.matrix_power(Ad, self.substeps)
-                for _ in range(PAST if observer.initial is None else 0):
-                    off = off + observer.noise * np.sign(self.eta[start] @ left) @ left.T
-                    left = loop @ left
-                before = -(-self.lag // self.substeps)
-                self.filtered = self.filtered + off @ np.linalg.matrix_power(loop, before).T
+            self.filtered = self.seen[start] + self._begun(self.lag, start)
+            self.measured, self.since = start, np.zeros(len(self.filtered), dtype=int)
         gains = np.array([observer.gain, *observer.after])
         while self.measured < start:
             for at in range(self.measured, self.measured + self.substeps):
@@ -121,14 +125,14 @@ class Predicting(Integrator):
             ages = np.zeros(len(x))
         for age in np.unique(ages).astype(int).tolist():
             start, runs = step - self.lag - age * self.substeps, ages == age
-            if start < 0:
-                continue
-            y = self.seen[start, runs]
             if self.system.observer is not None:
-                y = self._observed(start)[runs]
-            elif self.eta is not None:
-                y = y + self.noise[start] * self.eta[start, runs]
-            for at in range(start, step):
+                y = self._observed(start) if start >= 0 else self.seen[0] + self._begun(step, start)
+            elif start < 0:
+                continue
+            else:
+                y = self.seen[start, runs]
+                y = y if self.eta is None else y + self.noise[start] * self.eta[start, runs]
+            for at in range(max(start, 0), step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
             within = np.abs(y - x[runs])[~missing[runs]] / bound
             self.off = np.maximum(self.off, np.max(within, axis=0, initial=0.0))

@@ -72,14 +72,10 @@ class Runs:
         return np.asarray(self.states @ self.schedule.safety.tracking.system.position.T)
 
     @property
-    def mode_per_period(self) -> NDArray[np.int_]:
-        """Mode over the period after every node, shape (N,)."""
-        return np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
-
-    @property
     def flown(self) -> NDArray[np.int_]:
-        """Mode over the period after every node, S because of a fault included, shape (R, N)."""
-        planned, late = np.broadcast_to(self.mode_per_period, self.demanded.shape), self.failing
+        """Return the mode over the period after every node, S because of a fault included, (R, N)."""
+        modes = np.repeat(self.modes, (len(self.times) - 1) // len(self.modes))
+        planned, late = np.broadcast_to(modes, self.demanded.shape), self.failing
         by_s = False if late is None else late.by_s(np.arange(planned.shape[1])[:, None]).T
         return np.where(by_s, 0, planned)
 

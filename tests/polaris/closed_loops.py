@@ -303,7 +303,8 @@ class Loop:
 class Computer:
     """Flight computer of many runs: measurements, observer, and predictions over a delay.
 
-    Before the first measurement that counts estimates are off by what the attack says.
+    Before the first measurement that counts estimates are off by what the attack says; those of an observer
+    by what is left of the error of its first one, the model holding before the start.
     """
 
     def __init__(self, loop: Loop, states: Array, eta: Array, w: Array) -> None:
@@ -324,12 +325,12 @@ class Computer:
         x, seen, now = self.states[i], self.loop.system.observer, i * self.loop.dt
         at = now - self.delay
         self.noise = np.zeros_like(x)
-        if at < -1e-9:
-            self.wrong = self.eta[i]
-            return
-        y = self._state(at)
         sign = np.where(self.eta[i] < 0, -1.0, 1.0)
         moved = self.loop.moved()
+        if seen is None and at < -1e-9:
+            self.wrong = self.eta[i]
+            return
+        y = self._state(max(at, 0.0))
         if seen is None:
             timing = self.loop.system.timing
             error = sign * (np.array(timing.measured) + moved)
@@ -338,15 +339,26 @@ class Computer:
             self.wrong = carried + self.noise - x
             return
         noise = (seen.noise + np.abs(seen.measures) @ moved) * np.where(sign @ seen.gain < 0, -1.0, 1.0)
-        if self.estimate is None:
-            settled = seen.settled if seen.settled is not None else self.loop.system.timing.measured
-            first = np.array(settled) if len(settled) else self.loop.system.navigation
-            self.estimate = y + sign * first
+        if self.estimate is None or at < -1e-9:
+            self._begin(min(at, 0.0), sign, noise)
+            at = 0.0
         else:
             before = self._predict(self.estimate, self.last, at)
             self.estimate = before + (y @ seen.measures.T + noise - before @ seen.measures.T) @ seen.gain.T
         self.last = at
         self.wrong = self._predict(self.estimate, at, now) - x
+
+    def _begin(self, at: float, sign: Array, noise: Array) -> None:
+        """Make the first estimate, off by any error within its bound, or another one before the start."""
+        seen, system = self.loop.system.observer, self.loop.system
+        if self.estimate is None:
+            known = [seen.initial, seen.settled, np.array(system.timing.measured)]
+            first = next((each for each in known if each is not None and len(each)), system.navigation)
+            self.off = sign * first
+        else:
+            before = self.off @ held(self.A, self.B, self.loop.dt * self.loop.parts)[0].T
+            self.off = before + (noise - before @ seen.measures.T) @ seen.gain.T
+        self.estimate = self.states[0] + self.off @ held(self.A, self.B, -at)[0].T  # as of the start
 
     def _state(self, t: float) -> Array:
         """True states at an instant [s]."""

@@ -52,7 +52,7 @@ def attack(name, n, seed, *more):
         runs = flown[mode] = simulate(schedule, count, seed, mode=mode, tail=safety.end.proven)
         assert distances(schedule, runs, scenario) > 0
         assert facet_slack(schedule, runs) > 0
-        under_s = runs.mode_per_period == 0
+        under_s = runs.flown[0] == 0
         assert runs.demanded[:, under_s].max() <= 1 + 1e-6, "S never saturates"
     q, K = safety.clearance.q, safety.problem.K
     nodes = safety.clearance.nodes[:K, :-1].reshape(K * q, -1)
