@@ -24,7 +24,7 @@ from ..tracker.tracking import Tracking
 
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER, WIDE, WHOLE = 25.0, 200.0, 60.0
+ORDER, WIDE, WHOLE = 25.0, 200.0, 80.0
 """Generators per dimension of the error kept at the end of a step: without errors, with, and of whole loop
 states."""
 
