@@ -32,6 +32,14 @@ synthesis/tracker/tightening.py
 - self.sizes(channel, self.u_max if channel.lag else bound[0])
 + self.sizes(channel, bound[0])
 ! test_hand_over.py::test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow
+synthesis/safety/demand.py
+- tail += effect.at(np.maximum(sizes - last, 0.0))[T:] + effect.ever(last)
++ tail += np.maximum(effect.at(sizes)[T:], effect.ever(last))
+! test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
+certificate/model/craft/scheduled.py
+- more = gains.summed([_over(size, last) for size in sizes])[T:]
++ more = gains.summed([_over(size, size) for size in sizes])[T:]
+! test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
 synthesis/sources/observer.py
 - measures @ self.away + measures @ offset
 + measures @ self.away

@@ -113,8 +113,10 @@ def scenes() -> dict[str, Scene]:
     """Return the scenes of all rows by name: bundled, then random."""
     found: dict[str, Scene] = {}
     for name, path in bundled_files().items():
-        if isinstance(load_scenario(path), ScheduleScenario):
+        if isinstance(scenario := load_scenario(path), ScheduleScenario):
             _add(found, name, lambda path=path: path.read_text(encoding="utf-8"), name in CARRIED)
+            if scenario.model.navigation or scenario.model.thrusters:
+                del found[name + ERRORS]  # it declares errors itself
     for seed in SEEDS:
         _add(found, f"random-{seed}", lambda seed=seed: random_scenario(seed), seed % 2 == 1)
     return found

@@ -15,10 +15,10 @@ from polaris.scenario.tables.fields import whole_parts
 
 DATA = Path(__file__).parent / "data"
 SPACE, FLOOR = DATA / "space.toml", DATA / "floor.toml"
-NAMES = ("dynamic", "hold_point", "infeasible", "keep_out", "robot", "static")
+NAMES = ("cubesat", "dynamic", "hold_point", "infeasible", "keep_out", "robot", "static")
 
 
-def test_the_six_scenarios_are_bundled():
+def test_the_seven_scenarios_are_bundled():
     assert bundled_scenarios() == NAMES
 
 
