@@ -262,7 +262,10 @@ def test_every_bundled_scenario_is_in_the_table():
     assert sorted(scenario_rows()) == list(polaris.bundled_scenarios())
 
 
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("dynamic", "keep_out", "hold_point", "robot", "cubesat")]
+SLOW = [
+    pytest.param(name, marks=pytest.mark.slow)
+    for name in ("dynamic", "keep_out", "hold_point", "robot", "cubesat")
+]
 
 
 @pytest.mark.parametrize("name", ["static", *SLOW])

@@ -280,11 +280,11 @@ def test_what_is_older_than_the_horizon_counts(case):
     assert np.all(more <= beyond)
 
 
-def along(s, nu, planned, by_step=()):
+def along(s, nu, planned, by_step=(), between=True):
     """Return needs along states at nodes, and commands that they are bounded for, on both sides."""
     cells, rows, document = len(nu), np.eye(s.system.n), stated(s)
     own = Scheduled(s, SimpleNamespace(nu=nu, cells=cells), planned)
-    found, commanded = own.along(rows), [own.commanded]
+    found, commanded = own.along(rows, between), [own.commanded]
     document.error_by_step, document.steps = [list(each) for each in by_step], len(by_step) - 1
     document.known_to = lambda k: document.estimate
     if len(by_step):
@@ -297,7 +297,7 @@ def along(s, nu, planned, by_step=()):
     path = SimpleNamespace(planned=planned, arcs=arcs)
     checks = CheckedSchedule(document, craft, memory, path)
     commanded.append(np.array([[float(x) for x in most] for most in checks.commanded]))
-    checked_along = checks.along(Needs(craft, memory, matrix(rows.tolist())))
+    checked_along = checks.along(Needs(craft, memory, matrix(rows.tolist())), between)
     other = [[[float(x) for x in node] for node in cell] for cell in checked_along]
     nodes = [np.vstack([each[:, 0], each[-1:, 1]]) for each in (found, np.array(other))]
     return list(zip(nodes, commanded, strict=True))
@@ -349,12 +349,12 @@ def test_estimates_of_steps_count_from_their_step_on_and_in_the_tail_for_ever():
 
 def test_later_turns_of_the_tail_are_bounded_by_the_first():
     """A burst at its start has come before in all turns but the first."""
-    s, planned, tail = tracking(proportional=True), 4, 10
+    s, planned, tail = tracking(proportional=True), 4, 40
     nu = np.zeros((planned + tail, 2))
-    nu[planned] = [0.5, -0.6]
+    nu[planned:], nu[planned] = [0.2, -0.3], [0.5, -0.6]
     thrust, _ = units(s, planned + 4 * tail)
-    for found, commanded in along(s, nu, planned):
-        assert np.all(commanded[planned + tail // 2 :] == commanded[-1]) and commanded[-1].max() > 0.01
+    for found, commanded in along(s, nu, planned, between=False):
+        assert np.all(commanded[planned + tail // 2 :] == commanded[-1]) and commanded[-1].max() > 0
         part = s.system.thrusters.part(np.vstack([commanded[:planned], *[commanded[planned:]] * 4]))
         exact = np.array([sum(part[k] @ thrust[L - k] for k in range(L)) for L in range(1, len(part) + 1)])
         turns = exact[planned:].reshape(4, tail, -1).max(axis=0)

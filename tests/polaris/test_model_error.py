@@ -176,12 +176,12 @@ def test_two_digits_round_up():
 
 
 @pytest.mark.parametrize(
-    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SPACECRAFT[1:])]
+    "name", [SPACECRAFT[0], *(pytest.param(n, marks=pytest.mark.slow) for n in (*SPACECRAFT[1:], "cubesat"))]
 )
 def test_disturbance_bound_in_the_file_covers_the_model_error(name):
     found = model_error(*printed(name), samples=40_000)
     assert found.covered, found.summary()
-    assert 0.5 * found.bound < found.sampled <= found.bound
+    assert 0.4 * found.bound < found.sampled <= found.bound
     assert found.bound > 0.7 * found.declared, "the declared bound is not idle either"
     horizon = found.schedule.times[-1]
     assert all(until >= horizon for until in found.satellites.values())
