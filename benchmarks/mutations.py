@@ -33,12 +33,12 @@ synthesis/tracker/tightening.py
 + self.sizes(channel, bound[0])
 ! test_hand_over.py::test_what_is_remembered_from_before_a_hand_over_is_as_large_as_the_thrusters_allow
 synthesis/safety/demand.py
-- tail += effect.at(np.maximum(sizes - last, 0.0))[T:] + effect.ever(last)
-+ tail += np.maximum(effect.at(sizes)[T:], effect.ever(last))
+- later += effect.at(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
++ later += effect.ever(last)
 ! test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
 certificate/model/craft/scheduled.py
-- more = gains.summed([_over(size, last) for size in sizes])[T:]
-+ more = gains.summed([_over(size, size) for size in sizes])[T:]
+- more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
++ more, ever = gains.summed([_over(size, size) for size in sizes[T:]]), gains.always(last)
 ! test_hand_over.py::test_later_turns_of_the_tail_are_bounded_by_the_first
 synthesis/sources/observer.py
 - measures @ self.away + measures @ offset

@@ -191,9 +191,8 @@ class AffineController(AffineLaw):
         `nodes` are loop states about the law's own reference. With the bow on either side booked, the hull of
         two nodes holds what is commanded in the part between them.
         """
-        K = self.closed.K
-        centre = self.own.nu[k] - nodes.c @ K.T
-        spread = np.abs(K @ nodes.G).sum(axis=-1)
+        centre = self.own.nu[k] - nodes.c @ self.closed.K.T
+        spread = np.abs(self.closed.K @ nodes.G).sum(axis=-1)
         return centre, spread + at_nodes(bow) @ np.abs(self.gain).T
 
     def _at_most(self, nodes: Zonotope, bow: Array, k: int) -> Array:

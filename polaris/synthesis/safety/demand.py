@@ -44,8 +44,8 @@ class Scheduled:
 
         It does not grow over the tail, and is constant over the second half of it.
         """
-        found, tracking, u_max = self.nu, self.tracking, self.tracking.system.u_max
-        effects = self._effects(tracking.commands[: len(u_max)])
+        found, u_max = self.nu, self.tracking.system.u_max
+        effects = self._effects(self.tracking.commands[: len(u_max)])
         for _ in range(ROUNDS):
             more = self._along(effects, found, len(u_max)).max(axis=1)
             more[self.constant :] = more[self.constant :].max(axis=0, initial=0.0)
@@ -73,16 +73,17 @@ class Scheduled:
     def _along(self, effects: Effects, commanded: Array, count: int, between: bool = True) -> Array:
         cells, q = len(commanded), self.tracking.feedback.nodes_per_cell
         T, constant = self.planned * q, (cells - self.constant) * q
-        at, tail, bent = (np.zeros((nodes, count)) for nodes in (T + 1, cells * q - T + 1, 1))
+        at, later, bent = (np.zeros((nodes, count)) for nodes in (cells * q + 1, cells * q - T + 1, 1))
         for channel, effect in effects:
             sizes = np.repeat(self._sizes(channel, commanded), q, axis=0)
-            at += effect.at(sizes[:T])
+            at += effect.at(sizes)
             bent += effect.between @ sizes.max(axis=0) * between
-            if constant:  # the tail is flown again and again: besides its last sizes, which have always been
+            if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
                 last, most = sizes[-constant:].max(axis=0), sizes[T:].max(axis=0)
-                tail += effect.at(np.maximum(sizes - last, 0.0))[T:] + effect.ever(last)
-                tail += effect.ever(most - last, constant)
-        found = [part[i : i + q + 1] for part in (at, tail) for i in range(0, len(part) - 1, q)]
+                later += effect.at(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
+                later += effect.ever(most - last, constant, len(later))
+        parts = at[: T + 1], np.maximum(at[T:], later)
+        found = [part[i : i + q + 1] for part in parts for i in range(0, len(part) - 1, q)]
         return np.asarray((np.array(found) + bent) * (1 + ROUNDING))
 
     def _sizes(self, channel: Channel, commanded: Array) -> Array:

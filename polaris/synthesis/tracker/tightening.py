@@ -253,6 +253,8 @@ class Response:
         found[N + 1 :] += self.older @ sizes.max(axis=0, initial=0.0)
         return np.asarray(found * (1 + ROUNDING))
 
-    def ever(self, size: Array, until: int = 0) -> Array:
-        """Return what one size (k,), at all times until some periods ago, adds at most, shape (r,)."""
-        return np.asarray((self.gains[until:-1].sum(axis=0) + self.older) @ size * (1 + ROUNDING))
+    def ever(self, size: Array, until: int = 0, count: int = 1) -> Array:
+        """Return what one size (k,), for ever until periods before a node, adds from it on, (count, r)."""
+        since = np.concatenate([np.cumsum(self.gains[-2::-1], axis=0)[::-1], 0 * self.gains[:1]])
+        ages = np.minimum(until + np.arange(count), len(since) - 1)
+        return np.asarray((since[ages] + self.older) @ size * (1 + ROUNDING))

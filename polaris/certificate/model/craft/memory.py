@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 from flint import arb, arb_mat, arb_poly
@@ -96,9 +98,14 @@ class Gains:
         by_node = zip(*found, strict=True) if found else [()] * (count + 1)
         return [[each[kind] for kind in self.which] for each in by_node]
 
+    @cached_property
+    def _before(self) -> list[list[list[arb]]]:
+        """Those of a lag and all longer ones together, ``[channel][lag][kind]``."""
+        none = [arb(0)] * len(self.each[0][0])
+        return [list(accumulate(gains[::-1], sums, initial=none))[::-1] for gains in self.each]
+
     def always(self, sizes: list[arb], until: int = 0) -> list[arb]:
         """Response to sizes that have been as large until some periods ago, not more than N periods."""
-        none = [arb(0)] * len(self.each[0][0])
-        totals = (sums(none, *gains[until:]) for gains in self.each)
-        found = sums(*([x * size for x in each] for each, size in zip(totals, sizes, strict=True)))
+        pairs = zip((each[min(until, len(each) - 1)] for each in self._before), sizes, strict=True)
+        found = sums(*([x * size for x in each] for each, size in pairs))
         return [found[kind].upper() for kind in self.which]

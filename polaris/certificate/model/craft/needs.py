@@ -114,10 +114,8 @@ class Needs:
 
     @cached_property
     def _reached(self) -> arb_mat:
-        total = magnitude(self.carried[0])
-        for rows in self.carried[1 : self.memory.periods]:
-            total = total + magnitude(rows)
-        return total
+        first, *others = self.carried[: self.memory.periods]
+        return sum(map(magnitude, others), magnitude(first))
 
     @cached_property
     def settled(self) -> list[arb]:
@@ -169,11 +167,9 @@ class Needs:
         per = self.craft.noise_gains(one) if off else self.craft.thrust_gains(one)
         box = per * column(worst)
         rates = [each.noise if off else each.thrust for each in self.rates]
-        most = tuple(
-            magnitude(column(sums(rate.always(worst), needs.late(box))))
-            for rate, needs in zip(rates, self.rates, strict=True)
-        )
-        bent = self.craft.bent(self.rows, (most[0], most[1]), worst if off else [], [] if off else worst)
+        pairs = zip(rates, self.rates, strict=True)
+        first, last = (magnitude(column(sums(rate.always(worst), each.late(box)))) for rate, each in pairs)
+        bent = self.craft.bent(self.rows, (first, last), worst if off else [], [] if off else worst)
         return self.late(box), bent
 
     def _upset(self, found: list[list[arb]]) -> list[list[arb]]:

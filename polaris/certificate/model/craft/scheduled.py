@@ -23,9 +23,7 @@ class Scheduled:
     """The input of the reference, what S corrects of its errors, and their response along rows.
 
     So of estimates that may be off by more in a step than in the best known one: `document` says by how much.
-
-    The tail is flown again and again: bounds on commands do not grow over it, and are constant over the
-    second half of it.
+    The tail is flown again and again: over it bounds on commands do not grow, over its second half they last.
     """
 
     def __init__(self, document: Document, craft: Craft, memory: Memory, path: Path) -> None:
@@ -65,18 +63,18 @@ class Scheduled:
         if any(x > 0 for each in off for x in each):
             parts.append((needs.noise, [[x.upper() for x in each] for each in off], True))
         T, constant, booked = self.planned * q, (len(off) - self.constant) * q, [arb(0)] * needs.rows.nrows()
-        at, tail = [booked] * (T + 1), [booked] * (len(off) * q - T + 1)
+        at, later = [booked] * (len(off) * q + 1), [booked] * (len(off) * q - T + 1)
         for gains, by_cell, seen in parts:
             sizes = [size for size in by_cell for _ in range(q)]
-            older, bent = needs.caused(sizes, seen)
-            booked = sums(booked, older, bent) if between else sums(booked, older)
-            at = [sums(*pair) for pair in zip(at, gains.summed(sizes[:T]), strict=True)]
-            if constant:  # besides the last sizes of the tail, as if they had always been
+            booked = sums(booked, *needs.caused(sizes, seen)[: 1 + between])
+            at = [sums(*pair) for pair in zip(at, gains.summed(sizes), strict=True)]
+            if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
                 last, most = (_largest(some) for some in (sizes[-constant:], sizes[T:]))
-                more = gains.summed([_over(size, last) for size in sizes])[T:]
-                ever = sums(gains.always(last), gains.always(_over(most, last), constant))
-                tail = [sums(known, each, ever) for known, each in zip(tail, more, strict=True)]
-        ends = [part[i : i + q + 1] for part in (at, tail) for i in range(0, len(part) - 1, q)]
+                more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
+                before = (gains.always(_over(most, last), constant + j) for j in range(len(more)))
+                later = [sums(*each, ever) for each in zip(later, more, before, strict=True)]
+        tail = [_largest([*pair]) for pair in zip(at[T:], later, strict=True)]
+        ends = [part[i : i + q + 1] for part in (at[: T + 1], tail) for i in range(0, len(part) - 1, q)]
         return [[sums(each, booked) for each in nodes] for nodes in ends]
 
     def _clipped(self, most: list[arb]) -> list[arb]:
@@ -88,5 +86,4 @@ def _largest(sizes: list[list[arb]]) -> list[arb]:
 
 
 def _over(sizes: list[arb], least: list[arb]) -> list[arb]:
-    """Parts of some sizes above others."""
     return [largest((x - low, arb(0))).upper() for x, low in zip(sizes, least, strict=True)]
