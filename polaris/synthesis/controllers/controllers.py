@@ -24,9 +24,9 @@ from ..tracker.tracking import Tracking
 
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
-ORDER, WIDE, WHOLE = 25.0, 200.0, 80.0
-"""Generators per dimension of the error kept at the end of a step: without errors, with, and of whole loop
-states."""
+ORDER, WIDE, WHOLE, FILTERED = 25.0, 200.0, 100.0, 80.0
+"""Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop states,
+and of those with an observer, whose fresh noise a checker merges more of."""
 
 
 @brief
@@ -171,7 +171,8 @@ class AffineController(AffineLaw):
         rounding = self.reference.rounding[k] + self.own.rounding[k]
         states = nodes + zeta
         end = states[-1].inflate(np.pad(rounding, (0, states.dim - n)))
-        order = ORDER if self.system.ideal else WIDE if states.dim == n else WHOLE * n / states.dim
+        whole = (WHOLE if self.system.observer is None else FILTERED) * n / states.dim
+        order = ORDER if self.system.ideal else WIDE if states.dim == n else whole
         segment = TubeSegment(states, bow + rounding, end.reduce(order), refused, slopes)
         return segment, np.minimum(commanded + self.noise, self.system.u_max)
 
