@@ -25,8 +25,8 @@ from ..tracker.tracking import Tracking
 LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
 ORDER, WIDE, WHOLE, FILTERED = 25.0, 200.0, 100.0, 80.0
-"""Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop states,
-and of those with an observer, whose fresh noise a checker merges more of."""
+"""Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop states
+without an observer, and with one, of whose fresh noise a checker merges more."""
 
 
 @brief
@@ -72,11 +72,9 @@ class Controller(Protocol):
     @property
     def name(self) -> str:
         """Name in tables and figures."""
-        ...
 
     def fly(self, start: Zonotope, k: int) -> TubeSegment:
-        """Reachable set over step k from a set of errors; of the loop state, for S and affine laws."""
-        ...
+        """Return the set reached over step k from a set of errors; of loop states, for S and affine laws."""
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:
         """Thrust command, before any clipping, for states x of shape (..., n).
@@ -84,7 +82,6 @@ class Controller(Protocol):
         `xi` and `own` are the states, at the same instant, of the safe reference and of the
         controller's own reference.
         """
-        ...
 
 
 @brief
