@@ -79,8 +79,8 @@ class Predicting(Integrator):
         observer, A, h = self.system.observer, self.system.A, self.dt * self.substeps
         if self.eta is None or observer is None:
             return 0.0
-        told, left, loop = np.sign(self.eta[0]), observer.gain, observer.rest @ expm(A * h)
-        off = told * (0.0 if observer.initial is None else observer.initial)
+        signs, left, loop = np.sign(self.eta[0]), observer.gain, observer.rest @ expm(A * h)
+        off = signs * (0.0 if observer.initial is None else observer.initial)
         for _ in range(PAST if observer.initial is None else 0):  # past updates
             off, left = off + observer.noise * np.sign(self.eta[0] @ left) @ left.T, loop @ left
         made = np.linalg.matrix_power(loop, -(-step // self.substeps))

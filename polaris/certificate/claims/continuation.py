@@ -9,7 +9,7 @@ from flint import arb, arb_mat
 
 from ..files.document import Document
 from ..kernel.arcs import Path
-from ..kernel.balls import above, column, diagonal, largest, magnitude, smallest, sums
+from ..kernel.balls import above, column, diagonal, largest, magnitude, maxima, smallest, sums
 from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
@@ -112,7 +112,7 @@ class Continuation:
             for each in handed:
                 lags = {min(max(node - at, 0), last) for at in range(each.first, each.last + 1)}
                 known = [sums(each.need(needs, lag, around), pushed[lag]) for lag in lags]
-                found.append([largest(x).upper() for x in zip(*known, strict=True)])
+                found.append([x.upper() for x in maxima(*known)])
             parts = [[smallest(x) for x in zip(*found, strict=True)]]
             if self.scheduled:
                 parts.append(self.from_thrust(needs, node, around))
@@ -130,7 +130,7 @@ class Continuation:
             cells, T = self.scheduled.along(needs, around), self.document.steps * self.document.q
             nodes = [each for cell in cells for each in cell[:-1]] + [cells[-1][-1]]
             for at in range(len(nodes) - 2, T - 1, -1):
-                nodes[at] = [largest(pair) for pair in zip(nodes[at], nodes[at + 1], strict=True)]
+                nodes[at] = maxima(nodes[at], nodes[at + 1])
             self._caused[key] = nodes
         return self._caused[key][min(node, len(self._caused[key]) - 1)]
 

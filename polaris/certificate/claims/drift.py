@@ -21,9 +21,9 @@ from ..kernel.balls import (
     exponential,
     exponential_over,
     identity,
-    largest,
     magnitude,
     matrix,
+    maxima,
     plain,
     require,
     row_sums,
@@ -80,7 +80,7 @@ class Departures:
         group = self.groups[self._group[i]]
         inverse, centre = self._inverses[self._group[i]], column(group.center)
         ends = d.moved(first), end.moved(last)
-        size = column([largest(pair) for pair in zip(*(z.size().entries() for z in ends), strict=True)])
+        size = column(maxima(*(z.size().entries() for z in ends)))
         apart = moved.moved(last - first).size()
         bent = magnitude(A * A) * size * (h * h / 8) + magnitude(A) * apart * (h / 4)
         beyond = (

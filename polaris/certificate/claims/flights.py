@@ -20,6 +20,7 @@ from ..kernel.balls import (
     largest,
     magnitude,
     matrix,
+    maxima,
     plain,
     require,
     scaled,
@@ -90,9 +91,8 @@ class Pilot:
 
     def unseen(self, k: int, before: Sequence[list[arb]]) -> list[arb]:
         """Bounds on errors of estimates in step k beyond those of the loop, from commands earlier in it."""
-        lag, commands = self.craft.lag, self.plant.u_max
-        if 0 < lag <= len(before):
-            commands = [largest(each) for each in zip(*before[-lag:], strict=True)]
+        lag = self.craft.lag
+        commands = maxima(*before[-lag:]) if 0 < lag <= len(before) else self.plant.u_max
         return sums(self.craft.extra(self.document, k), self.craft.lagged(commands))
 
     def period(
@@ -196,8 +196,8 @@ def fly(
     bows = base.bows(unit.rows) if departures is not None else []
     if barrier is not None:
         rows, room = barrier.rows.M, base.room(barrier.rows.M, barrier.offsets)
-        added = [[arb(0)] * rows.nrows(), *((magnitude(craft.whole(rows)) * x).entries() for x in upsets)]
-        most = [largest(each) for each in zip(*added, strict=True)]
+        weights = magnitude(craft.whole(rows))
+        most = maxima([arb(0)] * rows.nrows(), *((weights * x).entries() for x in upsets))
         room = [[there - taken for there, taken in zip(node, most, strict=True)] for node in room]
     z = start.moved(craft.lifted(path.arcs[k].nodes[0] - base.nodes[0]))
     if z.count > merging.limit:

@@ -69,6 +69,11 @@ def sums(*lists: Iterable[arb]) -> list[arb]:
     return [sum(values[1:], values[0]) for values in zip(*lists, strict=True)]
 
 
+def maxima(*lists: Iterable[arb]) -> list[arb]:
+    """Largest of lists, entry by entry."""
+    return [largest(values) for values in zip(*lists, strict=True)]
+
+
 def dot(a: Iterable[arb], b: Iterable[Number]) -> arb:
     """Inner product, enclosed."""
     return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))

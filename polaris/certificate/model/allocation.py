@@ -59,13 +59,13 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
             for i, u in enumerate(document.u_max):
                 ways = zip((1, -1), mixes, strict=True)
                 off += u * largest(abs(dot(column, mix[i]) - sign * (i == j)) for sign, mix in ways)
-            told = f"mixes do not make {document.input_names[j]} exactly, with thruster {failed} failed"
-            require("system", MIXED * arb(whole) - off, told)
+            reason = f"mixes do not make {document.input_names[j]} exactly, with thruster {failed} failed"
+            require("system", MIXED * arb(whole) - off, reason)
         for j, limit in enumerate(limits):
             asked = [u * arb(max(mixes[0][i][j], mixes[1][i][j])) for i, u in enumerate(document.u_max)]
             top = arb(limit) * left if j == failed else arb(limit)
-            told = f"mixes exceed the limit of thruster {j}, with thruster {failed} failed"
-            require("system", top - sum(asked, arb(0)) * (1 + BEYOND), told)
+            reason = f"mixes exceed the limit of thruster {j}, with thruster {failed} failed"
+            require("system", top - sum(asked, arb(0)) * (1 + BEYOND), reason)
 
 
 def input_weights(made: dict[str, Any] | None) -> tuple[arb, ...]:

@@ -18,6 +18,7 @@ from ..kernel.balls import (
     largest,
     magnitude,
     matrix,
+    maxima,
     smallest,
     sums,
 )
@@ -85,9 +86,8 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
     plant, found = craft.plant, list[arb_mat]()
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
     gains += [_steepest(policy) for policy in networks if document.transients]
-    most = [largest(each) for each in zip(*(K.entries() for K in gains), strict=True)]
     asked = any(law.kind == "black_box" for law in document.laws)
-    gain = None if asked else arb_mat(plant.B.ncols(), plant.A.nrows(), most)
+    gain = None if asked else arb_mat(plant.B.ncols(), plant.A.nrows(), maxima(*(K.entries() for K in gains)))
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = 0 if remembers(document) else _periods(plant, delay) + missed
     for fault in (each for each in document.transients if each.get("pushes")):

@@ -71,7 +71,7 @@ class InspectionRuns(Kind):
         (case,), runs = folder.plan.cases, folder.plan.runs
         scenario = _made(case.text)[0]
         plan = scenario.model.campaign
-        told: dict[str, Any] = {
+        summary: dict[str, Any] = {
             "runs": runs,
             "deputies": plan.deputies,
             "duration_s": plan.duration_s,
@@ -79,15 +79,15 @@ class InspectionRuns(Kind):
             "seed": plan.seed,
         }
         for failure in folder.failures().values():
-            told |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
-            return summary_of(scenario, scenario.kind, told)
+            summary |= {"failure": failure["message"], "exit_code": failure["exit_code"]}
+            return summary_of(scenario, scenario.kind, summary)
         drawn = InitialConditions(scenario.families(), plan.seed)
         drawn.first(runs)
-        told["acceptance"] = drawn.acceptance
+        summary["acceptance"] = drawn.acceptance
         studies = outcomes(case, folder.read(0))
-        told["studies"] = [_told(name, outcome) for name, outcome in studies.items()]
-        told |= {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
-        return summary_of(scenario, scenario.kind, told)
+        summary["studies"] = [_study(name, outcome) for name, outcome in studies.items()]
+        summary |= {"guarantee": GUARANTEE, "definitions": DEFINITIONS}
+        return summary_of(scenario, scenario.kind, summary)
 
 
 def case_of(scenario: MonteCarloScenario) -> Case:
@@ -122,7 +122,7 @@ def _names(deputies: int) -> list[str]:
     return [f"deputy_{i}_{name}" for i in range(deputies) for name in STATES]
 
 
-def _told(name: str, outcome: Outcome) -> dict[str, Any]:
+def _study(name: str, outcome: Outcome) -> dict[str, Any]:
     runs, successes = len(outcome.success), int(outcome.success.sum())
     return {
         "name": name,

@@ -52,12 +52,12 @@ class PathRows:
     def path(self) -> Array:
         """Need of the path at both ends of every period, in the tail ever after, (2, periods + 1, r)."""
         clearance, plant = self.clearance, self.table.plant
-        found = by_ends(clearance.scheduled(self.rows, self.between) + clearance.jumped(plant)[:, None])
-        found = np.concatenate([found, np.stack([found[1, -1:]] * 2)], axis=1)
-        tail = found[:, clearance.planned * clearance.q :]
+        need = by_ends(clearance.scheduled(self.rows, self.between) + clearance.jumped(plant)[:, None])
+        need = np.concatenate([need, np.stack([need[1, -1:]] * 2)], axis=1)
+        tail = need[:, clearance.planned * clearance.q :]
         tail[:] = np.maximum.accumulate(tail[:, ::-1], axis=1)[:, ::-1]
         displaced = np.abs(plant) @ clearance.tracking.system.displaced_at_nodes
-        return np.asarray(found + clearance.round_off(plant) + displaced * (not self.between))
+        return np.asarray(need + clearance.round_off(plant) + displaced * (not self.between))
 
     def needs(self, handed: HandOver, first: int, last: int) -> Array:
         """Return the needs at both ends of the periods from a node until another, (2, last - first, r)."""

@@ -44,16 +44,16 @@ class Scheduled:
 
         It does not grow over the tail, and is constant over the second half of it.
         """
-        found, u_max = self.nu, self.tracking.system.u_max
+        bound, u_max = self.nu, self.tracking.system.u_max
         effects = self._effects(self.tracking.commands[: len(u_max)])
         for _ in range(ROUNDS):
-            more = self._along(effects, found, len(u_max)).max(axis=1)
+            more = self._along(effects, bound, len(u_max)).max(axis=1)
             more[self.constant :] = more[self.constant :].max(axis=0, initial=0.0)
             more[self.planned :] = np.maximum.accumulate(more[self.planned :][::-1])[::-1]
-            before, found = found, self.nu + more * (1 + SPARE)
-            if np.all(found - before <= SETTLED * more) or np.any(more > u_max):
-                return np.asarray(found)
-        return np.asarray(found + u_max / SPARE)
+            before, bound = bound, self.nu + more * (1 + SPARE)
+            if np.all(bound - before <= SETTLED * more) or np.any(more > u_max):
+                return np.asarray(bound)
+        return np.asarray(bound + u_max / SPARE)
 
     def along(self, rows: Array, between: bool = True) -> Array:
         """Return what they add along rows at every node of every cell, shape (cells, q + 1, r).
@@ -83,8 +83,8 @@ class Scheduled:
                 later += effect.at(np.maximum(sizes[T:] - last, 0.0)) + effect.ever(last)
                 later += effect.ever(most - last, constant, len(later))
         parts = at[: T + 1], np.maximum(at[T:], later)
-        found = [part[i : i + q + 1] for part in parts for i in range(0, len(part) - 1, q)]
-        return np.asarray((np.array(found) + bent) * (1 + ROUNDING))
+        ends = [part[i : i + q + 1] for part in parts for i in range(0, len(part) - 1, q)]
+        return np.asarray((np.array(ends) + bent) * (1 + ROUNDING))
 
     def _sizes(self, channel: Channel, commanded: Array) -> Array:
         """Sizes of a channel in every cell, under commands of as many periods as it remembers."""

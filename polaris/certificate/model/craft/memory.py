@@ -107,5 +107,5 @@ class Gains:
     def always(self, sizes: list[arb], until: int = 0) -> list[arb]:
         """Response to sizes that have been as large until some periods ago, not more than N periods."""
         pairs = zip((each[min(until, len(each) - 1)] for each in self._before), sizes, strict=True)
-        found = sums(*([x * size for x in each] for each, size in pairs))
-        return [found[kind].upper() for kind in self.which]
+        response = sums(*([x * size for x in each] for each, size in pairs))
+        return [response[kind].upper() for kind in self.which]

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, kinds, largest, magnitude, rows_of, sums
+from ...kernel.balls import above, column, identity, kinds, largest, magnitude, maxima, rows_of, sums
 from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
@@ -139,7 +139,7 @@ class Needs:
     @cached_property
     def peak(self) -> list[arb]:
         """Needs besides the state at any node."""
-        return [largest(each) for each in zip(*self.responses, self.settled, strict=True)]
+        return maxima(*self.responses, self.settled)
 
     @cached_property
     def disturbed(self) -> list[list[arb]]:
@@ -163,12 +163,10 @@ class Needs:
 
         `off` says that these are errors of estimates.
         """
-        worst, one = [largest(each) for each in zip(*sizes, strict=True)], identity(self.craft.F.nrows())
-        per = self.craft.noise_gains(one) if off else self.craft.thrust_gains(one)
-        box = per * column(worst)
-        rates = [each.noise if off else each.thrust for each in self.rates]
-        pairs = zip(rates, self.rates, strict=True)
-        first, last = (magnitude(column(sums(rate.always(worst), each.late(box)))) for rate, each in pairs)
+        worst, one = maxima(*sizes), identity(self.craft.F.nrows())
+        box = (self.craft.noise_gains(one) if off else self.craft.thrust_gains(one)) * column(worst)
+        rates = ((each, each.noise if off else each.thrust) for each in self.rates)
+        first, last = (magnitude(column(sums(rate.always(worst), each.late(box)))) for each, rate in rates)
         bent = self.craft.bent(self.rows, (first, last), worst if off else [], [] if off else worst)
         return self.late(box), bent
 
@@ -178,8 +176,8 @@ class Needs:
     @cached_property
     def forgotten(self) -> list[arb]:
         """Need of any undisturbed state within ``z`` at the start after N periods."""
-        each = [self.boxed(self.memory.z, lag) for lag in range(self.memory.periods)]
-        return [largest(values) * self.memory.c for values in zip(*each, strict=True)]
+        each = (self.boxed(self.memory.z, lag) for lag in range(self.memory.periods))
+        return [most * self.memory.c for most in maxima(*each)]
 
     def boxed(self, size: arb_mat, lag: int) -> list[arb]:
         """Need of any undisturbed state, or error, up to a size in the periods next to node l."""
@@ -232,8 +230,7 @@ class Bows:
 
     def next_to(self, lag: int) -> list[arb]:
         """Bounds for the periods next to node l: no more than `Needs.bend` says."""
-        bows = [self._within(at) for at in {lag, max(lag - 1, 0)}]
-        return [largest(each) for each in zip(*bows, strict=True)]
+        return maxima(*(self._within(at) for at in {lag, max(lag - 1, 0)}))
 
     def _within(self, lag: int) -> list[arb]:
         """Bounds within the period after node l."""

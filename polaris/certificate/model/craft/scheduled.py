@@ -6,7 +6,7 @@ from flint import arb
 
 from ...files.document import Document
 from ...kernel.arcs import Path
-from ...kernel.balls import absolute, column, largest, smallest, sums
+from ...kernel.balls import absolute, column, largest, maxima, smallest, sums
 from ...kernel.verdict import Undecided
 from .craft import Craft
 from .memory import Memory
@@ -36,9 +36,9 @@ class Scheduled:
         nu = [sums(*pair) for pair in zip(nu, noise, strict=True)]
         self.commanded, needs = nu, Needs(craft, memory, craft.commands)
         for _ in range(ROUNDS):
-            more = [_largest(nodes) for nodes in self.along(needs)]
+            more = [maxima(*nodes) for nodes in self.along(needs)]
             for k in range(len(more) - 2, self.planned - 1, -1):
-                more[k] = [largest(pair) for pair in zip(more[k], more[k + 1], strict=True)]
+                more[k] = maxima(more[k], more[k + 1])
             more[self.constant :] = more[self.constant : self.constant + 1] * (len(more) - self.constant)
             cells = zip(nu, more, self.commanded, strict=True)
             if all(u + x <= most for each in cells for u, x, most in zip(*each, strict=True)):
@@ -56,7 +56,7 @@ class Scheduled:
         if self.memory.profile:
             if self.craft.lag:
                 since = (self.commanded[max(k - back, 0) : k + 1] for k in range(len(off)))
-                lagged = (self.craft.lagged(self._clipped(_largest(most))) for most in since)
+                lagged = (self.craft.lagged(self._clipped(maxima(*most))) for most in since)
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(most)) for most in self.commanded]
             parts.append((needs.thrust, [[x.upper() for x in each] for each in thrust], False))
@@ -66,23 +66,20 @@ class Scheduled:
         at, later = [booked] * (len(off) * q + 1), [booked] * (len(off) * q - T + 1)
         for gains, by_cell, seen in parts:
             sizes = [size for size in by_cell for _ in range(q)]
-            booked = sums(booked, *needs.caused(sizes, seen)[: 1 + between])
+            older, bent = needs.caused(sizes, seen)
+            booked = sums(booked, older, bent) if between else sums(booked, older)
             at = [sums(*pair) for pair in zip(at, gains.summed(sizes), strict=True)]
             if constant:  # before a later turn of the tail are its own last sizes, and larger ones before
-                last, most = (_largest(some) for some in (sizes[-constant:], sizes[T:]))
+                last, most = (maxima(*some) for some in (sizes[-constant:], sizes[T:]))
                 more, ever = gains.summed([_over(size, last) for size in sizes[T:]]), gains.always(last)
                 before = (gains.always(_over(most, last), constant + j) for j in range(len(more)))
                 later = [sums(*each, ever) for each in zip(later, more, before, strict=True)]
-        tail = [_largest([*pair]) for pair in zip(at[T:], later, strict=True)]
+        tail = [maxima(*pair) for pair in zip(at[T:], later, strict=True)]
         ends = [part[i : i + q + 1] for part in (at[: T + 1], tail) for i in range(0, len(part) - 1, q)]
         return [[sums(each, booked) for each in nodes] for nodes in ends]
 
     def _clipped(self, most: list[arb]) -> list[arb]:
         return [smallest(pair) for pair in zip(most, self.craft.plant.u_max, strict=True)]
-
-
-def _largest(sizes: list[list[arb]]) -> list[arb]:
-    return [largest(each) for each in zip(*sizes, strict=True)]
 
 
 def _over(sizes: list[arb], least: list[arb]) -> list[arb]:
