@@ -1,11 +1,13 @@
 """Flight software that reads run folders alone; a flight in Basilisk, which is no part of the test extra."""
 
+import json
 import shutil
 
 import numpy as np
 import pytest
 
-from benchmarks.basilisk.onboard import FlightSoftware, held
+from benchmarks.basilisk.onboard import CraftSoftware, FlightSoftware, held
+from benchmarks.basilisk.valves import Stuck
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -80,6 +82,109 @@ def test_what_is_left_of_a_bit_is_carried_to_the_next_period(run, tmp_path):
     owed = np.abs(np.cumsum(asked - made["carried"], axis=0)).max()
     assert 0.25 < owed <= 0.3 + 1e-9
     assert 0.14 < np.abs(asked - made["dropped"]).max() <= 0.15 + 1e-9
+
+
+@pytest.fixture(scope="module")
+def craft(tmp_path_factory):
+    """Files of a run folder that flight software reads, without a synthesis: the bundled craft at rest."""
+    scenario, folder = load_scenario("cubesat"), tmp_path_factory.mktemp("craft") / "cubesat"
+    problem, period = scenario.problem(), scenario.period()
+    system, made, rng = problem.system, problem.allocation, np.random.default_rng(0)
+    table = {name: np.asarray(getattr(system, name)).tolist() for name in ("A", "B")}
+    table["input_max"] = system.u_max.tolist()
+    table["timing"] = {"measured": [0.2] * 3 + [0.004] * 3}
+    table["observer"] = {x: getattr(system.observer, x).tolist() for x in ("measures", "noise", "gain")}
+    table["allocation"] = {x: getattr(made, x).tolist() for x in ("directions", "limits", "mixes")}
+    gain = np.hstack([1e-4 * np.eye(3), 1e-2 * np.eye(3)]) * rng.uniform(0.5, 1, (3, 6))
+    laws = [{"name": name, "gain": (share * gain).tolist()} for name, share in (("S", 1.0), ("U", 0.5))]
+    nodes = round(problem.delta / period)
+    gains = {
+        "system": table,
+        "controllers": laws,
+        "sampling": {"step": problem.delta, "nodes_per_step": nodes},
+    }
+    folder.mkdir()
+    (folder / "gains.json").write_text(json.dumps(gains))
+    (folder / "scenario.toml").write_text(scenario.copy_text())
+    (folder / "schedule.csv").write_text("step,mode\n" + "".join(f"{k},1\n" for k in range(4)))
+    rows = [[problem.delta * k, *[0.0] * 9] for k in range(6)]
+    (folder / "reference.csv").write_text("t\n" + "".join(",".join(map(str, row)) + "\n" for row in rows))
+    return system, folder
+
+
+def test_the_observer_on_board_forgets_what_it_did_not_know(craft):
+    """In the linear model, with held inputs and exact positions that are a second old."""
+    system, folder = craft
+    software, x = CraftSoftware(folder), np.array([30.0, 80.0, -20.0, 0.01, -0.02, 0.03])
+    phi, gamma = held(system.A, system.B, 1.0)
+    assert (software.delay, software.since, software.period) == (1.0, 1.0, 2.0)
+    software.estimate = np.linalg.solve(phi @ phi @ phi, x + [0.1, -0.1, 0.1, 0.004, 0.004, -0.004])
+    seen, off = None, []
+    for tick in range(-20, 100):
+        u = software.command(tick, seen)
+        assert np.any(u) == (tick >= 0)
+        known = phi @ software.estimate + gamma @ software.before  # what was in force until now
+        off.append(np.abs(known - x).max())
+        if tick >= 0:
+            assert u == pytest.approx(np.clip(software.law(tick, known), -system.u_max, system.u_max))
+        seen = phi @ x + gamma @ u
+        x = phi @ seen + gamma @ u
+    assert off[0] > 0.09 and off[-1] < 0.1 * off[0]
+
+
+def test_nozzles_make_what_is_commanded_in_whole_bits_and_with_a_valve_isolated(craft):
+    system, folder = craft
+    rng, rest = np.random.default_rng(3), 12 * 0.0005
+    for kind, nozzle in ((None, 0), ("stuck_off", 4), ("stuck_on", 11)):
+        software = CraftSoftware(folder)
+        if kind:
+            software.isolate(kind, nozzle)
+        owed = np.zeros(3)
+        for _ in range(200):
+            u = rng.uniform(-1, 1, 3) * software.limit * rng.choice([1.0, 0.01])
+            on = software.on_times(u)
+            bits = on * 0.025 / 0.0005
+            assert np.allclose(bits, np.round(bits), atol=1e-9) and np.all((on >= 0) & (on <= 2.0))
+            assert kind is None or on[nozzle] == 0
+            owed += 2.0 * u - on @ software.nozzles
+            assert np.abs(owed).max() <= rest
+        assert set(software.modes) == ({0} if kind else {1})
+
+
+def test_a_stuck_valve_is_open_or_shut_until_it_is_isolated():
+    """Periods of 2 s: from 3.5 s on until tick 3, beside a nozzle that works."""
+    on = np.array([0.6, 1.0])
+    whole = [(0, 0.7, 1.3), (1, 0.5, 1.5)]
+    for kind, first, second in (
+        ("stuck_on", [(0, 0.7, 1.3), (0, 1.5, 2.0)], [(0, 0.0, 2.0)]),
+        ("stuck_off", [(0, 0.7, 1.3)], []),
+    ):
+        stuck = Stuck(kind, 0, 3.5, 3)
+        for tick, own in ((0, whole[:1]), (1, first), (2, second), (3, whole[:1])):
+            found = sorted(stuck.windows(tick, 2.0, on))
+            assert [j for j, *_ in found] == [j for j, *_ in sorted([*own, whole[1]])]
+            assert np.allclose(found, sorted([*own, whole[1]]))
+    found = Stuck("stuck_off", 0, 1.0, 1).windows(0, 2.0, on)  # in the middle of a pulse
+    assert np.allclose(sorted(found), [(0, 0.7, 1.0), (1, 0.5, 1.5)])
+    found = sorted(Stuck("stuck_on", 0, 1.0, 1).windows(0, 2.0, on))
+    assert np.allclose(found, [(0, 0.7, 1.0), (0, 1.0, 2.0), (1, 0.5, 1.5)])
+
+
+@pytest.mark.slow
+def test_cubesat_with_valves_stuck_keeps_within_what_was_proven_in_basilisk(tmp_path):
+    pytest.importorskip("Basilisk")
+    from benchmarks.basilisk.craft import fly_scene, table
+
+    settings = ["simulation.runs=2", "schedule.bound_programs=0"]
+    scene, flown = fly_scene("cubesat", 4, tmp_path / "cubesat", settings)
+    proven = scene.proven
+    assert [one.stuck for one in flown] == ["", "stuck_off", "", "stuck_on"]
+    for one in flown:
+        assert one.distance > 0 and one.tube <= 1 + 1e-6 and one.thrust <= 1
+        assert one.residual < 1 and 0.1 < one.seen <= 1
+        assert one.stuck or (one.distance >= proven["distance"] and one.goal <= proven["goal"])
+        assert one.stuck or one.delta_v <= proven["delta_v"]
+    assert len(table(scene, flown)) == 4
 
 
 @pytest.mark.slow

@@ -4,6 +4,9 @@ Every control period it takes the navigation solution and answers with the thrus
 controller asks for, in Hill's frame. Where the scenario declares a delay, a solution is that old when its
 command takes effect; the software then carries it forward by the linear model and the commands it has issued.
 What thrusters are to make of a command is an impulse, a multiple of the declared bit.
+
+`CraftSoftware` flies a craft with a camera and a layout of nozzles: an observer estimates the state from
+positions, a table of mixes shares commands out among the nozzles, another one if a valve is isolated.
 """
 
 from __future__ import annotations
@@ -56,9 +59,21 @@ class FlightSoftware:
         self.bit = float(thrusters.get("impulse_bit_N_s", 0.0))
         self.carries, self.left = thrusters.get("remainder") == "carried", np.zeros(3)
         self.held = cache(lambda h: held(self.A, self.B, h))
+        self.scenario, self.system = scenario, gains["system"]
         self.late = round(self.delay / self.period)
+        self.since = 0.0  # of a period [s], when navigation is asked
+        self.nozzles = np.kron(np.diag(self.limit), [[1.0], [-1.0]])  # thrust of each, open, (6, 3) [N]
+        self._check_delay(folder)
+
+    def _check_delay(self, folder: Path) -> None:
         if abs(self.late * self.period - self.delay) > 1e-9 * self.period:
             raise ValueError(f"{folder}: this software knows delays of whole periods, not {self.delay:g} s")
+
+    @classmethod
+    def of(cls, folder: Path) -> FlightSoftware:
+        """Return the software for a run folder: with an observer where one is on board."""
+        system = json.loads((folder / "gains.json").read_text())["system"]
+        return CraftSoftware(folder) if "observer" in system else cls(folder)
 
     def command(self, tick: int, seen: np.ndarray) -> np.ndarray:
         """Thrust [N] in Hill's frame, shape (3,), that takes effect at tick `tick`, the first being 0.
@@ -92,6 +107,11 @@ class FlightSoftware:
         self.left = (due - made) * self.carries
         return np.asarray(made)
 
+    def on_times(self, u: np.ndarray) -> np.ndarray:
+        """Times [s] for which the nozzles are to be open, (6,), for a command u [N] along their axes."""
+        along = self.impulse(u) / self.limit
+        return np.stack([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1).ravel()
+
     def law(self, tick: int, x: np.ndarray) -> np.ndarray:
         """What the scheduled controller asks for at the instant of a tick."""
         t = tick * self.period
@@ -101,3 +121,73 @@ class FlightSoftware:
         k, since = min(k, last), t - min(k, last) * self.step
         phi, gamma = self.held(round(since, 9))
         return np.asarray(inputs[k] + gain @ (phi @ states[k] + gamma @ inputs[k] - x))
+
+
+class CraftSoftware(FlightSoftware):
+    """Flight software with a layout of nozzles, an observer of positions, and valves that are isolated.
+
+    The camera is asked `delay` before a command takes effect, less than a period. Before tick 0 the observer
+    is at work already, and nothing is commanded.
+
+    Attributes
+    ----------
+    estimate : ndarray, shape (6,)
+        State as the observer has it at the last measurement; to be set a period and `delay` before the first
+        command.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        layout, observer = self.system["allocation"], self.system["observer"]
+        self.mixes, self.tops = np.array(layout["mixes"]), np.array(layout["limits"])
+        self.nozzles = np.array(layout["directions"]) * self.tops[:, None]
+        self.measures, self.gain = np.array(observer["measures"]), np.array(observer["gain"])
+        self.settled, self.noise = (
+            np.array(each) for each in (self.system["timing"]["measured"], observer["noise"])
+        )
+        self.faults = [fault["kind"] for fault in self.scenario.get("faults", [])]
+        self.case, self.left = 0, np.zeros(len(self.tops))
+        self.isolated = np.zeros(len(self.tops), dtype=bool)
+        self.since = (self.period - self.delay) % self.period
+        self.estimate, self.before, self.last = np.zeros(6), np.zeros(3), np.zeros(3)
+
+    def _check_delay(self, folder: Path) -> None:
+        if not 0 <= self.delay < self.period:
+            raise ValueError(
+                f"{folder}: this software knows delays of less than a period, not {self.delay:g} s"
+            )
+
+    def isolate(self, kind: str, nozzle: int) -> None:
+        """Shut the valve of a nozzle that has failed: S flies on with the others."""
+        self.case = 1 + self.faults.index(kind) * len(self.tops) + nozzle
+        self.isolated[nozzle], self.modes = True, [0] * len(self.modes)
+        self.left[nozzle] = 0.0
+
+    def command(self, tick: int, seen: np.ndarray | None) -> np.ndarray:
+        """Thrust [N] in Hill's frame, shape (3,), that takes effect at a tick.
+
+        `seen` is the relative state as navigation had it `delay` before, of which the observer takes what is
+        measured; None without a measurement.
+        """
+        x = self.estimate
+        for span, u in ((self.delay, self.before), (self.period - self.delay, self.last)):
+            phi, gamma = self.held(span)
+            x = phi @ x + gamma @ u
+        x = x if seen is None else x + self.gain @ self.measures @ (seen - x)
+        phi, gamma = self.held(self.delay)
+        ahead = phi @ x + gamma @ self.last
+        u = np.clip(self.law(tick, ahead), -self.limit, self.limit) if tick >= 0 else np.zeros(3)
+        self.estimate, self.before, self.last = x, self.last, u
+        return u
+
+    def on_times(self, u: np.ndarray) -> np.ndarray:
+        """Times [s] for which the nozzles are to be open, (N,), for a command u [N] in the axes of the craft.
+
+        Every nozzle makes whole bits of what it owes, and carries the rest to its next pulse.
+        """
+        forth, back = self.mixes[self.case]
+        owed = self.period * (np.maximum(u, 0) @ forth + np.maximum(-u, 0) @ back) + self.left
+        whole = self.bit * np.floor(owed / self.bit * (1 + 1e-12)) if self.bit > 0 else owed
+        made = np.minimum(whole, self.period * self.tops)
+        self.left = np.where(self.isolated | (not self.carries), 0.0, owed - made)
+        return np.asarray(np.where(self.isolated, 0.0, made / self.tops))

@@ -2,7 +2,8 @@
 
 Equations of motion, integrator, atmosphere, drag, thrusters and the noise of navigation are Basilisk's. From
 the toolkit come the scenario's numbers and the target's first state. Modules are called where something
-changes: at every control period, the chaser's also whenever a nozzle opens or shuts.
+changes: at every control period, the chaser's also whenever a nozzle opens or shuts, both craft's when
+navigation is asked.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ from Basilisk.utilities import RigidBodyKinematics, SimulationBaseClass, macros
 from polaris.simulation.orbit.environment import EARTH_RADIUS_M, J2, MU, Environment
 
 from .onboard import FlightSoftware
-
-EXACT = 1e-8
-"""Instants that are nearer than this are one [s]: Basilisk counts in nanoseconds."""
+from .valves import EXACT, Stuck
 
 SIGNS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1)
 """What products of components count in a cross product."""
+
+LOGGED = "seen", "shown", "asked", "impulse", "spread", "pushed"
+"""What is kept of every control period."""
 
 DRAG = 2.2
 """Drag coefficient; areas follow from the scenario's ballistic coefficients."""
@@ -58,8 +60,8 @@ class Flight:
     times : ndarray, shape (P+1,)
     states : ndarray, shape (P+1, 6)
         True relative states in the target's frame [m, m/s].
-    seen : ndarray, shape (P, 6)
-        What navigation said at every control period.
+    seen, shown : ndarray, shape (P, 6)
+        What navigation said in every control period, and what was true then.
     asked : ndarray, shape (P, 3)
         What the flight software asked for at every control period [N].
     impulse, spread : ndarray, shape (P, 3)
@@ -70,9 +72,11 @@ class Flight:
     times: np.ndarray
     states: np.ndarray
     seen: np.ndarray
+    shown: np.ndarray
     asked: np.ndarray
     impulse: np.ndarray
     spread: np.ndarray
+    pushed: np.ndarray  # impulses of all nozzles together in every period, (P,) [N s]
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -122,43 +126,46 @@ def inertial(env: Environment, latitude: float, target: np.ndarray) -> np.ndarra
 class Computer:
     """Runs the flight software, and the valves: navigation in, on-times of the nozzles out."""
 
-    def __init__(self, software: FlightSoftware, navigators: list[Any], true: np.ndarray) -> None:
-        self.software, self.true = software, true
-        self.target, self.chaser = (messaging.NavTransMsgReader() for _ in range(2))
-        self.attitude = messaging.NavAttMsgReader()
-        self.target.subscribeTo(navigators[0].transOutMsg)
-        self.chaser.subscribeTo(navigators[1].transOutMsg)
-        self.attitude.subscribeTo(navigators[1].attOutMsg)
+    def __init__(self, software: FlightSoftware, navigators: list[Any], craft: list[Any]) -> None:
+        self.software = software
+        self.navigators = [messaging.NavTransMsgReader() for _ in navigators]
+        self.craft = [messaging.SCStatesMsgReader() for _ in craft]
+        for reader, nav in zip(self.navigators, navigators, strict=True):
+            reader.subscribeTo(nav.transOutMsg)
+        for reader, body in zip(self.craft, craft, strict=True):
+            reader.subscribeTo(body.scStateOutMsg)
         self.output = messaging.THRArrayOnTimeCmdMsg()
-        self.seen: list[np.ndarray] = []
-        self.asked: list[np.ndarray] = []
-        self.impulse: list[np.ndarray] = []
-        self.spread: list[np.ndarray] = []
+        self.latest: Any = None
+        self.log: dict[str, list[Any]] = {each: [] for each in LOGGED}
 
-    def burns(self, tick: int) -> np.ndarray:
-        """On-times of all nozzles [s] in the control period that begins, each in the middle of it."""
-        target, chaser = (
-            np.concatenate([said.r_BN_N, said.v_BN_N]) for said in (self.target(), self.chaser())
+    def measure(self) -> None:
+        """Ask navigation, which has its errors, for the relative state now."""
+        seen, true = (
+            [np.concatenate([said.r_BN_N, said.v_BN_N]) for said in (each() for each in readers)]
+            for readers in (self.navigators, self.craft)
         )
-        hill = frame(target[:3], target[3:])
-        x = relative(target, chaser, hill)
-        force = self.software.command(tick, x)
-        attitude = RigidBodyKinematics.MRP2C(np.array(self.attitude().sigma_BN))
-        turned = attitude @ hill[0].T
-        along = self.software.impulse(turned @ force) / self.software.limit
-        on = np.stack([np.maximum(along, 0.0), np.maximum(-along, 0.0)], axis=1).ravel()
-        self.seen.append(x)
-        self.asked.append(force)
-        self.impulse.append(on @ self.true @ turned)
-        self.spread.append(on**3 / 12 @ self.true @ turned)
-        return on
+        hill = frame(true[0][:3], true[0][3:])
+        self.latest = relative(*seen, hill)
+        self.log["seen"].append(self.latest)
+        self.log["shown"].append(relative(*true, hill))
 
-    def open(self, on: np.ndarray, since: float, now: int) -> None:
+    def burns(self, tick: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return on-times of all nozzles [s] in the period that begins, and the attitude in Hill's frame."""
+        target, chaser = (each() for each in self.craft)
+        hill = frame(np.array(target.r_BN_N), np.array(target.v_BN_N))
+        force = self.software.command(tick, self.latest)
+        turned = RigidBodyKinematics.MRP2C(np.array(chaser.sigma_BN)) @ hill[0].T
+        self.log["asked"].append(force)
+        return self.software.on_times(turned @ force), turned
+
+    def open(self, windows: list[tuple[int, float, float]], since: float, now: int) -> None:
         """Command the nozzles that burn some time [s] into the period, for as long as they still do."""
-        left = (self.software.period + on) / 2 - since
-        burning = (since > (self.software.period - on) / 2 - EXACT) & (left > EXACT)
+        left = [0.0] * len(self.software.nozzles)
+        for nozzle, begins, ends in windows:
+            if begins - EXACT < since < ends - EXACT:
+                left[nozzle] = ends - since
         payload = messaging.THRArrayOnTimeCmdMsgPayload()
-        payload.OnTimeRequest = np.where(burning, left, 0.0).tolist()
+        payload.OnTimeRequest = left
         self.output.write(payload, now, 0)
 
 
@@ -184,10 +191,13 @@ def fly(
     errors: Errors,
     duration: float,
     seed: int,
+    stuck: Stuck | None = None,
+    warm: int = 0,
 ) -> Flight:
     """One flight from the inertial states of target and chaser.
 
-    `area` are their drag coefficients times area over mass [m^2/kg].
+    `area` are their drag coefficients times area over mass [m^2/kg]. The flight begins `warm` periods before
+    tick 0, from which on it is recorded.
     """
     simulation = SimulationBaseClass.SimBaseClass()
     process = simulation.CreateNewProcess("flight")
@@ -214,7 +224,8 @@ def fly(
         craft.append((body, drag))
     thrusters = thrusterDynamicEffector.ThrusterDynamicEffector()
     turn = RigidBodyKinematics.PRV2C(np.array(errors.tilt)) if np.any(errors.tilt) else np.eye(3)
-    true = np.kron(np.diag(software.limit), [[1.0], [-1.0]]) @ turn * np.array(errors.thrust)[:, None]
+    true = software.nozzles @ turn * np.array(errors.thrust)[:, None]
+    strength = np.linalg.norm(true, axis=1)
     for force in true:
         one = thrusterDynamicEffector.THRSimConfig()
         one.MaxThrust = float(np.linalg.norm(force))
@@ -237,30 +248,51 @@ def fly(
             nav.crossTrans = False
             nav.RNGSeed = seed + 1
         navigators.append(nav)
-    computer = Computer(software, navigators, true)
+    computer = Computer(software, navigators, [one for one, _ in craft])
     thrusters.cmdsInMsg.subscribeTo(computer.output)
     logs = [one.scStateOutMsg.recorder() for one, _ in craft]
-    arriving = [*logs, air, *(drag for _, drag in craft), *navigators]
-    for model in (*arriving, thrusters, *(one for one, _ in craft)):
+    arriving = [*logs, air, *(drag for _, drag in craft)]
+    for model in (*arriving, *navigators, thrusters, *(one for one, _ in craft)):
         simulation.AddModelToTask("all", model)
     simulation.InitializeSimulation()
-    periods = round(duration / software.period)
-    for tick in range(periods + 1):
-        begin = macros.sec2nano(tick * software.period)
+    periods, h = round(duration / software.period), software.period
+    stuck = stuck or Stuck("stuck_off", 0, np.inf, 0)
+    for tick in range(-warm, periods + 1):
+        begin = macros.sec2nano((tick + warm) * h)
         for model in arriving:
             model.UpdateState(begin)
         if tick == periods:
             break
-        on = computer.burns(tick)
-        switches = (software.period + np.concatenate([-on, on])[np.tile(on > 0, 2)]) / 2
-        instants = np.unique(np.round(np.append(switches, [0.0, software.period]) / EXACT)) * EXACT
+        if software.since == 0:
+            navigate(computer, navigators, begin)
+        if tick == stuck.isolated and np.isfinite(stuck.begins):
+            software.isolate(stuck.kind, stuck.nozzle)
+        on, turned = computer.burns(tick)
+        windows = stuck.windows(tick, h, on)
+        made = np.zeros((2, len(on)))
+        for j, a, b in windows:
+            made[:, j] += b - a, (b - a) ** 3 / 12
+        computer.log["impulse"].append(made[0] @ true @ turned)
+        computer.log["spread"].append(made[1] @ true @ turned)
+        computer.log["pushed"].append(made[0] @ strength)
+        edges = [edge for _, *span in windows for edge in span]
+        instants = np.unique(np.round(np.array([*edges, software.since, 0.0, h]) / EXACT)) * EXACT
         for since, until in pairwise(instants.tolist()):
             now = begin + macros.sec2nano(since)
-            computer.open(on, since, now)
+            if 0 < since == round(software.since / EXACT) * EXACT:
+                craft[0][0].UpdateState(now)
+                navigate(computer, navigators, now)
+            computer.open(windows, since, now)
             thrusters.UpdateState(now)
             craft[1][0].UpdateState(begin + macros.sec2nano(until))
-        craft[0][0].UpdateState(begin + macros.sec2nano(software.period))
-    states = relative(*(np.hstack([log.r_BN_N, log.v_BN_N]) for log in logs))
-    times = np.asarray(logs[0].times()) * 1e-9
-    told = (computer.seen, computer.asked, computer.impulse, computer.spread)
-    return Flight(times, states, *map(np.array, told))
+        craft[0][0].UpdateState(begin + macros.sec2nano(h))
+    states = relative(*(np.hstack([log.r_BN_N, log.v_BN_N]) for log in logs))[warm:]
+    times = np.asarray(logs[0].times())[warm:] * 1e-9 - warm * h
+    return Flight(times, states, **{name: np.array(log[warm:]) for name, log in computer.log.items()})
+
+
+def navigate(computer: Computer, navigators: list[Any], now: int) -> None:
+    """Bring navigation up to date [ns], and let the computer ask it."""
+    for navigator in navigators:
+        navigator.UpdateState(now)
+    computer.measure()

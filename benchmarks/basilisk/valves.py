@@ -1,0 +1,30 @@
+"""Valves that stick, and the spans of time in which nozzles are open."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+EXACT = 1e-8
+"""Instants that are nearer than this are one [s]: Basilisk counts in nanoseconds."""
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """A valve that does what it likes, until the flight software has it isolated."""
+
+    kind: str  # "stuck_on" or "stuck_off"
+    nozzle: int
+    begins: float  # [s]
+    isolated: int  # tick at which that is done
+
+    def windows(self, tick: int, h: float, on: np.ndarray) -> list[tuple[int, float, float]]:
+        """Return nozzles and the spans [s] of a period in which they are open, commanded on-times (N,)."""
+        found = [(j, (h - each) / 2, (h + each) / 2) for j, each in enumerate(on.tolist()) if each > 0]
+        first, last = max(self.begins - tick * h, 0.0), min((self.isolated - tick) * h, h)
+        if first >= last:
+            return found
+        others = [each for each in found if each[0] != self.nozzle]
+        own = [(a, b) for j, a, b in found if j == self.nozzle]
+        own = [part for a, b in own for part in ((a, min(b, first)), (max(a, last), b))]
+        own += [(first, last)] * (self.kind == "stuck_on")
+        return others + [(self.nozzle, a, b) for a, b in own if b > a + EXACT]
