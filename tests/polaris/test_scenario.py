@@ -12,6 +12,7 @@ from polaris.model.errors import ScenarioError
 from polaris.scenario.reading import parse_toml, write_toml
 from polaris.scenario.scenario import Scenario, bundled_scenarios, load_scenario, scenario_folder
 from polaris.scenario.tables.fields import whole_parts
+from polaris.simulation.orbit.environment import EARTH_RADIUS_M, MU
 
 DATA = Path(__file__).parent / "data"
 SPACE, FLOOR = DATA / "space.toml", DATA / "floor.toml"
@@ -50,9 +51,16 @@ def test_written_toml_loads_back_to_the_same_scenario(name):
 
 
 def test_values_of_the_paper():
-    for name in ("static", "dynamic", "keep_out", "hold_point", "infeasible"):
+    for name in ("static", "dynamic", "infeasible"):
         spec = load_scenario(name).model.system
         assert (spec.mean_motion_rad_s, spec.mass_kg) == (0.0012, 10.0)
+
+
+def test_scenes_of_our_own_are_405_km_up():
+    for name in ("keep_out", "hold_point", "cubesat"):
+        spec = load_scenario(name).model.system
+        axis = (MU / spec.mean_motion_rad_s**2) ** (1 / 3)
+        assert axis - EARTH_RADIUS_M == pytest.approx(405e3, abs=1e3)
 
 
 def test_path_and_name_give_the_same_scenario():

@@ -34,7 +34,7 @@ class ClohessyWiltshire(ScenarioPart):
 
     kind: Literal["clohessy_wiltshire"] = unit("-", "Clohessy-Wiltshire dynamics, six states.")
     mean_motion_rad_s: f.Real = unit("rad/s", gt=0, le=0.01)
-    """Orbital rate eta of the target; 0.0012 in low Earth orbit."""
+    """Orbital rate eta of the target; 0.00113 on a circle 405 km up."""
     mass_kg: f.Real = unit("kg", "Mass of the chaser.", ge=1e-3, le=1e7)
     thrust_max_N: f.PositivePerAxis = unit("N")
     """Thrust limit, one number for all axes or one each for x, y and z: |u_i| <= thrust_max_N[i]."""
