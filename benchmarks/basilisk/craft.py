@@ -34,9 +34,6 @@ WARM = 50
 HALF = 0.5
 """Share of the bounds on a settled observer's errors within which the first estimate is drawn."""
 
-CAMERA = 1.0 / 3**0.5
-"""Errors of the camera along inertial axes, as a share of the bound along each axis of Hill's frame."""
-
 
 @dataclass(frozen=True)
 class Flown:
@@ -103,7 +100,7 @@ class CraftScene(Scene):
         """One flight with all that is drawn from a seed: half of them start in corners of the initial set."""
         rng, env, theta = np.random.default_rng(seed), self.env, self.scenario.initial_set()
         software = CraftSoftware(self.folder)
-        errors = errors_drawn(self.scenario, len(software.tops), CAMERA * float(software.noise.min()), rng)
+        errors = errors_drawn(self.scenario, len(software.tops), float(software.noise.min()), rng)
         share = rng.uniform(-1, 1, theta.order_count)
         start = theta.c + theta.G @ (np.sign(share) if rng.random() < 0.5 else share)
         latitude = rng.uniform(0, 2 * np.pi)
