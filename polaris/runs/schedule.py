@@ -262,6 +262,7 @@ def guarantee(schedule: Schedule) -> dict[str, Any]:
             "delta_v_max_m_s": goal.delta_v,
         },
         "upkeep": None if schedule.upkeep is None else schedule.upkeep.told(),
+        **({} if schedule.estimate is None else {"estimate": schedule.estimate}),
         **({} if schedule.passive is None else {"abort": schedule.passive.told()}),
         **({"withheld": late} if late else {}),
         **({} if schedule.powered is None else {"powered_abort": schedule.powered.told()}),

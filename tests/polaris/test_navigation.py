@@ -21,6 +21,7 @@ from polaris.simulation.delayed import Predicting
 from polaris.simulation.disturbances import adjoint_worst_case, limit_rows
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import flown_modes, simulate
+from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import kept
@@ -31,7 +32,7 @@ from .test_closed_loops import judge, monitored
 from .test_error_sources import exact
 from .test_timing import fly_delayed
 from .test_transients import pulsing
-from .tiny import TINY
+from .tiny import TINY, synthesised
 
 SAMPLED = ("feedback.period_s=0.25", "tracking.R=[60,60]")
 MEASURED = (
@@ -144,6 +145,25 @@ def test_first_errors_of_an_observer_fade_as_its_loop_says():
     assert np.all(off <= 1) and off.max() > 0.75
     zero = scene(*MEASURED, FIRST.replace("0.03", "0").replace("0.01", "0")).system()
     assert zero.observer.initial is None and np.array_equal(zero.navigation, plain.navigation)
+
+
+def test_a_camera_knows_the_velocity_once_s_has_settled():
+    """It measures the position within 10 cm: errors of thrusters count at what is commanded."""
+    errors = ("thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2", "thrusters.mass_error=0.03")
+    given = ["feedback.period_s=2.0", "navigation.measurement.position_error_m=0.1", "timing.delay_s=2"]
+    safety = get_safety(load_scenario("static").with_assignments([*given, *errors]).problem())
+    tracking = safety.tracking
+    known = tracking.settled(tracking.misjudged) + tracking.unremembered()
+    assert known[:3].max() < 0.19 and 0.008 < known[3:].max() < 0.0086
+    assert tracking.system.navigation[3:].max() > 10 * known[3:].max()  # at full thrust
+
+
+def test_estimates_of_an_observer_are_within_what_is_told():
+    schedule = observed("told", "timing.delay_s=0.3", "thrusters.magnitude_error=0.05")
+    told, full = schedule.estimate, schedule.safety.problem.system.navigation
+    assert np.all(np.array(told["settled"]) < 0.6 * full)
+    assert np.allclose(told["experimental"], 1.02 * full)  # the whole of the thrust may be in use
+    assert observed("").estimate["settled"] is not None and synthesised()[1].estimate is None
 
 
 @pytest.mark.parametrize("more", [(), ("timing.delay_s=0.5",)])
@@ -324,6 +344,11 @@ def test_forged_observers_are_refused(more, tmp_path):
         lie = Lie(forger)
         lie.certificate["system"]["observer"]["settled"] = [(0.0).hex()] * 4
         lie.judge({"system"})
+    for when in ("settled", "experimental"):  # what the run says that they may be off by
+        lie, told = Lie(forger), forger.tree("schedule.json")["guarantee"]["estimate"]
+        told |= {when: [0.9 * x for x in told[when]]}
+        lie.schedule["guarantee"]["estimate"] = lie.summary["guarantee"]["estimate"] = told
+        lie.judge({"goal"})
     document, honest = Document(forger.honest), forger.tree("scenario.toml")
     assert len(measured_errors(document, honest)) == (13 if more == FORGED else 1)
     forged = copy(document)

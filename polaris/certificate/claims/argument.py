@@ -21,7 +21,7 @@ from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
 from .powered import check_aborts
 from .spending import spent
-from .upkeep import check_upkeep
+from .upkeep import check_estimate, check_upkeep
 
 ORDER = (
     64  # generators per state of the plant that sets are merged to where they come to several times as many
@@ -81,6 +81,8 @@ class Argument:
                 self.record.holds("schedule", arrival.keeps(self.stated.goal[0], self.stated.budget))
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
+            if self.stated.estimate is not None:
+                self.record.holds("estimate", check_estimate(arrival, self.stated.estimate, flown))
         if doc.powered is not None:
             self.record.holds("powered_abort", check_aborts(tracker, sets, flown, self.stated))
 

@@ -223,10 +223,11 @@ class Arrival:
 
     def states(self, node: int) -> list[arb]:
         """Bounds on sizes of the loop state at a node long after T, from boxes of what S took over."""
-        return self.flight.need(self._states, self._boxes, self._first + node, around=True)  # not displaced
+        return self.flight.need(self._states, self.boxes, self._first + node, around=True)  # not displaced
 
     @cached_property
-    def _boxes(self) -> tuple[HandOver, ...]:
+    def boxes(self) -> tuple[HandOver, ...]:
+        """Boxes of what S took over, at the last hand-over and at T."""
         return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.held)
 
     @cached_property

@@ -1,14 +1,17 @@
 """What S spends for as long as it flies on after T, and how long the tank lasts."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from flint import arb
 
-from ..kernel.balls import column, largest, require, sums
+from ..kernel.balls import above, absolute, column, identity, largest, maxima, require, smallest, sums
 from ..kernel.verdict import Rejected, Undecided
+from ..model.craft.needs import Needs
 from ..model.timing import owed
 from .arrival import Arrival
+from .flights import Flown
 from .mean_commands import MeanCommands, summed_errors
 
 
@@ -30,6 +33,30 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     except (Rejected, Undecided):
         _check(arrival, claim, tank, most, _means(arrival, later, most))
     return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
+
+
+def check_estimate(arrival: Arrival, claim: dict[str, Any], flown: Sequence[Flown]) -> str:
+    """Check how far an observer's estimates may be off, by state: while others than S fly, and much later."""
+    craft, memory, doc = arrival.flight.tracker.craft, arrival.flight.tracker.memory, arrival.document
+    n, plant, checked = len(doc.A), craft.plant, []
+    more = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
+    off = absolute(craft.carry) * column(craft.missed(sums(more, craft.lagged(plant.u_max))))
+    rows = craft.sees - craft.whole(identity(n))
+    both = above(rows, -rows)
+    if (claimed := claim["experimental"]) is not None:
+        steps = [each for each in flown if each.pilot.law.kind != "safety"]
+        needs = [z.support(both) for each in steps for z in (each.start, *each.nodes, each.end)]
+        checked.append(("while others fly", claimed, maxima(*needs)))
+    if (claimed := claim["settled"]) is not None:
+        node = (doc.steps + doc.cells) * doc.q  # the last that is followed stands for all later ones
+        need = arrival.flight.need(Needs(craft, memory, both), arrival.boxes, node)
+        checked.append(("once S has settled", claimed, need))
+    for when, bounds, need in checked:
+        found = sums(maxima(need[:n], need[n:]), off.entries())
+        most = sums(map(smallest, zip(found, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
+        for i, (bound, x) in enumerate(zip(bounds, most, strict=True)):
+            arrival.no_less(f"error of the estimate of state {i} {when}", bound, x)
+    return ", ".join(when for when, _, _ in checked) or "nothing claimed"
 
 
 def _means(arrival: Arrival, later: range, most: list[arb]) -> tuple[list[arb], list[arb]]:

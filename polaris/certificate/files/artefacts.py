@@ -88,6 +88,7 @@ class Stated:
     margins: list[float] = field(default_factory=list)  # of every step, share of the room that it leaves
     least: float | None = None  # least distance [m] of the drift after all thrust stops
     upkeep: dict[str, Any] | None = None  # what S spends for as long as it flies on
+    estimate: dict[str, Any] | None = None  # how far an observer's estimates may be off
     tank: float | None = None  # velocity change that there is propellant for, by the scenario
     budget: float | None = None  # velocity change that the schedule may spend, by the scenario
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
@@ -120,6 +121,7 @@ def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], 
         margins,
         least=claimed.get("abort", {}).get("least_m"),
         upkeep=claimed["upkeep"],
+        estimate=claimed.get("estimate"),
         tank=scenario.get("tank", {}).get("delta_v_m_s"),
         budget=scenario.get("schedule", {}).get("delta_v_max_m_s"),
         goal=(claimed["goal"], scenario["goal"]),

@@ -132,6 +132,7 @@ CLAIMED = {
         **every(NOT_NEGATIVE, "settled_s until_settled_m_s rate_m_s2"),
         **every(BOUND, "per_orbit_m_s tank_m_s lasts_s"),
     })),
+    "estimate?": every(Either((None, Items(NOT_NEGATIVE, 1))), "settled experimental"),
     "abort?": {
         "drift_s": NOT_NEGATIVE, "keep_in": bool, "least_m": OPTIONAL,
         "clear_s": Items(Items(NOT_NEGATIVE, 2, 2)),

@@ -108,6 +108,7 @@ def check_schedule(
             **({"statement": document.statement} if document.statement else {}),
             "goal": stored["guarantee"]["goal"],  # derived in the end, by `Arrival`
             "upkeep": stored["guarantee"]["upkeep"],  # likewise
+            **({"estimate": stored["guarantee"].get("estimate")} if document.observer else {}),  # likewise
             "abort": _abort(document, stored["guarantee"].get("abort")),
             "withheld": check_withheld(document, stored["guarantee"].get("withheld"), limit_names(document)),
             "powered_abort": _powered(document, stored["guarantee"].get("powered_abort")),

@@ -150,6 +150,7 @@ def errors_of(system: Craft) -> dict[str, Any]:
 def besides(claim: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A heading and a sentence for everything that a guarantee claims besides."""
     found = [("Upkeep", _upkeep(claim["upkeep"]))] if claim.get("upkeep") else []
+    found += [("Estimate", _estimate(claim["estimate"]))] if claim.get("estimate") else []
     found += [("Passive safety", drift_told(claim["abort"]))] if "abort" in claim else []
     powered = claim.get("powered_abort")
     found += [("Powered abort", abort_told(powered))] if powered else []
@@ -191,6 +192,20 @@ def _upkeep(claim: Mapping[str, Any]) -> str:
     if lasts is None:
         return f"{told}: the tank of {tank:g} m/s lasts for ever."
     return f"{told}; the tank of {tank:g} m/s lasts until {directed(lasts, '.6g')} s."
+
+
+def _estimate(claim: Mapping[str, Any]) -> str:
+    """Describe how far an observer's estimates may be off."""
+    each = {
+        "once S has settled": claim["settled"],
+        "while experimental controllers fly": claim["experimental"],
+    }
+    told = (
+        f"within {', '.join(directed(x, '.3g', up=True) for x in bounds)} {when}"
+        for when, bounds in each.items()
+        if bounds is not None
+    )
+    return f"of the states, in their order and SI units, estimates are {'; '.join(told) or 'not bounded'}."
 
 
 def drift_told(claim: Mapping[str, Any]) -> str:

@@ -209,6 +209,13 @@ class Tail(Nearness):
         more = system.longest * system.weights * (once + system.thrusters.summed(once))
         return system.spent(np.minimum(each, most)), more
 
+    def estimate(self, nodes: int) -> Array:
+        """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
+        tracking, rows = self.safety.tracking, self.safety.tracking.misjudged
+        both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.failing, between=False)
+        each = [both.needs(handed, self.T + nodes - 1, self.T + nodes)[1, -1] for handed in self.held]
+        return np.asarray(np.min(each, axis=0).reshape(2, -1).max(axis=0) + tracking.unremembered())
+
     def upkeep(self, taken: float) -> Upkeep | None:
         """Bound S's velocity change for all time, from that until T (Proposition 14 (d)).
 

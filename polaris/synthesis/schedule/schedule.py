@@ -202,6 +202,26 @@ class Schedule:
         return self._tail.upkeep(self.delta_v[1])
 
     @cached_property
+    def estimate(self) -> dict[str, list[float] | None] | None:
+        """Bounds on the errors of an observer's estimates by state, None where there is no observer.
+
+        While experimental controllers fly, and once S has settled after T (`Upkeep.settled`).
+        """
+        tracking = self.safety.tracking
+        if tracking.system.observer is None:
+            return None
+        rows, beside = tracking.misjudged, tracking.unremembered()
+        flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
+        most = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
+        least = tracking.system.navigation + tracking.system.displaced_at_nodes  # whatever is commanded
+        found = {
+            "settled": None if self.upkeep is None else self._tail.estimate(tracking.memory + 2),
+            "experimental": np.max(most, axis=0) + beside if flown else None,
+        }
+        more = 1 + spare(tracking)
+        return {k: None if x is None else (np.minimum(x, least) * more).tolist() for k, x in found.items()}
+
+    @cached_property
     def passive(self) -> PassiveSafety | None:
         """From which steps the drift stays clear if all thrust stops, where the problem asks."""
         flight = self.safety.free_flight

@@ -49,6 +49,21 @@ class Tracking(Contraction):
         """Rows of the loop state that bound S's feedback on both sides, ``K`` and ``-K``, (2 m, N)."""
         return np.vstack([self.tightening.closed.K, -self.tightening.closed.K])
 
+    @property
+    def misjudged(self) -> Array:
+        """Rows of the loop state that are errors of the estimate a law acts on, shape (n, N)."""
+        return np.asarray(self.loop.known - self.whole(np.eye(self.system.n)))
+
+    def unremembered(self) -> Array:
+        """Bound on errors of estimates beside these rows, under commands within the limits, shape (n,)."""
+        system = self.system
+        limits = self.tightening
+        total = self.step_errors.max(axis=0) + system.displaced_at_nodes
+        for each in limits.closed.loop.channels:
+            if each.noise is not None:
+                total = total + np.abs(each.noise) @ limits.largest(each, system.u_max)
+        return np.asarray(total)
+
     def error(self, sets: Zonotope) -> Zonotope:
         """Return the tracking errors of sets of the loop state, or of errors."""
         n = self.system.n
