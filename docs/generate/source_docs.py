@@ -70,6 +70,7 @@ class Row:
 
 ROWS = (
     Row("Disturbance", "system.disturbance_max", ("system.disturbance_max_m_s2=6e-5",)),
+    Row("Constant disturbance", "system.bias_max", ("system.bias_max_m_s2=[0.0,1e-6,0.0]",)),
     Row("Estimate of the state", "navigation", ESTIMATE),
     Row("Phases of navigation", "navigation.phases", (f"navigation.phases=[{{{PHASE}}}]",), ESTIMATE),
     Row(
@@ -195,6 +196,7 @@ class Declared:
         return {
             kind: kind,
             **{name: pickle.dumps(size) for name, part, size in drawn if part.start != part.stop},
+            "constants": pickle.dumps(system.bias) if np.any(system.bias) else b"",
             "impulses": system.timing.carried,
             "pulses": system.timing.fired,
             "faults": pickle.dumps(system.transients) if system.transients else b"",

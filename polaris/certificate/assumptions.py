@@ -46,6 +46,7 @@ class Premises:
 
     w_max: float  # bound on the disturbance
     period: float  # in which commands are renewed once [s]
+    bias: Iterable[float] = ()  # bounds on a constant that adds to w, by column of D
     resting: bool = True  # whether any unsafe set is at rest
     satellites: bool = False  # whether any is another satellite
     horizon: str = "none"  # how long safety is claimed
@@ -72,6 +73,8 @@ class Premises:
         point = "a point, its own size being part of the unsafe sets"
         ever = " for ever" if self.horizon == "infinite" else ""
         limits = f"|u_i| <= u_max, norm(w, 2) <= {self.w_max:g} and otherwise arbitrary"
+        if any(bias := list(self.bias)):
+            limits += f", to which a constant within [{_listed(bias)}] adds, one in a whole flight"
         axes = ", ".join(map(_sum, self.position))
         return [
             f"model: x' = A x + B u + D w, {limits}",

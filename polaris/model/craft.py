@@ -107,6 +107,11 @@ class Craft(LinearSystem):
         return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
 
     @cached_property
+    def unknown(self) -> Array:
+        """Rates of the states by carried impulses and by the constant beside w, as generators (n, ...)."""
+        return np.hstack([self.adrift, self.biases])
+
+    @cached_property
     def carried_away(self) -> Array:
         """Bounds on the displacement of states by carried impulses and errors of them, shape (n,)."""
         if not self.timing.carried:
@@ -179,6 +184,6 @@ class Craft(LinearSystem):
         return 1 + 2 * jitter / h * (1 + WHOLE) if jitter else 1.0
 
     def error_map(self, error: Array) -> Array | None:
-        """Return errors of inputs and what is carried, as generators of the rate of the states, or None."""
-        parts = [self.B * error] * bool(np.any(error)) + [self.adrift] * bool(self.timing.carried)
+        """Return errors of inputs and `unknown`, as generators of the rate of the states, or None."""
+        parts = [self.B * error] * bool(np.any(error)) + [self.unknown] * bool(self.unknown.size)
         return np.hstack(parts) if parts else None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,6 +63,8 @@ class LinearSystem:
         is an acceleration.
     mean_motion : float, optional
         Orbital rate [rad/s] if the frame is Hill's, else None.
+    bias_max : array_like, shape (p,), optional
+        Bounds on a constant, one of each column of D, that adds to w in a whole flight.
 
     Raises
     ------
@@ -79,6 +81,7 @@ class LinearSystem:
     mass: float = 1.0
     mean_motion: float | None = None
     state_names: tuple[str, ...] = ()
+    bias_max: Array | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -102,6 +105,10 @@ class LinearSystem:
             if value < 0 or (value == 0 and least == ">"):
                 raise ScenarioError(f"system.{name}", value, f"must be a finite number {least} 0")
             put(self, name, value)
+        bias = np.zeros(self.p) if self.bias_max is None else self.bias_max
+        put(self, "bias_max", as_finite("system.bias_max", bias, 1))
+        if self.bias.shape != (self.p,) or np.any(self.bias < 0):
+            raise ScenarioError("system.bias_max", self.bias.tolist(), f"must be {self.p} numbers >= 0")
         C = np.eye(n)[: max(n // 2, 1)] if self.C is None else self.C
         put(self, "C", as_finite("system.C", C, 2))
         if self.position.shape[1] != n or not 1 <= self.position.shape[0] <= 3:
@@ -123,6 +130,23 @@ class LinearSystem:
     def p(self) -> int:
         """Number of disturbance channels."""
         return int(self.D.shape[1])
+
+    @property
+    def bias(self) -> Array:
+        """Bounds on the constant that adds to w, shape (p,)."""
+        assert self.bias_max is not None
+        return self.bias_max
+
+    @property
+    def biases(self) -> Array:
+        """Rates of the states by that constant at its bounds, as generators (n, k), those that are not 0."""
+        return np.asarray((self.D * self.bias)[:, self.bias > 0])
+
+    @property
+    def unbiased(self) -> Self:
+        """System whose arbitrary disturbance holds that constant, too: its bounds hold of this one."""
+        more = float(np.linalg.norm(self.bias))
+        return replace(self, w_max=self.w_max + more, bias_max=None) if more else self
 
     @property
     def input_names(self) -> tuple[str, ...]:

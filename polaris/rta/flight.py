@@ -71,7 +71,7 @@ class Conditions:
         """One run from the middle of the initial set, exactly known."""
         x0, last = grid.schedule.safety.problem.initial_set.c[None], grid.decisions * grid.nodes
         none = np.zeros((grid.decisions, 1, grid.system.n))
-        return cls(x0, np.zeros((last, 1, Engine(grid).columns[-1].stop)), none, 0)
+        return cls(x0, np.zeros((last, 1, Engine(grid).constant.stop)), none, 0)
 
     def only(self, run: int) -> "Conditions":
         """Those of one run."""
@@ -210,7 +210,7 @@ class Engine(Integrator):
         return out[0], out[1], out[2], out[3]
 
     def _under(self, mode: int, node: int, u: Array, x: Array, w: Array) -> tuple[Array, Array, Array, Array]:
-        w, *errors = (w[:, part] for part in self.columns)
+        w, *errors = self.split(w, w)
         held = (np.broadcast_to(part, (self.steps, *part.shape)) if part.size else None for part in errors)
         self.eta, self.thrust, self.shares = held
         if mode != FILTERED:

@@ -35,7 +35,7 @@ def scenario_warnings(scenario: Scenario) -> list[str]:
         f"system.mean_motion_rad_s: {motion:g} rad/s is slower than the Moon (at least {ORBITS[0]:g}):"
         " another unit?": 0 < motion < ORBITS[0],
         "disturbance: none, so that a proof holds for a flight that obeys the model exactly; was it"
-        " forgotten, or D left at zero?": system.w_max == 0 or not np.any(system.D),
+        " forgotten, or D left at zero?": system.unbiased.w_max == 0 or not np.any(system.D),
         f"thrust: full thrust moves the chaser {push:.3g} m in one step of {step:g} s, and the scene is"
         f" {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?": push > FAR * size > 0,
         f"disturbance: it moves the chaser up to {shove:.3g} m in one step, and full thrust no more than"
@@ -88,8 +88,8 @@ def _pushed(system: LinearSystem, step: float) -> tuple[float, float]:
     with np.errstate(over="ignore", invalid="ignore"):
         held = np.abs(system.position @ expm(block * step)[: system.n, system.n :])
     held = np.nan_to_num(held, nan=np.inf)
-    push, shove = held[:, : system.m], held[:, system.m :]
-    return float((push @ system.u_max).max()), float(np.linalg.norm(shove, axis=1).max() * system.w_max)
+    push, shove = held[:, : system.m], held[:, system.m :] * system.unbiased.w_max
+    return float((push @ system.u_max).max()), float(np.linalg.norm(shove, axis=1).max())
 
 
 def _size(scenario: ScheduleScenario, system: LinearSystem) -> float:

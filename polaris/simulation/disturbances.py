@@ -23,15 +23,15 @@ def disturbances(
 ) -> tuple[Array, Array]:
     """Disturbances constant over each integration step, shape (steps, n, p), norm at most w_max.
 
-    Errors of estimates and thrusters, where there are any, have `columns` of their own.
+    Errors of estimates and thrusters, and what is constant in a flight, have columns of their own, if any.
     Also the direction, at time 0, in which the initial error of each worst-case run counts, (worst, n).
     """
     system, steps = flight.system, flight.steps
     p, places = system.p, flight.columns
-    w = np.zeros((steps, n, places[-1].stop))
+    w = np.zeros((steps, n, flight.constant.stop))
     adjoint = np.zeros((0, system.n))
     told = places[-1].stop - places[-1].start
-    if kind == "none" or (system.w_max == 0 and system.ideal and not told):
+    if kind == "none" or (system.unbiased.w_max == 0 and system.ideal and not told):
         return w, adjoint
     worst = n if kind == "worst" else (n // 2 if kind in ("mixed", "failing") else 0)
     if worst:
@@ -45,6 +45,10 @@ def disturbances(
                 drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
                 far = np.max(np.abs(drawn), axis=2, keepdims=True)
                 w[:, worst:, part] = drawn / np.maximum(far, 1e-300) * size
+        if np.any(system.bias):  # half of them at a corner
+            drawn = rng.uniform(-1, 1, (count, p))
+            drawn = np.where(rng.random((count, 1)) < 0.5, np.sign(drawn), drawn)
+            w[:, worst:, flight.constant] = drawn * system.bias
     return w, adjoint
 
 
@@ -88,13 +92,14 @@ def adjoint_worst_case(
     """Disturbance, held over each step, that takes the state furthest along a row at one instant per run.
 
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
-    held over a step adds. For a linear loop no other held disturbance goes further; about a loop whose
-    thrusters clip it is the worst case to first order. Errors of estimates, if there are any, follow the
-    disturbance in columns of their own, each at its bound, with the sign of ``G' lambda(s)``, or those of an
-    observer's noise (`worst_errors`); so does what networks are told of bodies. Where a loop is not linear it
-    is the worst case about flights `about`, by default the undisturbed one from the middle of the initial
-    set, which clips nothing: a network answers with its gradient at their states, errors of thrusters grow
-    and shrink with their inputs, and those that the thrusters clip do not answer to the state.
+    held over a step adds; a constant has the sign of the sum of ``G' lambda``. For a linear loop no other
+    held disturbance goes further; about a loop whose thrusters clip it is the worst case to first order.
+    Errors of estimates, if there are any, follow the disturbance in columns of their own, each at its bound,
+    with the sign of ``G' lambda(s)``, or those of an observer's noise (`worst_errors`);
+    so does what networks are told of bodies. Where a loop is not linear it is the worst case about flights
+    `about`, by default the undisturbed one from the middle of the initial set, which clips nothing: a network
+    answers with its gradient at their states, errors of thrusters grow and shrink with their inputs, and
+    those that the thrusters clip do not answer to the state.
 
     Rows (R, n) are directions in the space of states, targets (R,) instants as numbers of steps. What is
     applied counts in every step with weights `spends` (steps, R, m), if there are any. Returned are the
@@ -105,7 +110,7 @@ def adjoint_worst_case(
     numbers = np.repeat(flight.modes, flight.steps_per_cell)
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
-    w = np.zeros((steps, len(rows), told.stop))
+    w, total = np.zeros((steps, len(rows), flight.constant.stop)), np.zeros((len(rows), system.p))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     clipped, grows = None, flight.thrusters.proportional
@@ -141,6 +146,7 @@ def adjoint_worst_case(
         if eta.start < eta.stop:
             w[step, :, eta], filtering = worst_errors(flight, step, direction, filtering)
         along = direction[:, own]
+        total += along
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
         if errors.start < errors.stop:
@@ -148,6 +154,8 @@ def adjoint_worst_case(
         if free is not None:
             free[step] = np.sign(made) * system.u_max
         adjoint = carried
+    if np.any(system.bias):
+        w[..., flight.constant] = np.sign(total) * system.bias
     return w, free, adjoint
 
 
@@ -193,7 +201,7 @@ def _undisturbed(flight: Integrator) -> Runs:
     centre = flight.schedule.safety.problem.initial_set.c[None]
     # What is predicted, or filtered, is exact then.
     plain = Integrator(flight.schedule, flight.modes, flight.substeps)
-    return plain.run(centre, np.zeros((plain.steps, 1, plain.columns[-1].stop)))
+    return plain.run(centre, np.zeros((plain.steps, 1, plain.constant.stop)))
 
 
 def _loops(flight: Integrator, number: int) -> tuple[Array, Array, Array, Array]:

@@ -50,12 +50,20 @@ class Integrator(Firing):
         self.own = {}
         laws = [law for law in schedule.controllers if isinstance(law, NeuralController)]
         self.columns = columns(self.system, max((law.told[0].shape[-1] for law in laws), default=0))
+        last = self.columns[-1].stop
+        self.constant = slice(last, last + self.system.p * bool(np.any(self.system.bias)))  # that adds to w
         for number, controller in enumerate(schedule.controllers):
             if (
                 isinstance(controller, (AffineController, NeuralController))
                 and controller.own is not safety.reference
             ):
                 self.own[number] = controller.own.fine(self.steps_per_cell)
+
+    def split(self, w: Array, first: Array) -> list[Array]:
+        """Split what disturbs into its `columns`, the constant of the `first` step, if any, added to w."""
+        own, *errors = (w[..., part] for part in self.columns)
+        bias = first[..., self.constant]
+        return [own + bias if bias.shape[-1] else own, *errors]
 
     @cached_property
     def held(self) -> tuple[Array, Array, Array]:
@@ -162,10 +170,11 @@ class Integrator(Firing):
     def run(self, x0: Array, w: Array) -> Runs:
         """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p).
 
-        Further columns, as `columns` has them, are the errors of the estimates and of the thrusters.
+        Further columns, as `columns` has them, are the errors of the estimates and of the thrusters, and the
+        last ones, of the first step, what is constant in a flight.
         """
         q, nodes = self.q, len(self.modes) * self.q
-        w, *errors = (w[..., part] for part in self.columns)
+        w, *errors = self.split(w, w[:1])
         self.eta, self.thrust, self.shares = (part if part.shape[2] else None for part in errors)
         self.begin(len(x0))
         # Time comes first while writing: every instant's block is then one piece of memory.

@@ -225,7 +225,7 @@ class Loop:
         R, (n, m, p) = len(rows), (self.system.n, self.system.m, self.system.p)
         w, free, kept = np.zeros((self.N, R, p)), np.zeros((self.N, R, m)), np.zeros((self.N, R, n))
         lam, spent, eta = np.zeros((R, n)), np.zeros((R, m)), np.zeros((self.N, R, n))
-        off = np.zeros((self.N, R, m))
+        off, total = np.zeros((self.N, R, m)), np.zeros((R, p))
         bits, (back, push, kick) = 2 ** np.arange(m), self._adjoint
         for i in range(self.N - 1, -1, -1):
             k, j = divmod(i, self.per)
@@ -236,6 +236,7 @@ class Loop:
                 run = np.flatnonzero(case == both)
                 number, which = divmod(int(both), 2**m)
                 way = lam[run] @ push
+                total[run] += way
                 size = np.linalg.norm(way, axis=1, keepdims=True)
                 w[i, run] = self.system.w_max * way / np.where(size > 0, size, 1)
                 thrust = lam[run] @ kick
@@ -255,6 +256,7 @@ class Loop:
                         lam[run] -= (spent[run] * answers) @ self.laws[number][0]
                         spent[run] = 0.0
             kept[i] = lam
+        w += np.sign(total) * self.system.bias  # constant in a flight
         theta = self.schedule.safety.problem.initial_set
         return Attack(theta.c + np.where(lam @ theta.G < 0, -1.0, 1.0) @ theta.G.T, w, free, kept, eta, off)
 

@@ -34,6 +34,7 @@ SOURCES = {
     "fault": ['faults=[{kind="loss",share=0.1,isolation_s=0.5}]'],
     "outage": ['faults=[{kind="navigation_lost",lasts_s=0.8}]'],
     "tank": ["tank.delta_v_m_s=60.0"],
+    "bias": ["system.bias_max=[0.004,0.0]"],
 }
 """Declarations by name."""
 

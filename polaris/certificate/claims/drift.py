@@ -28,6 +28,7 @@ from ..kernel.balls import (
     require,
     row_sums,
     smallest,
+    sums,
 )
 from ..kernel.motion import Motion, Plant
 from ..kernel.verdict import Rejected, Undecided
@@ -147,6 +148,7 @@ class Drifts:
             rows = matrix([(row * M).entries() for M in self._powers[:-1]])
             gained = motion.push_gain(rows, self.plant.disturbance)
             pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))
+            pushed = sums(pushed, *(motion.constant_gain(rows, push) for push in self.plant.bias))
             self._known[key] = row, motion.bend(row * self.plant.A), pushed
         return self._known[key]
 

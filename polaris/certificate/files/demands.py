@@ -12,7 +12,7 @@ CHECKED = {
     "system": {
         "": "name",
         "system": "kind mean_motion_rad_s mass_kg thrust_max_N A B C D disturbance_max_m_s2 input_max"
-        " disturbance_max position_states",
+        " disturbance_max position_states bias_max_m_s2 bias_max",
         "navigation": "position_error_m velocity_error_m_s state_error",
         "navigation.phases": "from_s position_error_m velocity_error_m_s state_error",
         "navigation.measurement": "position_error_m velocity_error_m_s matrix error",

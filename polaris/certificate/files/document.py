@@ -89,6 +89,7 @@ class Document:
         self.D: Matrix = system["D"]
         self.u_max: Vector = system["input_max"]
         self.w_max: float = system["disturbance_max"]
+        self.bias: Vector = system.get("bias_max") or []  # of each column of D, if any is not 0
         self.mass: float = system["mass"]
         self.estimate: Vector = system.get("estimate_error") or []
         errors = system.get("thrusters")
@@ -205,6 +206,7 @@ class Document:
         self.assumptions = Premises(
             self.w_max,
             self.delta / self.q,
+            self.bias,
             resting=any(item.resting for item in self.unsafe),
             satellites=self.satellites,
             horizon=self.horizon,

@@ -62,6 +62,7 @@ CERTIFICATE = {
         "A": grid("n n"), "B": grid("n m"), "C": grid("d n"), "D": grid("n p"),
         "input_max": grid("m", ABOVE_0), "input_names": grid("m", NAME),
         "disturbance_max": AT_LEAST_0, "mass": ABOVE_0, "mean_motion": Either((ABOVE_0, None)),
+        "bias_max?": grid("p", AT_LEAST_0),
         "estimate_error?": grid("n", AT_LEAST_0), "thrusters?": every(AT_LEAST_0, "along across bit"),
         "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},

@@ -123,6 +123,10 @@ def _check_system(document: Document, spec: dict[str, Any]) -> None:
             document.w_max,
             spec.get("disturbance_max_m_s2" if hill else "disturbance_max", 0.0),
         ),
+        "constant part of the disturbance": (
+            document.bias,
+            bias if any(bias := spec.get("bias_max_m_s2" if hill else "bias_max", [])) else [],
+        ),
         "mass": (document.mass, spec.get("mass_kg", 1.0)),
         "names of inputs": (document.input_names, axes if hill else [f"input {i}" for i in range(m)]),
         "mean motion": (document.mean_motion, spec["mean_motion_rad_s"] if hill else None),

@@ -61,8 +61,10 @@ SCENARIO = {
     "description?": Text(pattern=r"(?s:.{0,5000})"),
     "system": Kinds({
         "clohessy_wiltshire": {"mean_motion_rad_s": Real(above=0, most=0.01), "mass_kg": MASS,
-                               "thrust_max_N": PER_AXIS, "disturbance_max_m_s2?": NOT_NEGATIVE},
+                               "thrust_max_N": PER_AXIS, "disturbance_max_m_s2?": NOT_NEGATIVE,
+                               "bias_max_m_s2?": WIDTHS},
         "linear": {**every(MATRIX, "A B D C?"), "input_max": PER_AXIS, "disturbance_max?": NOT_NEGATIVE,
+                   "bias_max?": WIDTHS,
                    "position_states?": Items(Whole(0, 99), 1, 3), "mass_kg?": MASS},
     }),
     "orbit?": {

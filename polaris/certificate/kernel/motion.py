@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate, pairwise
 
 from flint import arb, arb_mat
 
@@ -20,8 +21,10 @@ from .balls import (
     exponential,
     exponential_over,
     identity,
+    largest,
     lengths,
     magnitude,
+    matrix,
     root,
     sums,
     widths,
@@ -75,6 +78,7 @@ class Plant:
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
+    bias: list[Push] = field(default_factory=list)  # inputs that are constant in a whole flight
     hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
 
     @cached_property
@@ -97,8 +101,8 @@ class Plant:
         return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
 
     def disturbances(self, error: list[arb]) -> list[Push]:
-        """Return the pushes of w, of carried impulses, and of errors of the inputs up to some sizes."""
-        return [self.disturbance, *self.carry, *self.push(error)]
+        """Return the pushes of w, constants, carried impulses, and errors of the inputs up to some sizes."""
+        return [self.disturbance, *self.bias, *self.carry, *self.push(error)]
 
     def thruster_error(self, most: Sequence[arb]) -> list[arb]:
         """By how much what is applied may differ from commands up to some sizes."""
@@ -208,6 +212,16 @@ class Motion:
         left, right = push.along(rows * V), push.along(rows * (self._exponentials[0] * V))
         bent = push.along(magnitude(rows * self.A * self.A * self.over * V))
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
+
+    def constant_gain(self, rows: arb_mat, push: Push) -> list[arb]:
+        """Bound what a constant does along rows, which follow one another by a period, by any time of each.
+
+        At the ends of periods it is their sum; between them it leaves the chord by no more than it bends.
+        """
+        each = (rows * (self.gamma * push.V)).tolist()
+        reached = accumulate(each, sums, initial=[arb(0)] * push.V.ncols())
+        ends = push.along(matrix(list(reached)))
+        return sums([largest(pair) for pair in pairwise(ends)], self.push_bend(rows, push))
 
     def gains_over(self, rows: arb_mat, pushes: Sequence[Push], count: int) -> tuple[list[arb], arb_mat]:
         """`push_gain` of several over so many periods, and the rows carried over all of them."""

@@ -8,7 +8,7 @@ from flint import arb, arb_mat
 
 from ..files.document import Document
 from ..kernel.balls import PRECISION, exponential, largest, magnitude, matrix, require
-from ..kernel.motion import Plant
+from ..kernel.motion import Plant, Push
 from ..kernel.verdict import Rejected, Undecided
 from .allocation import input_weights
 
@@ -34,10 +34,11 @@ def plant_of(document: Document) -> Plant:
     errors = tuple(document.thrusters), tuple(document.prompt_thrusters)
     jitter = document.timing.get("jitter", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
-    hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
+    hidden = 0 if document.transients else ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     weights = input_weights(document.allocation)
     plant = Plant(A, B, D, C, u_max, w_max, h, document.q, *errors, jitter, document.carried, weights)
-    return replace(plant, unmeasured=delay + missed * h, hidden=0 if document.transients else hidden)
+    bias = [Push.in_box(D, [arb(x) for x in document.bias])] if document.bias else []
+    return replace(plant, bias=bias, unmeasured=delay + missed * h, hidden=hidden)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

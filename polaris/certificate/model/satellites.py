@@ -47,6 +47,8 @@ class Satellite:
         self.half = column(spec["state_half_widths"])
         self.radius = [length * spec["radius_m"] for length in norms(normals)]
         self.pushes = [(plant.D, arb(document.w_max))]
+        columns = zip(plant.D.transpose().tolist(), document.bias, strict=False)
+        self.pushes += [(column(each), arb(most)) for each, most in columns if most]
         thrust = spec.get("thrust_accel_max_m_s2", 0.0)
         if thrust:
             self.pushes.append((acceleration_input(document, item.name), arb(thrust)))

@@ -154,6 +154,7 @@ class SatelliteObstacle(Obstacle):
             If it has thrust, but the system no acceleration of the position.
         """
         found = [(system.D, system.w_max)] if system.w_max > 0 else []
+        found += [(column[:, None], 1.0) for column in system.biases.T]  # one of its own, or the chaser's
         if self.thrust_accel_max > 0:
             try:
                 found.append((system.acceleration_input, self.thrust_accel_max))

@@ -85,7 +85,7 @@ class ExplicitASIF(Method):
         """Deceleration [m/s^2] by full thrust along normals (F, d), against drift and disturbance."""
         system = self.grid.system
         found = np.abs(normals @ self.push) @ (system.u_max - self.off) - span
-        found -= np.linalg.norm(normals @ self.kick, axis=1) * system.w_max
+        found -= np.linalg.norm(normals @ self.kick, axis=1) * system.unbiased.w_max
         if np.any(found <= 0) and not self.direct:
             raise ScenarioError("method", self.key, f"full thrust cannot brake before every side of {name}")
         return np.asarray(found)
@@ -159,7 +159,7 @@ class ExplicitASIF(Method):
     def _condition(self, x: Array, normal: Array, h: Array, change: Array) -> tuple[Array, Array, Array]:
         """Barrier, row and bound, from the rate of h along a normal but for input, drift and disturbance."""
         known = ((x @ self.drift.T) * normal).sum(axis=1)
-        known -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.w_max
+        known -= np.linalg.norm(normal @ self.kick, axis=1) * self.grid.system.unbiased.w_max
         known -= np.abs(normal @ self.push) @ self.off
         return h, normal @ self.push, -self.alpha * h - (known + change)
 

@@ -87,7 +87,7 @@ class BoxMotion:
         integrated = self._state / np.arange(1, len(terms) + 1)[:, None, None]  # A^i / (i+1)!
         self._input, self._spread = integrated @ system.B, np.abs(integrated @ system.B)
         self._disturbance = np.linalg.norm(integrated @ system.D, axis=2) * system.w_max
-        self._disturbance += np.abs(integrated @ system.adrift).sum(axis=2)
+        self._disturbance += np.abs(integrated @ system.unknown).sum(axis=2)
         self._rest = lead * rate ** len(terms) / factorial(len(terms)) * np.exp(rate * longest)
         self._slip = ROUNDING * (np.eye(system.n) + np.abs(system.A) * period)
         self._matrix = lru_cache(KEPT)(self._over)
@@ -105,7 +105,7 @@ class BoxMotion:
         slip = self._slip @ np.abs(Phi) + rest
         spread = spread * (1 + ROUNDING) + rest * np.abs(self.system.B).sum(axis=0)
         const = t * (weights @ self._disturbance) * (1 + ROUNDING)
-        const += rest * (self.system.w_max * np.abs(self.system.D).sum() + np.abs(self.system.adrift).sum())
+        const += rest * (self.system.w_max * np.abs(self.system.D).sum() + np.abs(self.system.unknown).sum())
         const += 2 * ROUNDING * (spread @ self.most)
         out = np.zeros((2 * n, 3 * n + 2 * m + 1))
         for first, sign in ((0, 1.0), (n, -1.0)):

@@ -62,6 +62,7 @@ def system_table(problem: Problem) -> dict[str, Any]:
         "D": system.D,
         "input_max": system.u_max,
         "disturbance_max": float(system.w_max),
+        **({"bias_max": system.bias} if np.any(system.bias) else {}),
         "input_names": list(system.input_names),
         **errors_of(system),
         **({} if made is None else {"allocation": table | {"layout": system.nozzles is not None}}),

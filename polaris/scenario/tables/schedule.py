@@ -7,6 +7,7 @@ States are written in the order of the system's state vector; in Hill's frame th
 """
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -39,12 +40,16 @@ class ClohessyWiltshire(ScenarioPart):
     thrust_max_N: f.PositivePerAxis = unit("N")
     """Thrust limit, one number for all axes or one each for x, y and z: |u_i| <= thrust_max_N[i]."""
     disturbance_max_m_s2: f.NonNegative = unit("m/s^2", default=0.0)
-    """Bound on the 2-norm of the disturbance acceleration."""
+    """Bound on the 2-norm of the disturbance acceleration, which may change at any time in any way."""
+    bias_max_m_s2: f.WidthVector | None = unit("m/s^2", default=None, min_length=3, max_length=3)
+    """Bounds along x, y and z on an unknown acceleration that adds to the disturbance and is constant in a
+    flight, as differential drag along y may be."""
 
     def build(self) -> LinearSystem:
         """The controlled system."""
         limit = per_axis("system.thrust_max_N", self.thrust_max_N, 3)
-        return clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
+        plain = clohessy_wiltshire(self.mean_motion_rad_s, self.mass_kg, limit, self.disturbance_max_m_s2)
+        return replace(plain, bias_max=None if (bias := self.bias_max_m_s2) is None else np.array(bias))
 
 
 class Linear(ScenarioPart):
@@ -58,6 +63,8 @@ class Linear(ScenarioPart):
     """Input limit, one number for all inputs or one each: |u_i| <= input_max[i]."""
     disturbance_max: f.NonNegative = unit("unit of the disturbance", default=0.0)
     """Bound on the 2-norm of the disturbance w."""
+    bias_max: f.WidthVector | None = unit("unit of the disturbance", default=None)
+    """Bounds on a constant that adds to w in a whole flight, one for every column of D."""
     position_states: tuple[f.Index, ...] | None = unit("-", default=None, min_length=1, max_length=3)
     """Which states (counted from 0) are the position [m], one to three of them. Without it and without C: the
     first half of the states."""
@@ -73,7 +80,8 @@ class Linear(ScenarioPart):
         if self.position_states is not None:
             C = np.eye(len(self.A))[list(self.position_states)]
         A, B, D = (np.array(given) for given in (self.A, self.B, self.D))
-        return LinearSystem(A, B, D, limit, self.disturbance_max, C, self.mass_kg)
+        known = A, B, D, limit, self.disturbance_max, C, self.mass_kg
+        return LinearSystem(*known, bias_max=None if self.bias_max is None else np.array(self.bias_max))
 
 
 System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]

@@ -49,10 +49,17 @@ def drifted(
 
 
 def _pushes(system: LinearSystem, normals: Array, position: Array, ahead: Array) -> Array:
-    """How far the disturbance takes the position against each normal by each instant, shape (F, J, d)."""
+    """How far disturbance and constant take the position against each normal by each instant, (F, J, d)."""
     kicks = position @ system.D
     ways = np.einsum("fd,jdp->fjp", normals, kicks)
     ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), 1e-300)
-    rate = -system.w_max * np.einsum("jdp,fjp->fjd", kicks, ways)
-    gained = (rate[:, 1:] + rate[:, :-1]) / 2 * np.diff(ahead)[:, None]
-    return np.concatenate([np.zeros_like(rate[:, :1]), np.cumsum(gained, axis=1)], axis=1)
+    rate = -system.w_max * np.einsum("jdp,fjp->jfd", kicks, ways)
+    moved, constant = _integrated(rate, ahead), _integrated(position @ system.biases, ahead)
+    signs = np.sign(np.einsum("fd,jdc->jfc", normals, constant))
+    return np.asarray((moved - np.einsum("jfc,jdc->jfd", signs, constant)).swapaxes(0, 1))
+
+
+def _integrated(rate: Array, ahead: Array) -> Array:
+    """Integral of rates (J, ...) until each instant, by the trapezoid rule."""
+    gained = ((rate[1:] + rate[:-1]).T / 2 * np.diff(ahead)).T
+    return np.concatenate([np.zeros_like(rate[:1]), np.cumsum(gained, axis=0)])

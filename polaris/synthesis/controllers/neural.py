@@ -211,9 +211,9 @@ class NeuralController:
 
 def misapplied(system: Craft, flow: LinearFlow, most: Array) -> tuple[Zonotope, Array]:
     """What errors of thrusters add by the next node, and until then, (n,): commands up to `most` are held."""
-    if system.thrusters.exact and not system.timing.carried:
+    if system.thrusters.exact and not system.unknown.size:
         return Zonotope(np.zeros(system.n), np.zeros((system.n, 0))), np.zeros(system.n)
-    error, drift = system.thrusters.error(most), system.adrift
+    error, drift = system.thrusters.error(most), system.unknown
     size = np.abs(system.B) @ error
     moved = flow.input_zonotope(system.B, np.diag(error), size)
     if drift.size:

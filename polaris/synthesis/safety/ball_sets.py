@@ -34,7 +34,7 @@ class BallSets(RecoverableSet):
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)
         gamma[o:], gain[o:] = np.tile(bounds.gamma_input, 2), np.tile(bounds.gain_input, 2)
         more = self.clearance.round_off(rows) + tracking.upset(rows)[-1]
-        return gamma, gain * tracking.system.w_max + more
+        return gamma, gain * tracking.system.unbiased.w_max + more
 
     @cached_property
     def _room(self) -> Array:

@@ -104,9 +104,15 @@ class FreeFlight:
         """Rows ``-n C e^{A t}`` of all sets, what bends in a part per state, what disturbs by its end."""
         system, h = self.system, self.delta / self.parts
         rows = -np.vstack([np.zeros((0, system.d)), *(item.normals for item in self.sets)]) @ system.position
-        flow = LinearFlow.continuous(system.A, system.D, system.w_max, h)
+        flow, carried = LinearFlow.continuous(system.A, system.D, system.w_max, h), rows @ self._powers
         bend = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
-        return rows @ self._powers, bend, flow.disturbance_support(rows, len(self._powers) - 1)[1:]
+        pushed = flow.disturbance_support(rows, len(carried) - 1)[1:]
+        if (biases := system.biases).size:  # constant all along: what one does may cancel
+            ends = np.cumsum(carried[:-1] @ flow.input_map(biases), axis=0)
+            ends = np.abs(np.concatenate([0 * ends[:1], ends])).sum(axis=-1)
+            bent = np.abs(carried[:-1] @ system.A) @ flow.growth @ np.abs(biases).sum(axis=1)
+            pushed = pushed + np.maximum(ends[:-1], ends[1:]) + h**2 / 8 * bent
+        return carried, bend, pushed
 
     def after(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:
         """What becomes of flights whose thrust stops in step k: of all, or by groups if not all are clear.

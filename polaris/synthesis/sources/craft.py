@@ -7,14 +7,14 @@ from ...certificate.assumptions import Premises
 from ...model.craft import Craft
 from ..tracker.loop import Loop
 from .delay import Delay
-from .disturbance import Disturbance
+from .disturbance import Bias, Disturbance
 from .estimate import Estimate
 from .impulse_bit import CarriedImpulse, ImpulseDrift
 from .observer import Filter
 from .source import Source
 from .thrusters import ThrusterErrors
 
-SOURCES = (Delay, CarriedImpulse, Filter, Estimate, Disturbance, ImpulseDrift, ThrusterErrors)
+SOURCES = (Delay, CarriedImpulse, Filter, Estimate, Disturbance, Bias, ImpulseDrift, ThrusterErrors)
 """In the order in which they extend a loop: navigation carries what came before it. Faults that are isolated
 late act once in a flight and extend none (`late_faults`)."""
 
@@ -40,6 +40,7 @@ def assumed(system: Craft, h: float) -> Premises:
     return Premises(
         system.w_max,
         h,
+        bias=system.bias.tolist(),
         estimate=prompt.navigation.tolist(),
         by_step=system.error_by_step is not None,
         observer=() if observer is None else observer.noise.tolist(),

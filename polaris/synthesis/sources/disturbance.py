@@ -1,4 +1,4 @@
-"""Disturbance: an acceleration, or any other rate of the states, within a ball at every instant."""
+"""Disturbance: an acceleration, or another rate of the states, arbitrary or constant in a flight."""
 
 from dataclasses import dataclass
 
@@ -23,3 +23,21 @@ class Disturbance:
     def extend(self, loop: Loop) -> Loop:
         """Add one channel."""
         return loop.with_channels(Channel("disturbance", np.array([self.w_max]), rate=self.D, ball=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Bias:
+    """Constant in a flight: a sum of rates of the states, columns of `rates` (n, k), each times a share."""
+
+    rates: Array
+
+    @classmethod
+    def of(cls, system: Craft, h: float) -> "Bias | None":
+        """Return the bias of the disturbance, if one is declared."""
+        return cls(system.biases) if system.biases.size else None
+
+    def extend(self, loop: Loop) -> Loop:
+        """Add one channel."""
+        return loop.with_channels(
+            Channel("bias", np.ones(self.rates.shape[1]), rate=self.rates, constant=True)
+        )

@@ -63,7 +63,8 @@ def get_err_bounds(
     is given, the contraction norm's (``auto``), or none (``identity``: raw units, as printed).
     """
     one_of("tracking.bound", method, ("envelope", "lyapunov"))
-    tracking = tracking if tracking.system.ideal else replace(tracking, system=tracking.system.as_ideal())
+    plain = tracking.system.as_ideal().unbiased
+    tracking = tracking if plain is tracking.system else replace(tracking, system=plain)
     flow, system = tracking.flow, tracking.system
     W = _weight(tracking, weight)
     inverse = np.asarray(np.linalg.inv(W), dtype=float)

@@ -50,6 +50,8 @@ class Channel:
         Part of the half-widths that grows with the size of the commands.
     lag : int
         For how many periods a command counts in `share`: the largest of that many and of the period's own.
+    constant : bool
+        The value, within a box, is one for the whole flight.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Channel:
     ball: bool = False
     share: Share | None = None
     lag: int = 0
+    constant: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,6 +321,13 @@ class ClosedLoop:
             for a, b, E in self.loop.enter:
                 total = total + along(rows @ E, self.loop.A, channel.rate, self.loop.h, (a, b), channel.ball)
         return np.asarray(total)
+
+    def held(self, channel: Channel) -> Array:
+        """Return what a unit of a constant value adds to the next loop state in a period, shape (N, k)."""
+        moved = self.sampled(channel)
+        if channel.rate is not None:
+            moved = moved + sum(carried @ mean for carried, mean, _ in self.loop.part_maps) @ channel.rate
+        return np.asarray(moved)
 
     def noise(self, channel: Channel) -> Array:
         """Size of what a unit of a channel's value adds to a command of its period, shape (m, k)."""

@@ -128,6 +128,10 @@ class Tightening:
         count = len(carried) - 1
         sums = np.zeros((count + 1, carried.shape[1]))
         for channel in self.closed.loop.channels:
+            if channel.constant:  # the largest so far, so that needs do not fall
+                response = np.abs(np.cumsum(carried[:-1] @ self.closed.held(channel), axis=0))
+                sums[1:] += np.maximum.accumulate(response @ channel.size, axis=0)
+                continue
             gains = self.closed.gains(channel, carried[:-1])
             if channel.share is None or bound is None or np.ndim(bound) == 1:
                 sums[1:] += np.cumsum(gains @ self.largest(channel, bound), axis=0)

@@ -166,6 +166,17 @@ class Craft:
         return above(*(rows * self.F**lag for lag in LAGS))
 
     @cached_property
+    def varying(self) -> Craft:
+        """The loop without what pushes constantly in a whole flight."""
+        bias = self.plant.bias
+        return replace(self, steady=[x for x in self.steady if x not in bias], _along={}) if bias else self
+
+    def constant(self, push: Push) -> arb_mat:
+        """Map of an input that is constant over a period into the next loop state, shape (N, k)."""
+        each = [enters * motion.gamma * push.V for enters, motion in self.spans]
+        return sum(each[1:], each[0])
+
+    @cached_property
     def turned(self) -> arb_mat:
         """Map of constant errors of inputs, unknown on board, into the next loop state, shape (N, m)."""
         each = [enters * motion.gamma * self.plant.B for enters, motion in self.spans]

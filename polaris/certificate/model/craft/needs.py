@@ -8,8 +8,8 @@ from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, kinds, largest, magnitude, maxima, rows_of, sums
-from ...kernel.motion import Along, Motion
+from ...kernel.balls import above, column, identity, kinds, largest, magnitude, matrix, maxima, rows_of, sums
+from ...kernel.motion import Along, Motion, Push
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
 from .memory import Gains, Memory
@@ -69,9 +69,20 @@ class Needs:
         """Needs at node L of what does not depend on commands, L = 0 ... N + 1."""
         first, which = self.alike
         rest = [[arb(0)] * len(first)]
-        for gains in self._split(self.craft.supports(self._stacked)):
+        for gains in self._split(self.craft.varying.supports(self._stacked)):
             rest.append([x.upper() for x in sums(rest[-1], gains)])
+        for push in self.craft.plant.bias:
+            rest = [sums(*each) for each in zip(rest, self._constant(push), strict=True)]
         return [[each[i] for i in which] for each in rest]
+
+    def _constant(self, push: Push) -> list[list[arb]]:
+        """Largest response so far at node L to a constant, which may cancel, by kind of row."""
+        first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), push.V.ncols())
+        found, held = [first], (self._stacked * self.craft.constant(push)).tolist()
+        for at in range(0, len(held), len(first)):
+            total = total + matrix(held[at : at + len(first)])
+            found.append(maxima(found[-1], push.along(total)))
+        return found
 
     def _by_lag(self, gains: arb_mat) -> Gains:
         """Gains of rows and lags, one over the other."""

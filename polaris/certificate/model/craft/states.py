@@ -159,13 +159,14 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         known = list(map(arb, document.calmest or [0.0] * n))
         off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
         noise = identity(n), off if document.estimate else [arb(0)] * n
-        return States.of(plant).closed(gain, [plant.disturbance, *plant.carry], noise, plant.hidden, known)
+        return States.of(plant).closed(gain, plant.disturbances([]), noise, plant.hidden, known)
     along = arb(plant.thrusters[0] if plant.thrusters else 0.0) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     moved = carried_away(plant)
     away = [_positive(x - y) + z for x, y, z in zip(displaced(document, delay), moved, offset, strict=True)]
     states = States.of(plant)
-    steady = [plant.disturbance, *([Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else [])]
+    drift = [Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []
+    steady = [plant.disturbance, *plant.bias, *drift]
     if delay:
         states.delay(delay, [*steady, *plant.push(plant.thruster_error(plant.u_max))])
     if plant.carried:

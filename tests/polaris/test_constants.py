@@ -1,0 +1,198 @@
+"""Constants of a flight: an unknown acceleration that never changes, at its worst, and forged."""
+
+from dataclasses import replace
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from polaris.certificate.assumptions import Premises
+from polaris.certificate.checker import verify
+from polaris.certificate.files.document import canonical
+from polaris.model.errors import PolarisError
+from polaris.runs.certificate import certificate
+from polaris.runs.schedule import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.delayed import flies
+from polaris.simulation.disturbances import disturbances
+from polaris.simulation.falsification.search import falsify
+from polaris.synthesis.safety.attempts import perceive_unsafe
+from polaris.synthesis.safety.passive import Abort, FreeFlight
+from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.tracker.tracking import Tracking
+
+from ..sizes import fewer
+from .closed_loops import attack, held
+from .forging import COARSE, Forger, Lie, make
+from .random_scenarios import random_scenario
+from .test_closed_loops import judge
+from .tiny import TINY
+
+FEW = (5016, 5024, 5034)
+"""Random scenes that are proved."""
+
+
+def biased(seed, *more):
+    """A random scene, half of whose disturbance is constant: of one component or of all."""
+    with TemporaryDirectory() as folder:
+        path = f"{folder}/scene.toml"
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(random_scenario(seed))
+        scenario, rng = load_scenario(path), np.random.default_rng(seed)
+        system, unit = scenario.system(), "" if scenario.system().mean_motion is None else "_m_s2"
+        size = max(system.w_max, 1e-3 * float(np.abs(system.B @ system.u_max).max())) / 2
+        bias = size * rng.choice([0.3, 1.0], system.p) * (rng.random(system.p) < 0.7)
+        bias[rng.integers(system.p)] = size
+        given = [f"system.bias_max{unit}={bias.tolist()}", f"system.disturbance_max{unit}={system.w_max / 2}"]
+        return load_scenario(path, [*given, "simulation.runs=1", *more])
+
+
+def proved(seed, *more):
+    """Scene and schedule, or None where it is refused."""
+    try:
+        scenario = biased(seed, "recoverable.recourse=none", *more)
+        schedule = synthesize(scenario)
+    except PolarisError:
+        return None
+    return (scenario, schedule) if schedule.guarantee == "proved" else None
+
+
+def responses(problem, count):
+    """States, from rest under S, by the constants at their bounds one by one, (count + 1, n, p)."""
+    system, h = problem.system, problem.delta / problem.feedback.nodes_per_cell
+    (Ad, Bd), Dd = held(system.A, system.B, h), held(system.A, system.D, h)[1] * system.bias
+    out = [np.zeros_like(Dd)]
+    for _ in range(count):
+        out.append((Ad - Bd @ problem.gain) @ out[-1] + Dd)
+    return np.array(out)
+
+
+ALONE = {
+    TINY: ["system.disturbance_max=0.0", "system.bias_max=[0.02,0.01]", "feedback.period_s=0.25"],
+    "static": [
+        "system.disturbance_max_m_s2=0.0",
+        "system.bias_max_m_s2=[1e-6,3e-6,2e-6]",
+        "feedback.period_s=2",
+    ],
+}
+"""Scenes that constants alone disturb."""
+
+
+@pytest.mark.parametrize("scene", ALONE, ids=["tiny", "static"])
+def test_rows_of_s_need_what_the_worst_constant_makes_and_no_more(scene):
+    problem = load_scenario(scene, ALONE[scene]).problem()
+    tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta)
+    rows = np.vstack([np.eye(problem.system.n), problem.gain])
+    need = tracking.responses(rows, None)
+    flown = np.abs(rows @ responses(problem, 3 * len(need))).sum(axis=-1)
+    worst = np.maximum.accumulate(flown)
+    assert np.all(worst[: len(need) - 1] <= need[:-1]) and np.all(worst[-1] <= need[-1])
+    assert np.allclose(worst[: len(need) - 1], need[:-1], rtol=1e-6, atol=1e-15)
+    assert np.all(need[-1] <= 1.002 * worst[-1])
+    plain = replace(problem.system, w_max=float(np.linalg.norm(problem.system.bias)), bias_max=None)
+    varying = replace(tracking, system=plain).responses(rows, None)[-1]
+    assert np.all(need[-1] < varying)
+    speeds = slice(problem.system.d, problem.system.n)
+    assert np.all(need[-1, speeds] < 0.6 * varying[speeds])
+
+
+def test_free_drift_is_bounded_by_the_worst_constant():
+    """Two hours in a low orbit, against signs that change at will: only across the track much is won."""
+    problem = load_scenario("static", ALONE["static"]).problem()
+    sets = perceive_unsafe(problem, 260)
+    flight, steps = FreeFlight(Abort(7200.0), problem.system, sets, problem.delta), 7200
+    pushed = flight._rows[2]
+    (Ad, _), Dd = (
+        held(problem.system.A, problem.system.B, 1.0),
+        held(problem.system.A, problem.system.D, 1.0)[1],
+    )
+    moved = [0 * Dd]
+    for _ in range(steps):
+        moved.append(Ad @ moved[-1] + Dd * problem.system.bias)
+    rows = np.vstack([item.normals for item in sets]) @ problem.system.position
+    flown = np.abs(rows @ np.array(moved)).sum(axis=-1)
+    part = problem.delta / flight.parts
+    ends = np.ceil(np.arange(steps + 1) / part - 1e-9).astype(int) - 1
+    worst = np.zeros((int(steps / part), len(rows)))
+    np.maximum.at(worst, ends[1:], flown[1:])
+    claimed = pushed[: len(worst)]
+    assert np.all(worst <= claimed) and np.all(claimed[-1] <= 1.02 * worst[-1])
+    varying = replace(flight, system=problem.system.unbiased)._rows[2][: len(worst)]
+    assert np.all(claimed[-1] < 0.98 * varying[-1])
+
+
+def test_a_bias_of_zero_changes_nothing():
+    plain, zero = (load_scenario(TINY, more) for more in ([], ["system.bias_max=[0.0,0.0]"]))
+    first, second = (certificate(synthesize(each), "tiny") for each in (plain, zero))
+    assert canonical(first) == canonical(second)
+
+
+@pytest.mark.parametrize("seed", [FEW[0], *(pytest.param(seed, marks=pytest.mark.slow) for seed in FEW[1:])])
+def test_proofs_under_constants_hold_at_their_worst(seed, tmp_path):
+    scenario, schedule = proved(seed)
+    found = attack(schedule, 40, seed)
+    judge(seed, found)
+    assert found.tight > 0.6
+    assert falsify(schedule, 200, seed).failure is None
+    assert verify(write_run(tmp_path / "run", scenario, schedule).path).outcome == "VERIFIED"
+
+
+@pytest.mark.slow
+def test_random_scenes_under_constants_are_confirmed_and_hold(tmp_path):
+    """Drift and abort included; falsified, attacked and checked."""
+    count, seeds = 0, range(5000, fewer(5060, 5018))
+    for seed in seeds:
+        known = proved(seed, f"abort.drift_s={0.5 * biased(seed).model.horizon.duration_s}")
+        if known is None:
+            continue
+        scenario, schedule = known
+        judge(seed, attack(schedule, 20, seed))
+        assert falsify(schedule, 100, seed).failure is None, seed
+        verdict = verify(write_run(tmp_path / str(seed), scenario, schedule).path)
+        assert verdict.outcome == "VERIFIED", (seed, verdict.text())
+        count += 1
+    assert count >= len(seeds) / 3
+
+
+def test_what_is_constant_is_drawn_once_a_flight():
+    schedule = synthesize(load_scenario(TINY, ALONE[TINY]))
+    flight = flies(schedule.safety.problem.system)(schedule, schedule.modes, 1)
+    w, _ = disturbances(flight, 40, np.random.default_rng(0), "mixed")
+    bias = w[..., flight.constant]
+    assert np.array_equal(bias, np.broadcast_to(bias[:1], bias.shape)) and not np.any(w[..., :2])
+    assert np.all(np.abs(bias[0]).max(axis=0) == [0.02, 0.01]) and len(np.unique(bias[0], axis=0)) > 10
+    w[1:, :, flight.constant] *= -1  # what later steps say of it does not count
+    x0 = np.repeat(schedule.safety.problem.initial_set.c[None], 40, axis=0)
+    assert np.array_equal(flight.run(x0, w).states, flight.run(x0, np.abs(w) * np.sign(w[:1])).states)
+
+
+# -- forged -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def forger(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("constants")
+    bias = "system.disturbance_max=0.005", "system.bias_max=[0.0,0.03]"
+    return Forger(make([COARSE, *bias, "abort.drift_s=6.0"], folder), folder)
+
+
+def test_forged_constants_are_refused(forger):
+    assert forger.judge({}).outcome == "VERIFIED"
+
+    def lied(varying, constant, scenario):
+        """Other bounds in all files that hold them, in the scenario, too, if asked."""
+        lie = Lie(forger)
+        system = lie.certificate["system"]
+        system["disturbance_max"] = varying.hex()
+        system.pop("bias_max")
+        system |= {"bias_max": [x.hex() for x in constant]} if any(constant) else {}
+        lie.scenario["system"] |= {"disturbance_max": varying, "bias_max": constant} if scenario else {}
+        claimed = lie.schedule["guarantee"]
+        for told in (lie.certificate["assumptions"], claimed["assumptions"]):
+            told[0] = Premises(varying, 0.5, constant).told()[0]
+        lie.summary["guarantee"] = claimed
+        return lie
+
+    for varying, constant in ((0.005, [0.0, 0.015]), (0.005, []), (0.0, [0.005, 0.03]), (0.005, [0.03, 0.0])):
+        lied(varying, constant, False).judge({"system"})
+    lied(0.035, [0.0, 0.0], True).judge({"margins", "recoverable", "separation", "passive", "goal", "upkeep"})
