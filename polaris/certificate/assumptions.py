@@ -56,7 +56,7 @@ class Premises:
     observer: Iterable[float] = ()  # bounds on the errors of what an observer measures
     initial: Iterable[float] = ()  # bounds on the errors of its first estimate, if it has one
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
-    thrusters: Iterable[float] = ()  # errors as a share of the command, of the 2-norm of others, at all
+    thrusters: Iterable[float] = ()  # shares of the command, of the 2-norm of others, of the mass; at all [N]
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point
@@ -111,10 +111,18 @@ class Premises:
             apart = ", nor in any step than is stated for it" if self.by_step else ""
             yield f"navigation: at all times {near}{apart}"
         if any(applied):
-            parts = zip(applied, ("|u_i|", "norm(u_other, 2)", "N")[: 2 if self.carried else 3], strict=False)
-            off = " + ".join(f"{x:g} {of}" for x, of in parts if x)
-            told = "what is made of its command, u_i" if self.carried else "its command u_i"
-            yield f"thrusters: what is applied to an input is within {off} of {told}"
+            if self.carried:
+                applied[3] = 0.0
+            if self.layout:
+                units = "of it along it", "of it to its side", "of the mass", "N of an input by rounding"
+                told = "the impulse that it makes" if self.carried else "what it is asked for"
+                off = ", ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
+                yield f"thrusters: each is off {told} by at most {off}"
+            else:
+                units = "|u_i|", "norm(u_other, 2)", "", "N"
+                off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
+                told = "what is made of its command, u_i" if self.carried else "its command u_i"
+                yield f"thrusters: what is applied to an input is within {off} of {told}"
         if self.carried and self.layout:
             left = f"at first nothing, of an input at most {self.carried:g} N s in all"
             yield f"impulses: what thrusters leave of what they are asked for, {left}, is carried to the next"

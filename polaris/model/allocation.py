@@ -131,7 +131,7 @@ class Nozzles:
         cls, allocation: Allocation, magnitude: float, turned: float, mass: float, bit: float, *kinds: bool
     ) -> "Nozzles":
         """From errors of magnitude, of direction [rad] and of the mass, and how impulses are made."""
-        along = max(magnitude, 1 - float(np.cos(turned)) * (1 - magnitude))
+        along = magnitude + (1 - magnitude) * 2 * float(np.sin(turned / 2)) ** 2
         return cls(allocation, along, float(np.sin(turned)) * (1 + magnitude), mass, bit, *kinds)
 
     @cached_property
@@ -150,11 +150,10 @@ class Nozzles:
         """Bound errors of the inputs, renewed every `period` [s], by inputs (docs/theory.md, Prop. 5 (d))."""
         T = self.allocation.shares(self.error)
         T = (T + self.mass * np.eye(len(T))) / (1 - self.mass)
-        apart = T - np.diag(np.diag(T))
         wrong = self.largest - np.abs(self.allocation.directions) if self.carried else self.largest / 2
-        bit = self.bit / period * float(self.allocation.at_once(wrong).max())
-        bounds = float(np.diag(T).max()), float(np.linalg.norm(apart, axis=1).max()), bit
-        return Thrusters(*(x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds))
+        bit = self.bit / period * self.allocation.at_once(wrong) * (1 + 1e-9)
+        shares = tuple(map(tuple, (T * (1 + 1e-9)).tolist())) if np.any(T) else ()
+        return Thrusters(0.0, 0.0, tuple(bit.tolist()) if np.any(bit) else 0.0, shares)
 
     @cached_property
     def weights(self) -> Array:

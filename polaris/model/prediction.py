@@ -284,7 +284,7 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
         timing = replace(timing, pulsed=tuple(within.tolist()))
         away, moved = when_measured(timing, h, moved), moved + within
     timing = replace(timing, bit=exact.bit, displaced=tuple(moved.tolist()), period=h)
-    system = replace(system, timing=timing, thrusters=replace(exact, bit=exact.bit + bit))
+    system = replace(system, timing=timing, thrusters=exact.raised(bit))
     if system.observer is not None:  # of the motion under inputs that are held
         system = observing(system, system.observer, h, away)
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step

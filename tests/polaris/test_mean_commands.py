@@ -71,7 +71,7 @@ def bounds(s, only=None):
     both = Needs(craft, needs.memory, above(one, -one)).peak
     box = column([largest(pair) for pair in zip(both[: one.nrows()], both[one.nrows() :], strict=True)])
     if only is not None:
-        left = {"thrusters": craft.plant.thrusters if only == "thrusters" else ()}
+        left = {} if only == "thrusters" else {"along": 0.0, "across": 0.0, "bits": ()}
         craft = replace(
             craft,
             plant=replace(craft.plant, **left),
@@ -118,7 +118,9 @@ def test_one_error_of_estimates_counts_with_the_peak_of_its_response(case):
     """And a square wave of that frequency comes within 60 % of it."""
     needs = checker_needs(tracking(**case), None)
     only = [arb(0.01), *[arb(0)] * 3]
-    craft = replace(needs.craft, steady=[], off=only, plant=replace(needs.craft.plant, thrusters=()))
+    craft = replace(
+        needs.craft, steady=[], off=only, plant=replace(needs.craft.plant, along=0.0, across=0.0, bits=())
+    )
     box, none = column([arb(0)] * craft.F.nrows()), [arb(0)] * 4
     means = MeanCommands(craft, needs.memory, box, none)  # all periods
     U, L = (np.array([float(x) for x in each]) for each in means.bounds([arb(1), arb(1)]))

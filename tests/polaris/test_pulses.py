@@ -216,13 +216,12 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         "u_max": [arb(1)],
         "h": arb(2),
         "jitter": 0.0,
-        "prompt": (0.5, 0, 0),
         "spent": lambda most: arb(1),
         "weighted": lambda sizes: sum(sizes, arb(0)),
         "weights": (),
     }
     column = SimpleNamespace(ncols=lambda: 1)
-    plant = SimpleNamespace(**known, B=column, carried=carried, thrusters=(0.5, 0.0, 0.0))
+    plant = SimpleNamespace(**known, B=column, carried=carried, along=0.5, across=0.0, shares=())
     told = {}
     arrival = SimpleNamespace(
         document=document,

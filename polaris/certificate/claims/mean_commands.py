@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from flint import arb, arb_mat
 
 from ..kernel.balls import above, column, diagonal, magnitude, matrix, norms, smallest, sums
-from ..kernel.motion import Push
+from ..kernel.motion import Plant, Push
 from ..model.craft.craft import Craft
 from ..model.craft.memory import Memory
 from .spending import LONGEST, peak
@@ -15,10 +13,11 @@ from .spending import LONGEST, peak
 ROUNDS = 100  # times that errors of thrusters are bounded anew by the mean they lead to; each is a bound
 
 
-def summed_errors(errors: Sequence[float], most: list[arb]) -> list[arb]:
+def summed_errors(plant: Plant, most: list[arb]) -> list[arb]:
     """Bound sums over periods of what thrusters are off in proportion, by sums of commands."""
-    along, across, _ = errors or (0.0, 0.0, 0.0)
-    return [along * x + across * (sum(most, arb(0)) - x) for x in most]
+    if plant.shares:
+        return plant.thruster_part(most)
+    return [plant.along * x + plant.across * (sum(most, arb(0)) - x) for x in most]
 
 
 class MeanCommands:
@@ -77,7 +76,7 @@ class MeanCommands:
         means, rest = list(tops), [arb(0)] * m
         for _ in range(ROUNDS):
             mean = sums(given, (fed * column(plant.thruster_part(means))).entries())
-            more = sums(self.begun, (once * column(summed_errors(plant.thrusters, rest))).entries())
+            more = sums(self.begun, (once * column(summed_errors(plant, rest))).entries())
             for a, top in enumerate(tops):
                 less = mean[a] < top
                 means[a], rest[a] = (mean[a].upper(), more[a].upper()) if less else (top, arb(0))

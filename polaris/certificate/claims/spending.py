@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from itertools import accumulate, groupby, islice
 
 from flint import arb, arb_mat, arb_poly
@@ -56,8 +55,8 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
         most, more = _amplified(known_of, arb(1)) * known + (_amplified(made_of) + rest) * made, arb(0)
         more += sum((plant.weighted(spell.errors[1]) for spell in spells), more)
     else:  # what is applied, but for errors that stand for pulses
-        apart = plant.bit - replace(plant, thrusters=plant.prompt).bit
-        more = count * plant.weighted([arb(apart)] * m)
+        apart = [arb(x) - arb(y) for x, y in zip(plant.bits, plant.prompt, strict=True)]
+        more = count * plant.weighted(apart or [arb(0)] * m)
         most = _amplified(known_of, arb(1)) * known + (_amplified(made_of, arb(1)) + rest) * made
     return (base + plant.weighted(most.entries()) + more) * plant.h
 

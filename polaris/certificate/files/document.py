@@ -92,8 +92,9 @@ class Document:
         self.bias: Vector = system.get("bias_max") or []  # of each column of D, if any is not 0
         self.mass: float = system["mass"]
         self.estimate: Vector = system.get("estimate_error") or []
-        errors = system.get("thrusters")
-        self.thrusters: Vector = [errors[key] for key in ("along", "across", "bit")] if errors else []
+        self.thrusters: dict[str, Any] = system.get("thrusters") or {}  # of each thruster, or of the inputs
+        self.shares: Vector = [self.thrusters.get(key, 0.0) for key in ("along", "across", "mass")]
+        self.bits: Vector = self._each(self.thrusters.get("bit", 0.0))
         self.error_by_step: Matrix = system.get("error_by_step") or []
         self.observer: dict[str, Any] | None = system.get("observer")
         self.timing: dict[str, Any] = system.get("timing") or {}
@@ -103,8 +104,7 @@ class Document:
         self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
         self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
         self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
-        bit = self.timing.get("bit", self.thrusters[2] if errors else 0.0)
-        self.prompt_thrusters: Vector = [*(self.thrusters or [0.0] * 3)[:2], bit]  # without jitter, pulses
+        self.prompt_bits: Vector = self._each(self.timing.get("bit", self.bits))  # without jitter, pulses
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
         self.transients: list[dict[str, Any]] = system.get("transients") or []
@@ -120,6 +120,9 @@ class Document:
             raise ValueError("errors of estimates must be the largest of all steps")
         if not (self.A and self.u_max and 1 <= len(self.C) <= 3):
             raise ValueError("there must be states and inputs, and positions have one to three axes")
+
+    def _each(self, bit: float | Vector) -> Vector:
+        return bit if isinstance(bit, list) else [bit] * len(self.u_max)
 
     def _take_scene(self, read: dict[str, Any]) -> None:
         self.center: Vector = read["initial_set"]["center"]
@@ -186,7 +189,7 @@ class Document:
     def _take_claims(self, read: dict[str, Any]) -> None:
         self.unsafe = [unsafe_set(item) for item in read["unsafe_sets"]]
         self.modes: list[int] = read["modes"]
-        caused = any(x > 0 for x in self.thrusters[:2])
+        caused = any(x > 0 for x in self.shares)
         self.profile: Matrix = (read.get("profile") or [self.u_max]) if caused else []
         falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
         if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
@@ -216,7 +219,7 @@ class Document:
             observer=(self.observer or {}).get("noise", ()),
             initial=(self.observer or {}).get("initial") or (),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
-            thrusters=self.prompt_thrusters,
+            thrusters=(*self.shares, max(self.prompt_bits)),
             pulses=self.fired,
             carried=self.carried,
             chaser=self.chaser_radius,

@@ -36,6 +36,8 @@ _OWN = {"name": NAME, "gain": grid("m n"), "own_states?": grid("* n"), "own_inpu
 
 # fmt: off
 _LIMITS = {"low": HEX, "high": HEX}
+_PART = Hexadecimal(Real(least=0, below=1))
+_BITS = Either((AT_LEAST_0, grid("m", AT_LEAST_0)))
 _NETWORK = {
     "name": NAME, "precision?": Text(("float32", "float64")),
     "inputs": Items(Text(pattern=f"{READ}.+"), 1, 100),
@@ -63,8 +65,9 @@ CERTIFICATE = {
         "input_max": grid("m", ABOVE_0), "input_names": grid("m", NAME),
         "disturbance_max": AT_LEAST_0, "mass": ABOVE_0, "mean_motion": Either((ABOVE_0, None)),
         "bias_max?": grid("p", AT_LEAST_0),
-        "estimate_error?": grid("n", AT_LEAST_0), "thrusters?": every(AT_LEAST_0, "along across bit"),
-        "timing?": {**every(HEX, "delay jitter clock bit"), "missed": Whole(),
+        "estimate_error?": grid("n", AT_LEAST_0),
+        "thrusters?": {**every(AT_LEAST_0, "along across"), "mass?": _PART, "bit": _BITS},
+        "timing?": {**every(HEX, "delay jitter clock"), "missed": Whole(), "bit": _BITS,
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),

@@ -153,24 +153,27 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         for key in ("magnitude_error", "mass_error", "misalignment_deg", "impulse_bit_N_s")
     )
     turn = angle * arb.pi() / 180
-    turned = turn.sin() * (1 + magnitude) / (1 - mass)
+    turned = turn.sin() * (1 + magnitude)
     if angle > 0 and document.mean_motion is None:
         raise Rejected("system", "a misalignment needs Hill's frame")
-    period, layout = arb(document.delta) / document.q, Nozzles.of(document, spec)
+    period, layout = arb(document.delta) / document.q, Nozzles.of(document)
     carried = spec.get("remainder", "dropped") == "carried"
     if layout is None:
         left = spec.get("impulse_bit_N_s", 0.0) * carried
         _need("system", "impulse that is carried", document.carried, left)
         along = largest(((magnitude + mass) / (1 - mass), 1 - turn.cos() * (1 - magnitude) / (1 + mass)))
+        turned /= 1 - mass
         share = turned * arb(len(document.u_max) - 1).sqrt()
-        wanted = along, turned, bit / (2 * period) * (2 * share if carried else 1 + along + share)
+        bits = [bit / (2 * period) * (2 * share if carried else 1 + along + share)] * len(document.u_max)
+        wanted = along, turned, arb(0)
     else:
-        wanted = layout.errors(period, carried)
-        least = layout.left(carried)
+        bits, least = layout.dropped(bit, period, carried), layout.left(bit * carried)
+        wanted = magnitude + (1 - magnitude) * 2 * (turn / 2).sin() ** 2, turned, mass
         require("system", document.carried - least * (1 - ROUNDED), f"impulses left: {document.carried}")
-    names = ("along", "across", "of the bit")
-    for name, least, found in zip(names, wanted, document.prompt_thrusters, strict=True):
-        require("system", found - least + least * ROUNDED, f"error of the thrusters {name}: {found}")
+    for name, least, value in zip(("along", "across", "of the mass"), wanted, document.shares, strict=True):
+        require("system", value - least + least * ROUNDED, f"error of the thrusters {name}: {value}")
+    for least, value in zip(bits, document.prompt_bits, strict=True):
+        require("system", value - least + least * ROUNDED, f"error of the thrusters of the bit: {value}")
 
 
 def _check_initial_set(document: Document, spec: dict[str, Any]) -> None:

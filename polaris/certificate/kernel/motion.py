@@ -72,8 +72,11 @@ class Plant:
     w_max: arb  # bound on the 2-norm of the disturbance
     h: arb  # length of a period [s]
     q: int = 1  # periods per step
-    thrusters: tuple[float, ...] = ()  # errors along, across and of the bit, if any is not zero
-    prompt: tuple[float, ...] = ()  # the same without jitter
+    along: float = 0.0  # error of an input as a share of its own command; of a layout in `shares`
+    across: float = 0.0  # and of the 2-norm of the commands of the others
+    shares: Sequence[Sequence[arb]] = ()  # and of each command, rows are errors; none without a layout
+    bits: Sequence[float] = ()  # and of each input, whatever is commanded; none are 0
+    prompt: Sequence[float] = ()  # the same without jitter and pulses
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
@@ -96,9 +99,9 @@ class Plant:
     @cached_property
     def carry(self) -> list[Push]:
         """What impulses that are carried to the next period push meanwhile, if there are any."""
-        left, along = [arb(self.carried)] * self.B.ncols(), self.thrusters[0] if self.thrusters else 0.0
-        rates = self.A * self.open.gamma * self.B * (1 / self.h), self.A * self.B * along
-        return [Push.in_box(rate, left) for rate in rates[: 1 + (along > 0)]] if self.carried else []
+        left, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
+        rates += [self.A * self.B * self.along] if self.along > 0 else []
+        return [Push.in_box(rate, left) for rate in rates] if self.carried else []
 
     def disturbances(self, error: list[arb]) -> list[Push]:
         """Return the pushes of w, constants, carried impulses, and errors of the inputs up to some sizes."""
@@ -106,22 +109,26 @@ class Plant:
 
     def thruster_error(self, most: Sequence[arb]) -> list[arb]:
         """By how much what is applied may differ from commands up to some sizes."""
-        return [x + self.bit for x in self.thruster_part(most)]
+        return sums(self.thruster_part(most), map(arb, self.bits)) if self.bits else self.thruster_part(most)
 
     def thruster_part(self, most: Sequence[arb]) -> list[arb]:
         """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
-        along, across, _ = self.thrusters or (0.0, 0.0, 0.0)
-        others = [[*most[:i], *most[i + 1 :]] if across else [] for i in range(len(most))]
-        return [along * x + across * root(dot(y, y)) for x, y in zip(most, others, strict=True)]
+        if self.shares:
+            return [dot(row, most) for row in self.shares]
+        others = [[*most[:i], *most[i + 1 :]] if self.across else [] for i in range(len(most))]
+        return [self.along * x + self.across * root(dot(y, y)) for x, y in zip(most, others, strict=True)]
 
-    @property
-    def bit(self) -> float:
-        """The part of it that does not depend on commands."""
-        return self.thrusters[2] if self.thrusters else 0.0
+    @cached_property
+    def table(self) -> arb_mat:
+        """Bounds on the error of each input, rows, by a unit of each command, shape (m, m)."""
+        m = self.B.ncols()
+        if self.shares:
+            return arb_mat([list(row) for row in self.shares])
+        return diagonal([arb(self.along)] * m) + arb_mat(m, m, [arb(self.across)] * m * m)
 
     def spent(self, most: Sequence[arb]) -> arb:
         """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""
-        applied = sums(most, replace(self, thrusters=self.prompt).thruster_error(most))
+        applied = sums(most, replace(self, bits=self.prompt).thruster_error(most))
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
 
     def weighted(self, sizes: Sequence[arb]) -> arb:

@@ -68,44 +68,34 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
             require("system", top - sum(asked, arb(0)) * (1 + BEYOND), reason)
 
 
-def input_weights(made: dict[str, Any] | None) -> tuple[arb, ...]:
-    """Return the most thrust of all thrusters that a unit of each input takes; nothing without a layout."""
-    if made is None or not made["layout"]:
-        return ()
-    lengths = [root(dot(d, d)) for d in map(list, (map(arb, d) for d in made["directions"]))]
-    mixes = [mixes[sign] for mixes in made["mixes"] for sign in (0, 1)]
-    return tuple(largest(dot(lengths, mix[i]) for mix in mixes) for i in range(len(mixes[0])))
-
-
 @dataclass(frozen=True)
 class Nozzles:
-    """Errors of thrusters one by one, as the scenario declares them, in the allocation of a certificate."""
+    """Errors of thrusters one by one, and their allocation, as a certificate states them."""
 
     allocation: dict[str, Any]
-    along: arb
-    across: arb
-    mass: arb
-    bit: arb  # impulse of which every thruster makes multiples
+    along: float  # of what each makes, per unit of its command and along it
+    across: float  # and to its side
+    mass: float
 
     @classmethod
-    def of(cls, document: Document, spec: dict[str, Any]) -> "Nozzles | None":
-        """From the table of thrusters of a scenario; None without directions."""
-        if "directions" not in spec or document.allocation is None:
-            return None
-        names = "magnitude_error", "mass_error", "misalignment_deg", "impulse_bit_N_s"
-        magnitude, mass, angle, bit = (arb(spec.get(name, 0.0)) for name in names)
-        turn = angle * arb.pi() / 180
-        along = largest((magnitude, 1 - turn.cos() * (1 - magnitude)))
-        return cls(document.allocation, along, turn.sin() * (1 + magnitude), mass, bit)
+    def of(cls, document: Document) -> "Nozzles | None":
+        """Return None without a layout."""
+        made = document.allocation
+        return cls(made, *document.shares) if made is not None and made["layout"] else None
+
+    @property
+    def ways(self) -> list[list[arb]]:
+        """Return the directions of the thrusters, (N, m)."""
+        return [list(map(arb, d)) for d in self.allocation["directions"]]
 
     @cached_property
     def error(self) -> list[list[arb]]:
         """Return bounds on the error of a unit of thrust in every input, the mass being exact, (N, m)."""
         rows = []
-        for d in self.allocation["directions"]:
+        for d in self.ways:
             sides = [[x for k, x in enumerate(d) if k != j] for j in range(len(d))]
             each = zip(d, sides, strict=True)
-            rows.append([self.along * abs(x) + self.across * root(dot(y, y)) for x, y in each])
+            rows.append([arb(self.along) * abs(x) + self.across * root(dot(y, y)) for x, y in each])
         return rows
 
     @cached_property
@@ -123,28 +113,39 @@ class Nozzles:
                 used.add(tuple(int(any(x > 0 for x in thrusts)) for thrusts in asked))
         return [largest(dot([x[j] for x in each], row) for row in used) for j in range(m)]
 
-    def errors(self, period: arb, carried: bool) -> tuple[arb, arb, arb]:
-        """Return errors of the inputs along, across, and of the bit, as `Document.thrusters` has them."""
-        m, columns = len(self.error[0]), list(zip(*self.error, strict=True))
+    def most(self, each: list[arb]) -> list[arb]:
+        """Return the largest sum of thrusts times `each` (N) per unit of every input, (m)."""
         mixes = [mixes[sign] for mixes in self.allocation["mixes"] for sign in (0, 1)]
-        T = [[largest([dot(mix[i], column) for mix in mixes]) for i in range(m)] for column in columns]
-        own = largest([(T[j][j] + self.mass) / (1 - self.mass) for j in range(m)])
-        apart = [[x for i, x in enumerate(row) if i != j] for j, row in enumerate(T)]
-        across = largest([root(dot(row, row)) for row in apart]) / (1 - self.mass)
+        return [largest([dot(mix[i], each) for mix in mixes]) for i in range(len(mixes[0]))]
+
+    @property
+    def weights(self) -> tuple[arb, ...]:
+        """Return the most thrust of all thrusters that a unit of each input takes, (m)."""
+        return tuple(self.most([root(dot(d, d)) for d in self.ways]))
+
+    @property
+    def shares(self) -> list[list[arb]]:
+        """Return the error of every input, rows, by a unit of each command, (m, m)."""
+        rows = [self.most(list(column)) for column in zip(*self.error, strict=True)]
+        own = [[x + self.mass * (i == j) for i, x in enumerate(row)] for j, row in enumerate(rows)]
+        return [[x / (1 - arb(self.mass)) for x in row] for row in own]
+
+    def dropped(self, bit: arb, period: arb, carried: bool) -> list[arb]:
+        """Return errors of the inputs by impulses [N s] of which thrusters make multiples, (m)."""
         ways = zip(self.largest, self.allocation["directions"], strict=True)
         if carried:
             wrong = [[x - abs(d) for x, d in zip(*rows, strict=True)] for rows in ways]
         else:
             wrong = [[x / 2 for x in row] for row in self.largest]
-        return own, across, self.bit / period * largest(self.at_once(wrong))
+        return [bit / period * x for x in self.at_once(wrong)]
 
-    def left(self, carried: bool) -> arb:
-        """Return the most of an input's impulse that may be left in all thrusters."""
+    def left(self, bit: arb) -> arb:
+        """Return the most of an input's impulse that may be left in all thrusters, of bits [N s]."""
         columns = list(zip(*self.allocation["directions"], strict=True))
         sides = [
             dot([max(s * x, 0.0) for x in column], [1.0] * len(column)) for column in columns for s in (1, -1)
         ]
-        return self.bit * carried * largest(sides)
+        return bit * largest(sides)
 
     def fired(self) -> list[arb]:
         """Return bounds on what pulses of thrusters that are asked at once make of every input."""

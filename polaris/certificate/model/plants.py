@@ -10,7 +10,7 @@ from ..files.document import Document
 from ..kernel.balls import PRECISION, exponential, largest, magnitude, matrix, require
 from ..kernel.motion import Plant, Push
 from ..kernel.verdict import Rejected, Undecided
-from .allocation import input_weights
+from .allocation import Nozzles
 
 WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
 
@@ -31,12 +31,15 @@ def plant_of(document: Document) -> Plant:
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
     C, w_max = matrix(document.C), arb(document.w_max)
-    errors = tuple(document.thrusters), tuple(document.prompt_thrusters)
     jitter = document.timing.get("jitter", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = 0 if document.transients else ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
-    weights = input_weights(document.allocation)
-    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, *errors, jitter, document.carried, weights)
+    plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried)
+    plant = replace(plant, bits=document.bits, prompt=document.prompt_bits)
+    if (layout := Nozzles.of(document)) is not None:
+        plant = replace(plant, shares=layout.shares, weights=layout.weights)
+    else:
+        plant = replace(plant, along=document.shares[0], across=document.shares[1])
     bias = [Push.in_box(D, [arb(x) for x in document.bias])] if document.bias else []
     return replace(plant, bias=bias, unmeasured=delay + missed * h, hidden=hidden)
 

@@ -37,7 +37,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
     top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
     fired = list(map(arb, per_axis(top, len(document.u_max)))) if pulsed else []
-    if pulsed and (layout := Nozzles.of(document, thrusters)) is not None:
+    if pulsed and (layout := Nozzles.of(document)) is not None:
         fired = layout.fired()
     if len(document.fired) != len(fired):
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
@@ -45,11 +45,12 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         require("system", most - needed * (1 - ROUNDED), f"pulses of {most}")
     if pulsed and jitter:
         raise Rejected("system", "pulses go with no jitter")
-    exact, booked = document.prompt_thrusters, document.thrusters[2] if document.thrusters else 0.0
     none = arb(0), [arb(0)] * len(stored)
     late, moved = _jitter(plant) if jitter else none
     more, within = _pulses(plant, document.fired) if pulsed else none
-    require("system", booked * arb(1 + ROUNDED) - exact[2] - late - more, f"error of the thrusters: {booked}")
+    for booked, exact in zip(document.bits, document.prompt_bits, strict=True):
+        spare = booked * arb(1 + ROUNDED) - exact - late - more
+        require("system", spare, f"error of the thrusters: {booked}")
     moved = sums(moved, carried_away(plant))
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
@@ -79,14 +80,13 @@ def displaced(document: Document, delay: float) -> list[arb]:
 def carried_away(plant: Plant) -> list[arb]:
     """Bounds on how far impulses that are carried, and errors of them, displace states."""
     held = replace(plant, A=absolute(plant.A)).open.gamma * absolute(plant.B) * (1 / plant.h)
-    along = plant.thrusters[0] if plant.thrusters else 0.0
-    return row_sums((held + absolute(plant.B) * along) * plant.carried)
+    return row_sums((held + absolute(plant.B) * plant.along) * plant.carried)
 
 
 def owed(plant: Plant) -> arb:
     """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
-    along, sides = plant.thrusters[0] if plant.thrusters else 0.0, 2 if plant.weights else 1
-    return sides * plant.B.ncols() * arb(plant.carried) * (1 + arb(along))
+    sides = 2 if plant.weights else 1
+    return sides * plant.B.ncols() * arb(plant.carried) * (1 + arb(plant.along))
 
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
@@ -112,7 +112,7 @@ def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
     over = (absolute(A) * reach).exp() * absolute(B)
     shape = absolute(inverse * B) + absolute(inverse * A * B) * jitter
     shape += absolute(inverse) * absolute(A) * absolute(A) * over * (jitter**2 / 2)
-    worst = replace(plant, thrusters=plant.prompt).thruster_error(plant.u_max)
+    worst = replace(plant, bits=plant.prompt).thruster_error(plant.u_max)
     impulse = [jitter * (2 * u + e) for u, e in zip(plant.u_max, worst, strict=True)]
     both = (shape * column(impulse)).entries()
     spread = [largest((a + b, i / h)) for a, b, i in zip(both[:m], both[m:], impulse, strict=True)]
@@ -121,10 +121,10 @@ def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
 
 def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
     """The same of pulses in the middle of periods: no more than this within, nothing at the ends."""
-    A, B, h, m, exact = plant.A, plant.B, plant.h, len(fired), replace(plant, thrusters=plant.prompt)
+    A, B, h, m = plant.A, plant.B, plant.h, len(fired)
     inverse, growth, bent = _spreading(plant), (absolute(A) * h).exp(), A * A * B
     each = ([x * scale for x in fired] for scale in (h / 8, h**2 / 32, h**3 / 62))
-    speed, way, lasting = (column(sums(part, exact.thruster_part(part))) for part in each)
+    speed, way, lasting = (column(sums(part, plant.thruster_part(part))) for part in each)
     shape = absolute(inverse * bent) + absolute(inverse) * absolute(A) * growth * absolute(bent) * (h / 2)
     both = (shape * lasting).entries()
     spread = column(sums(both[:m], both[m:]))

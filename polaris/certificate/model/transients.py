@@ -113,9 +113,7 @@ def _spread(
 
     `gain` bounds the answer of any law to what it sees, and twice the limits do; they alone without it.
     """
-    plant, n, N, m = craft.plant, craft.plant.A.nrows(), craft.free.nrows(), wrong.nrows()
-    along, across, _ = plant.thrusters or (0.0, 0.0, 0.0)
-    apart = diagonal([arb(along)] * m) + arb_mat(m, m, [arb(across)] * m * m)
+    plant, n, N = craft.plant, craft.plant.A.nrows(), craft.free.nrows()
     size, limits = absolute(plant.A), column([2 * top for top in plant.u_max])
     grown, pushed = (size * plant.h).exp(), exponential(size, plant.h)[1] * absolute(plant.B)
     z, added, found = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
@@ -123,7 +121,7 @@ def _spread(
         answer = limits if gain is None else magnitude(gain * column(z.entries()[N:]))
         least = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
         command = column(least) * int(i > 0)  # the first one is made before the fault
-        error = apart * command + wrong * int(i < count)
+        error = plant.table * command + wrong * int(i < count)
         added.append(above(command, error))
         within = grown * column(z.entries()[:n]) + pushed * (command + error)
         z = magnitude(sum((gains[1][i - q] * added[q] for q in range(1, i + 1)), first * wrong))

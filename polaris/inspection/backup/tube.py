@@ -116,7 +116,7 @@ class Tube:
         powers = loop.powers
         # Acceleration per newton that is asked for (2-norm), and whatever is asked for.
         self.share = (errors.along + np.sqrt(3) * errors.across) / q.mass
-        always = unknown.disturbance + np.sqrt(3) * (errors.bit + TOLERANCE) / q.mass
+        always = unknown.disturbance + np.sqrt(3) * (np.max(errors.bit) + TOLERANCE) / q.mass
         full, self._hold = np.sqrt(3) * q.thrust_max, float(np.linalg.norm(held.still, 2))
         kick, step = self._grow * np.array([D**2 / 2, D]), self._grow * np.array([D, 1.0])
         missed = np.array([np.linalg.norm(held.slip[k : k + 3], 2) for k in (0, 3)]) * q.distance_max

@@ -138,9 +138,13 @@ def errors_of(system: Craft) -> dict[str, Any]:
     observer = {} if system.observer is None else asdict(system.observer)
     hidden = {"fading"} if observer.get("after") else {"fading", "after"}
     observer = {key: x for key, x in observer.items() if x is not None and key not in hidden}
+    thrusters, layout = asdict(system.thrusters), system.nozzles
+    del thrusters["shares"]
+    if layout is not None:  # of each thruster: what it makes wrong of the inputs is derived
+        thrusters |= {"along": layout.along, "across": layout.across, "mass": layout.mass}
     return {
         **({"estimate_error": system.navigation} if np.any(system.navigation) else {}),
-        **({} if system.thrusters.exact else {"thrusters": asdict(system.thrusters)}),
+        **({} if system.thrusters.exact else {"thrusters": thrusters}),
         **({} if system.timing == Timing() else {"timing": timing}),
         **({} if system.error_by_step is None else {"error_by_step": system.error_by_step}),
         **({"observer": observer} if observer else {}),

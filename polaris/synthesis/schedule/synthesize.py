@@ -97,8 +97,8 @@ def along(search: Search, safety: Safety) -> Search:
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     """The most worthy of a schedule and those with other shares of thrust that errors of S are booked for."""
     found, problem = [first], search.safety.problem
-    thrusters = problem.system.thrusters
-    shares = SHARES[1:] + (LESSER[:2] if thrusters.along + thrusters.across > LARGE else ())
+    errors = problem.system.thrusters.table(problem.system.m).max()
+    shares = SHARES[1:] + (LESSER[:2] if errors > LARGE else ())
     for share in shares if turns(search) else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share))

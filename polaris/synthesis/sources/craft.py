@@ -3,6 +3,8 @@
 from dataclasses import astuple
 from functools import reduce
 
+import numpy as np
+
 from ...certificate.assumptions import Premises
 from ...model.craft import Craft
 from ..tracker.loop import Loop
@@ -36,7 +38,7 @@ def craft_loop(system: Craft, h: float) -> Loop:
 
 def assumed(system: Craft, h: float) -> Premises:
     """Return what is assumed of a system and of all its sources, its law renewed every h [s]."""
-    prompt, observer = system.prompt, system.observer
+    prompt, observer, each = system.prompt, system.observer, system.nozzles or system.thrusters
     return Premises(
         system.w_max,
         h,
@@ -46,7 +48,7 @@ def assumed(system: Craft, h: float) -> Premises:
         observer=() if observer is None else observer.noise.tolist(),
         initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
         timing=astuple(system.timing)[:4],
-        thrusters=astuple(prompt.thrusters),
+        thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(prompt.thrusters.bit))),
         pulses=system.timing.fired,
         carried=system.timing.carried,
         layout=system.nozzles is not None,

@@ -62,7 +62,7 @@ def _added(
         nobody answers.
     """
     n, N, h, most, wrong = loop.n, loop.N, loop.h, 2 * system.u_max, fault.wrong(system.thrusters)
-    own = (np.eye(loop.m) * system.thrusters.along + system.thrusters.across).T  # errors of what is answered
+    own = system.thrusters.table(loop.m).T  # errors of what is answered
     steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
     if steep is not None and fault.networks is not None:
         steep = np.maximum(steep, fault.networks)

@@ -66,7 +66,7 @@ class Craft:
     @cached_property
     def bits(self) -> list[Push]:
         """Errors of the inputs, commands apart."""
-        return self.plant.push([arb(self.plant.bit)] * self.plant.B.ncols())
+        return self.plant.push(list(map(arb, self.plant.bits)))
 
     @cached_property
     def commands(self) -> arb_mat:

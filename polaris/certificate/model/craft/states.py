@@ -160,7 +160,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
         noise = identity(n), off if document.estimate else [arb(0)] * n
         return States.of(plant).closed(gain, plant.disturbances([]), noise, plant.hidden, known)
-    along = arb(plant.thrusters[0] if plant.thrusters else 0.0) * plant.carried
+    along = arb(plant.along) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     moved = carried_away(plant)
     away = [_positive(x - y) + z for x, y, z in zip(displaced(document, delay), moved, offset, strict=True)]
