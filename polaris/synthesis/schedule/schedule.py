@@ -71,7 +71,7 @@ class Schedule:
         What it was made from.
     controllers : tuple of Controller
         Indexed by mode.
-    steps : tuple of Step
+    steps : sequence of Step
         One per planning step.
     final : Zonotope
         Set of errors at T.
@@ -90,7 +90,7 @@ class Schedule:
 
     safety: Safety
     controllers: tuple[Controller, ...]
-    steps: tuple[Step, ...]
+    steps: Sequence[Step]
     final: Zonotope
     seconds: Mapping[str, float] = field(default_factory=dict)
     library: Sequence["Schedule"] = ()
@@ -184,8 +184,9 @@ class Schedule:
         scale = self.safety.tracking.flow.h / self.safety.problem.system.mass
         return self.delta_v_middle, spent(self._spells) * scale * (1 + ROUNDING)
 
-    @cached_property
+    @property
     def _tail(self) -> Tail:
+        """What S flies after T: made anew, as its tubes take more memory than all that is asked of it."""
         last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
         handed = self.steps[last - 1].tube.end if last else self.safety.start
         T = len(self.steps) * q

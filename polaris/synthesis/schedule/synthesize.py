@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 from ...model.errors import ClockWarning, NotCertified, SynthesisInfeasible
@@ -16,7 +17,7 @@ from ..safety.recoverable import directed
 from .in_view import views
 from .look_ahead import SAFETY
 from .rules import CHECKED, SwitchingRules
-from .schedule import Schedule
+from .schedule import Schedule, Step
 from .search import Branch, Search
 from .worth import Worth, as_good
 
@@ -96,16 +97,16 @@ def along(search: Search, safety: Safety) -> Search:
 
 def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     """The most worthy of a schedule and those with other shares of thrust that errors of S are booked for."""
-    found, problem = [first], search.safety.problem
+    best, problem = first, search.safety.problem
     errors = problem.system.thrusters.table(problem.system.m).max()
     shares = SHARES[1:] + (LESSER[:2] if errors > LARGE else ())
+    worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
     for share in shares if turns(search) else ():
         with suppress(SynthesisInfeasible, NotCertified):
             safety = find_safety(replace(problem, thrust_share=share))
             search.clock.lap("thrust shares")
-            found.append(most_worthy(along(search, safety), recourse))
-    worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
-    best = max(found, key=lambda schedule: worth.alone(schedule, recourse))
+            other = most_worthy(along(search, safety), recourse)
+            best = max(best, other, key=lambda schedule: worth.alone(schedule, recourse))
     search.clock.lap("thrust shares")
     return best
 
@@ -176,16 +177,25 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         return switching_logic(replace(along(search, safety), intended=intended))
 
     worth, late = Worth.beside(printed, search.rules, printed.safety), False
-    candidates = [printed, *with_clearance(search, printed)]
+    best, library = printed, list[Schedule]()
+
+    def compare(other: Schedule) -> None:
+        """Keep the better one, and beside it those that are as good, without their tubes."""
+        nonlocal best, library
+        worse, best = (best, other) if worth(other) > worth(best) else (other, best)
+        each = [*library, Reflown.of(search, worse)]
+        library = [one for one in each if as_good(one, best, search.rules)]
+
+    for other in with_clearance(search, printed):
+        compare(other)
     for dearer in DEARER:
         dear = replace(search.rules, delta_v_price=search.rules.delta_v_price + dearer)
         searches = views(printed, replace(worth, rules=dear))
-        candidates += [each for view in searches for each in view.schedules(prove)]
+        for other in (each for view in searches for each in view.schedules(prove)):
+            compare(other)
         late |= any(view.late for view in searches)
-        best = max(candidates, key=worth)
         if best.keeps(search.rules):
             break
-    library = tuple(one for one in candidates if one is not best and as_good(one, best, search.rules))
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
@@ -193,7 +203,36 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, library=library, worth=worth.prices)
+    return replace(best, library=tuple(library), worth=worth.prices)
+
+
+class Reflown(Sequence[Step]):
+    """Steps of a schedule that are flown again when one is first asked for, as their tubes take much memory."""
+
+    def __init__(self, search: Search, modes: tuple[int, ...]) -> None:
+        self.search, self.modes = replace(search, rules=SwitchingRules(), intended=modes), modes
+
+    @classmethod
+    def of(cls, search: Search, schedule: Schedule) -> Schedule:
+        """Return a schedule without its tubes, but with what was worked out to compare it."""
+        steps = cls(along(search, schedule.safety), tuple(schedule.modes.tolist()))
+        light = replace(schedule, steps=steps)
+        known = {"modes", "arrival", "delta_v", "delta_v_middle", "passive"} & vars(schedule).keys()
+        vars(light).update({name: vars(schedule)[name] for name in known})
+        return light
+
+    def __len__(self) -> int:
+        return len(self.modes)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._flown[place]
+
+    def __reduce__(self) -> Any:
+        return tuple, (self._flown,)  # a search is not pickled, what it flew is
+
+    @cached_property
+    def _flown(self) -> Sequence[Step]:
+        return switching_logic(self.search).steps
 
 
 def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:
