@@ -18,6 +18,14 @@ ALLOCATED = (
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
 
+ALLOCATIONS = {
+    "least_thrust_mixes": "the sum of a fixed mix for each input and sign",
+    "pseudo_inverse": "twice the positive part of the pseudo-inverse, of whole pairs, times the inputs",
+    "linear_program": "thrusts within their limits that make the inputs, of the least thrust in all",
+    "nearest": "thrusts within their limits that come nearest to the inputs, of these the least in 2-norm",
+}
+"""Ways to allocate what is commanded to the thrusters of a layout, by kind."""
+
 NOTHING_ELSE = (
     "the safety controller flies from then on (without measurements: from when they cease), and no second "
     "fault occurs; goal, velocity change, enclosures and drift are those of flights without such faults"
@@ -61,7 +69,7 @@ class Premises:
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point
     allocated: bool = False  # whether inputs are made by thrusters of which one may have failed
-    layout: bool = False  # whether thrusters push along directions of their own
+    layout: str = ""  # kind of the allocation to thrusters that push along directions of their own
     late: Iterable[tuple[str, float]] = ()  # kinds of faults that are isolated late; how long that takes [s]
     sampled: Mapping[str, Any] | None = None  # of black boxes: probability, confidence, flights, outside, ...
     position: Iterable[Iterable[float]] = ()  # the rows of C
@@ -142,6 +150,8 @@ class Premises:
                 if late
                 else ALLOCATED
             )
+        if self.layout:
+            yield f"allocation: thrusters are asked for {ALLOCATIONS[self.layout]}"
         if late:
             yield f"isolation: {late} at the latest; {NOTHING_ELSE}"
         if predicted or jitter > 0:

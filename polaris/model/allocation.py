@@ -1,4 +1,4 @@
-"""Thrusters that push only: the inputs that they make, whichever has failed, and what each does wrong."""
+"""Thrusters that push only: the inputs that they make, whichever has failed, and by which thrusts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,16 +6,22 @@ from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
-from scipy.optimize import linprog
+from scipy.optimize import linprog, minimize
 
 from .errors import ScenarioError, SynthesisInfeasible
 from .system import Array
-from .thrusters import Thrusters
 
 MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
 MOST_THRUSTERS = 100
 ROUNDED = 1e-9  # share by which the box is smaller than what is found: rounding of a linear program
 LEAST = 1e-7  # share of the largest push of a mix below which a thruster takes no part in it
+MIXES = "least_thrust_mixes"
+PAIRS = "pseudo_inverse"
+PROGRAM = "linear_program"
+NEAREST = "nearest"
+KINDS = (MIXES, PAIRS, PROGRAM, NEAREST)
+"""Kinds of allocation; the last two solve a program for each command, and mixes only bound what they find."""
+
 OFF = 1e-12  # share of an input that mixes are off it; where thrusters barely push a way they are further
 
 
@@ -36,7 +42,9 @@ class Allocation:
     """Mixing table of N thrusters ``0 <= f <= limits`` for m inputs ``u = directions' f``.
 
     An input u is made by ``f = sum_i |u_i| mixes[case, sign of u_i, i]``, the case being which thruster has
-    failed. What a thruster is asked for is thus known, whatever the other inputs are.
+    failed. `PAIRS` makes it by twice the positive part of the pseudo-inverse times u, which is no more of any
+    thruster. `PROGRAM` makes it by thrusts within the limits of the least sum, each times the length of its
+    direction, `NEAREST` by those of the least 2-norm: neither is more than that of the mixes.
     """
 
     directions: Array  # (N, m)
@@ -45,9 +53,12 @@ class Allocation:
     mixes: Array
     """Thrusts per unit of each input, forwards and backwards, (cases, 2, m, N): without a fault, then with
     each fault of each thruster."""
+    kind: str = MIXES  # one of `KINDS`
 
     @classmethod
-    def of(cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault]) -> "Allocation":
+    def of(
+        cls, directions: Array, limits: Array, wanted: Array, faults: Sequence[Fault], kind: str = MIXES
+    ) -> "Allocation":
         """Find the largest box of the shape of `wanted` (m,), no larger than it, and the least thrust for it.
 
         Raises
@@ -72,8 +83,11 @@ class Allocation:
                     relax="add thrusters (thrusters.directions), or take the fault out.",
                 )
             share = min(share, reach * (1 - ROUNDED))
-        rough = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
-        mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in rough])
+        if kind == PAIRS:
+            mixes = np.array([_of_pairs(directions, capacity, what) for what, capacity in every])
+        else:
+            rough = np.array([_mixes(scaled, capacity.tobytes(), share)[1] for _, capacity in every])
+            mixes = np.array([_exact(directions, mix / (share * wanted[:, None])) for mix in rough])
         off = np.abs(mixes @ directions - np.array([1.0, -1.0])[:, None, None] * np.eye(m)).max(axis=1)
         if np.max(wanted @ off / wanted) > OFF:
             raise SynthesisInfeasible(
@@ -83,17 +97,22 @@ class Allocation:
         asked, capacity = (share * wanted) @ mixes.max(axis=1), np.array([top for _, top in every])
         fits = np.min(capacity[asked > 0] / asked[asked > 0], initial=2.0)
         u_max = min(float(fits) * (1 - ROUNDED), 1.0) * share * wanted
-        return cls(directions, limits, u_max, mixes)
+        return cls(directions, limits, u_max, mixes, kind)
 
-    def thrusts(self, u: Array) -> Array:
-        """Return the thrusts that make inputs (..., m) without a fault, shape (..., N)."""
-        return np.asarray(np.maximum(u, 0) @ self.mixes[0, 0] + np.maximum(-u, 0) @ self.mixes[0, 1])
+    @property
+    def solves(self) -> bool:
+        """Return True if a program is solved for each command."""
+        return self.kind in (PROGRAM, NEAREST)
+
+    @cached_property
+    def signs(self) -> Array:
+        """Return all signs that inputs may have, (2^m, m): 0 forwards, 1 backwards."""
+        return np.array(list(product((0, 1), repeat=len(self.u_max))))
 
     @cached_property
     def asked(self) -> Array:
         """Return the sets of thrusters that may be asked at once, (sets, N): 1 for each in one, else 0."""
-        signs = np.array(list(product((0, 1), repeat=len(self.u_max))))
-        each = self.mixes[:, signs, np.arange(len(self.u_max))] > 0
+        each = self.mixes[:, self.signs, np.arange(len(self.u_max))] > 0
         return np.unique(each.any(axis=2).reshape(-1, len(self.limits)), axis=0).astype(float)
 
     @cached_property
@@ -102,76 +121,44 @@ class Allocation:
         return np.asarray(np.linalg.norm(self.directions, axis=1))
 
     def at_once(self, each: Array) -> Array:
-        """Return the largest sums of numbers of thrusters (N, ...) over those asked at once, shape (...)."""
-        return np.asarray(np.tensordot(self.asked, each, 1).max(axis=0))
+        """Return the largest sums of numbers of thrusters (N, ...) over those asked at once, shape (...).
 
-    def shares(self, each: Array) -> Array:
-        """Bound sums over thrusters of their thrusts times `each` (N, m) by inputs: (m, m) per unit of u."""
-        return np.asarray(np.max(self.mixes @ each, axis=(0, 1)).T)
-
-
-@dataclass(frozen=True, eq=False)
-class Nozzles:
-    """Errors of thrusters one by one, and how impulses are made by each, for the inputs that they make.
-
-    What a thruster makes of its command f lies within ``f (along |d| + across side)`` of ``f d``, d being its
-    direction and `side` the length of what it has in the other inputs.
-    """
-
-    allocation: Allocation
-    along: float  # share by which thrust may be off along a nozzle
-    across: float  # share that it may have to its side
-    mass: float  # share by which the mass may be off
-    bit: float = 0.0  # impulse of which every thruster makes multiples [N s]
-    carried: bool = False  # whether it carries what is left
-    pulsed: bool = False
-
-    @classmethod
-    def of(
-        cls, allocation: Allocation, magnitude: float, turned: float, mass: float, bit: float, *kinds: bool
-    ) -> "Nozzles":
-        """From errors of magnitude, of direction [rad] and of the mass, and how impulses are made."""
-        along = magnitude + (1 - magnitude) * 2 * float(np.sin(turned / 2)) ** 2
-        return cls(allocation, along, float(np.sin(turned)) * (1 + magnitude), mass, bit, *kinds)
+        What a program asks lies on one side of a plane: of opposite thrusters one side alone.
+        """
+        if not self.solves:
+            return np.asarray(np.tensordot(self.asked, each, 1).max(axis=0))
+        sides: dict[tuple[float, ...], Array] = {}
+        for (way, side), number in zip(map(line, self.directions), each, strict=True):
+            sides.setdefault(way, np.zeros((2, *number.shape)))[side] += number
+        return np.asarray(sum(pair.max(axis=0) for pair in sides.values()))
 
     @cached_property
-    def error(self) -> Array:
-        """Bound on the error in each input of a unit of thrust, the mass being exact, (N, m)."""
-        d = self.allocation.directions
-        side = np.sqrt(np.maximum(np.sum(d**2, axis=1, keepdims=True) - d**2, 0.0))
-        return np.asarray(self.along * np.abs(d) + self.across * side)
+    def sizes(self) -> Array:
+        """Return what a program makes least, of the mixes of units of the inputs, (2, m)."""
+        each = self.mixes @ self.lengths if self.kind == PROGRAM else np.linalg.norm(self.mixes, axis=-1)
+        return np.asarray(each.max(axis=0) * (1 + 1e-12))
 
-    @cached_property
-    def largest(self) -> Array:
-        """The most that a unit of thrust makes in each input, errors included, (N, m)."""
-        return np.asarray((np.abs(self.allocation.directions) + self.error) / (1 - self.mass))
+    def multipliers(self, each: Array) -> Array:
+        """Choose lambda of `shares` by signs of the inputs and columns of `each` (N, k), (2^m, k, m)."""
+        if not self.solves:
+            return np.zeros((0, each.shape[1], len(self.u_max)))
+        choose = _of_program if self.kind == PROGRAM else _of_norm
+        sizes = [(1.0 - 2.0 * s, self.sizes[s, np.arange(len(s))]) for s in self.signs]
+        return np.array([[choose(self, column, *given) for column in each.T] for given in sizes])
 
-    def errors(self, period: float) -> Thrusters:
-        """Bound errors of the inputs, renewed every `period` [s], by inputs (docs/theory.md, Prop. 5 (d))."""
-        T = self.allocation.shares(self.error)
-        T = (T + self.mass * np.eye(len(T))) / (1 - self.mass)
-        wrong = self.largest - np.abs(self.allocation.directions) if self.carried else self.largest / 2
-        bit = self.bit / period * self.allocation.at_once(wrong) * (1 + 1e-9)
-        shares = tuple(map(tuple, (T * (1 + 1e-9)).tolist())) if np.any(T) else ()
-        return Thrusters(0.0, 0.0, tuple(bit.tolist()) if np.any(bit) else 0.0, shares)
+    def shares(self, each: Array, multipliers: Array) -> Array:
+        """Bound sums over thrusters of thrusts times `each` (N, k) per unit of each input, (k, m).
 
-    @cached_property
-    def weights(self) -> Array:
-        """Return the most thrust, of all thrusters together, that a unit of each input takes, (m,)."""
-        return np.asarray(np.max(self.allocation.mixes @ self.allocation.lengths, axis=(0, 1)) * (1 + 1e-9))
-
-    @property
-    def left(self) -> float:
-        """Most of an input's impulse that may be left in all thrusters [N s]."""
-        d = self.allocation.directions
-        return self.bit * self.carried * max(float(np.maximum(s * d, 0).sum(axis=0).max()) for s in (1, -1))
-
-    @property
-    def fired(self) -> tuple[float, ...]:
-        """Bound on what pulses of thrusters asked at once make in every input [N]; none if they are held."""
-        if not self.pulsed:
-            return ()
-        return tuple(self.allocation.at_once(self.largest * self.allocation.limits[:, None]).tolist())
+        Of a program it is ``sum_t f_t each_t <= lambda u + rest size(f)``, whatever lambda is, and its
+        thrusts have no larger size than mixes (docs/theory.md, Proposition 5 (d)).
+        """
+        if not self.solves:
+            return np.asarray(np.max(self.mixes @ each, axis=(0, 1)).T)
+        left = np.maximum(each.T - multipliers @ self.directions.T, 0.0)
+        rest = (left / self.lengths).max(axis=2) if self.kind == PROGRAM else np.linalg.norm(left, axis=2)
+        sizes, ways = self.sizes[self.signs, np.arange(len(self.u_max))], 1.0 - 2.0 * self.signs
+        found = multipliers * ways[:, None] + rest[..., None] * sizes[:, None]
+        return np.asarray(np.maximum(found, 0.0).max(axis=0))
 
 
 def axis_pairs(limits: Array) -> tuple[Array, Array]:
@@ -188,6 +175,72 @@ def cases(limits: Array, faults: Sequence[Fault]) -> list[tuple[str, Array]]:
             capacity = np.where(np.arange(len(limits)) == j, fault.left * limits, limits)
             every.append((f"with thruster {j} under the fault {fault.name}", capacity))
     return every
+
+
+def line(direction: Array) -> tuple[tuple[float, ...], int]:
+    """Return a direction with its first number above 0, and 1 if it was turned round for that, else 0."""
+    turned = int(next((x for x in direction.tolist() if x), 0.0) < 0)
+    return tuple((x if not turned else -x) + 0.0 for x in direction.tolist()), turned
+
+
+def _of_pairs(directions: Array, capacity: Array, what: str) -> Array:
+    """Return thrusts that make a unit of each input by twice the pseudo-inverse's positive part, (2, m, N).
+
+    Thrusters without any thrust are out, and for each of them one that is opposite to it.
+    """
+    sides: dict[tuple[float, ...], tuple[list[int], list[int]]] = {}
+    for j, direction in enumerate(directions):
+        way, side = line(direction)
+        sides.setdefault(way, ([], []))[side].append(j)
+    mixes, kept = np.zeros((2, directions.shape[1], len(directions))), list[tuple[Array, list[list[int]]]]()
+    for way, pair in sides.items():
+        if len(pair[0]) != len(pair[1]):
+            rule = "must hold an opposite one for every thruster with thrusters.allocation = 'pseudo_inverse'"
+            raise ScenarioError("thrusters.directions", list(way), rule)
+        left = [[j for j in side if capacity[j] > 0] for side in pair]
+        count = min(map(len, left))
+        kept += [(np.array(way), [side[:count] for side in left])] * (count > 0)
+    M = sum(
+        (2.0 * len(pair[0]) * np.outer(way, way) for way, pair in kept), 0.0 * np.eye(directions.shape[1])
+    )
+    if np.linalg.matrix_rank(M) < len(M):
+        raise SynthesisInfeasible(
+            f"pairs of opposite thrusters do not push every way {what}.",
+            relax="add thrusters (thrusters.directions), take the fault out, or choose another allocation.",
+        )
+    for along, both in kept:
+        unit = 2 * np.linalg.solve(M, along)
+        for some, sign in zip(both, (1, -1), strict=True):
+            mixes[:, :, some] = np.maximum([sign * unit, -sign * unit], 0.0)[:, :, None]
+    return mixes
+
+
+def _of_program(made: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
+    """Return lambda (m,) with the least bound of `each` (N,) at the corner of the box with signs `ways`."""
+    m, lasts = len(ways), np.append(np.zeros(len(ways)), made.u_max @ sizes)
+    cost = lasts + np.append(ways * made.u_max, 0.0)
+    least = np.hstack([-np.diag(ways), -sizes[:, None]])  # the bound falls in no input
+    solved = linprog(
+        cost / cost[-1],
+        A_ub=np.vstack([-np.hstack([made.directions, made.lengths[:, None]]), least]),
+        b_ub=np.append(-each, np.zeros(m)),
+        bounds=[(None, None)] * m + [(0, None)],
+        method="highs",
+    )
+    return np.asarray(solved.x[:m]) if solved.status == 0 else np.zeros(m)
+
+
+def _of_norm(made: Allocation, each: Array, ways: Array, sizes: Array) -> Array:
+    """Return lambda (m,) with a low bound of `each` (N,) at that corner, by some steps of a descent."""
+    D, whole, push = made.directions, float(made.u_max @ sizes), ways * made.u_max
+    scale = float(np.abs(each).max() / made.lengths.max()) or 1.0
+
+    def bound(x: Array) -> tuple[float, Array]:
+        left = np.maximum(each / scale - D @ x, 0.0)
+        size = max(float(np.linalg.norm(left)), 1e-300)
+        return float(push @ x) / whole + size, push / whole - left @ D / size
+
+    return np.asarray(minimize(bound, np.zeros(len(ways)), jac=True, method="L-BFGS-B").x * scale)
 
 
 @lru_cache(maxsize=1024)

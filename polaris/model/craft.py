@@ -10,12 +10,11 @@ import numpy as np
 from reach.brief import brief
 from reach.numerics.linear import discretize
 
-from .allocation import Nozzles
 from .checks import of_kind
 from .errors import ScenarioError
 from .system import Array as Array  # for the many that need both
 from .system import LinearSystem, as_finite
-from .thrusters import Thrusters
+from .thrusters import Nozzles, Thrusters
 from .timing import WHOLE, Observer, Timing, Transient
 
 

@@ -1,11 +1,14 @@
-"""How far what thrusters apply may be from what they are commanded."""
+"""Bounds on the errors of what thrusters apply: of inputs, and of each thruster of a layout."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .allocation import Allocation
 from .errors import ScenarioError
+from .system import Array
 
 
 @dataclass(frozen=True)
@@ -83,3 +86,78 @@ class Thrusters:
     def _with_shares(self, part: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
         """Add what sizes of commands (..., m) make by the table of a layout."""
         return np.asarray(part + size @ np.array(self.shares).T if self.shares else part)
+
+
+@dataclass(frozen=True, eq=False)
+class Nozzles:
+    """Errors of thrusters one by one, and how impulses are made by each, for the inputs that they make.
+
+    What a thruster makes of its command f lies within ``f (along |d| + across side)`` of ``f d``, d being its
+    direction and `side` the length of what it has in the other inputs.
+    """
+
+    allocation: Allocation
+    along: float  # share by which thrust may be off along a nozzle
+    across: float  # share that it may have to its side
+    mass: float  # share by which the mass may be off
+    bit: float = 0.0  # impulse of which every thruster makes multiples [N s]
+    carried: bool = False  # whether it carries what is left
+    pulsed: bool = False
+
+    @classmethod
+    def of(
+        cls, allocation: Allocation, magnitude: float, turned: float, mass: float, bit: float, *kinds: bool
+    ) -> "Nozzles":
+        """From errors of magnitude, of direction [rad] and of the mass, and how impulses are made."""
+        along = magnitude + (1 - magnitude) * 2 * float(np.sin(turned / 2)) ** 2
+        return cls(allocation, along, float(np.sin(turned)) * (1 + magnitude), mass, bit, *kinds)
+
+    @cached_property
+    def error(self) -> Array:
+        """Bound on the error in each input of a unit of thrust, the mass being exact, (N, m)."""
+        d = self.allocation.directions
+        side = np.sqrt(np.maximum(np.sum(d**2, axis=1, keepdims=True) - d**2, 0.0))
+        return np.asarray(self.along * np.abs(d) + self.across * side)
+
+    @cached_property
+    def largest(self) -> Array:
+        """The most that a unit of thrust makes in each input, errors included, (N, m)."""
+        return np.asarray((np.abs(self.allocation.directions) + self.error) / (1 - self.mass))
+
+    def errors(self, period: float) -> Thrusters:
+        """Bound errors of the inputs, renewed every `period` [s], by inputs (docs/theory.md, Prop. 5 (d))."""
+        T = self.bounds[:-1]
+        T = (T + self.mass * np.eye(len(T))) / (1 - self.mass)
+        wrong = self.largest - np.abs(self.allocation.directions) if self.carried else self.largest / 2
+        bit = self.bit / period * self.allocation.at_once(wrong) * (1 + 1e-9)
+        shares = tuple(map(tuple, (T * (1 + 1e-9)).tolist())) if np.any(T) else ()
+        return Thrusters(0.0, 0.0, tuple(bit.tolist()) if np.any(bit) else 0.0, shares)
+
+    @cached_property
+    def multipliers(self) -> Array:
+        """Return multipliers of `bounds` by signs of the inputs, (2^m, m + 1, m); none without a program."""
+        return self.allocation.multipliers(np.column_stack([self.error, self.allocation.lengths]))
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Bound the error of each input, and all thrust, by a unit of each input, (m + 1, m)."""
+        each = np.column_stack([self.error, self.allocation.lengths])
+        return self.allocation.shares(each, self.multipliers)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Return the most thrust, of all thrusters together, that a unit of each input takes, (m,)."""
+        return np.asarray(self.bounds[-1] * (1 + 1e-9))
+
+    @property
+    def left(self) -> float:
+        """Most of an input's impulse that may be left in all thrusters [N s]."""
+        d = self.allocation.directions
+        return self.bit * self.carried * max(float(np.maximum(s * d, 0).sum(axis=0).max()) for s in (1, -1))
+
+    @property
+    def fired(self) -> tuple[float, ...]:
+        """Bound on what pulses of thrusters asked at once make in every input [N]; none if they are held."""
+        if not self.pulsed:
+            return ()
+        return tuple(self.allocation.at_once(self.largest * self.allocation.limits[:, None]).tolist())

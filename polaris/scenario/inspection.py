@@ -26,7 +26,7 @@ from .tables.fields import check_length, in_file_terms, whole_parts
 from .tables.filters import FAMILY_NAMES, Alpha, FlightFilter
 
 SCHEDULES_ONLY = (  # tables and keys that inspection scenarios have without a meaning
-    *(("thrusters", key) for key in ("directions", "thrust_max_N", "pulse", "remainder")),
+    *(("thrusters", key) for key in ("directions", "thrust_max_N", "allocation", "pulse", "remainder")),
     *(("timing", key) for key in ("missed_periods", "clock_error_s")),
 )
 

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 
 from ..model.craft import Array, Craft
 from ..model.thrusters import Thrusters
+from .allocating import thrusts_of
 from .failing import Failing
 
 
@@ -48,7 +49,7 @@ class Firing:
         """What the thrusters make of commands in a step."""
         told = np.clip(raw, -self.system.u_max, self.system.u_max)
         layout, timing, most = self.system.nozzles, self.system.timing, self.system.u_max
-        f = told if layout is None else layout.allocation.thrusts(told)
+        f = told if layout is None else thrusts_of(layout.allocation, told)
         if self.left is not None:
             bit, most = (timing.carried, most) if layout is None else (layout.bit, layout.allocation.limits)
             h = self.dt * self.substeps

@@ -39,7 +39,7 @@ def claims_of_the_checker():
 def test_the_assumptions_are_those_that_runs_carry():
     listed = PAGE.split("## What the certificate rests on")[1].split("\n## ")[0]
     known = {"estimate": [0.05] * 3 + [0.002] * 3, "timing": (2.0, 0.0, 0, 0.0), "carried": 0.005}
-    known |= {"thrusters": (0.0824742, 0.0377778, 0.0), "pulses": [0.2] * 3, "allocated": True}
+    known |= {"thrusters": (0.0824742, 0.0377778, 0.0, 0.0), "pulses": [0.2] * 3, "allocated": True}
     known |= {"position": [[1.0, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, -2.0]]}
     late = [("loss", 4.0), ("navigation_lost", 10.0)]
     words = Premises(

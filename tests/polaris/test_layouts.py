@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from polaris.certificate.checker import verify
-from polaris.model.allocation import Allocation, Fault, Nozzles
+from polaris.model.allocation import Allocation, Fault
 from polaris.model.errors import SynthesisInfeasible
+from polaris.model.thrusters import Nozzles
 from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.allocating import thrusts_of
 from polaris.simulation.failing import Failing
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
@@ -78,7 +80,7 @@ def test_what_thrusters_carry_stays_within_what_an_input_may_be_left(seed):
     held = rng.uniform(-1, 1, (60, 3)) * made.u_max
     for k in range(400):
         u = held[k % 60 if k < 200 else 0] * rng.choice([1.0, 0.02])
-        f = made.thrusts(u)
+        f = thrusts_of(made, u)
         due = f * PERIOD + left
         whole = np.minimum(BIT * np.floor(due / BIT * (1 + 1e-12)) / PERIOD, made.limits)
         left = due - whole * PERIOD
@@ -98,7 +100,7 @@ def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(s
     rng, layout, errors = drawn(seed)
     made, fired = layout.allocation, np.array(layout.fired)
     u = rng.uniform(-1, 1, (300, 3)) * made.u_max
-    f, s = made.thrusts(u), np.linspace(0, 1, 201)[:, None, None]
+    f, s = thrusts_of(made, u), np.linspace(0, 1, 201)[:, None, None]
     on = f / made.limits
     since = np.clip(s - (1 - on) / 2, 0.0, on) * made.limits - s * f  # impulse per period, beyond held thrust
     for speed in since:

@@ -178,6 +178,7 @@ class Document:
         if covered < self.longest or (covered > self.cells and not further):
             raise ValueError("unsafe sets must be known for as long as the reference")
         sizes |= {"two": 2, "sets": sets, "n+2": n + 2, "covered": covered}
+        sizes["m+1"] = m + 1
         sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
         sizes["missed"] = self.timing.get("missed", 0)
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
@@ -224,7 +225,7 @@ class Document:
             carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,
-            layout=self.allocation is not None and self.allocation["layout"],
+            layout=(self.allocation or {}).get("kind", ""),
             late=[(each["name"], each["lasts"]) for each in self.transients],
             sampled=self.statement or None,
             position=self.C,

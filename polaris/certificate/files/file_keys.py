@@ -2,6 +2,7 @@
 
 import math
 
+from ..assumptions import ALLOCATIONS
 from .structure import Either, Hexadecimal, Items, Kinds, Name, Named, Real, Shape, Text, Whole, every
 
 HEX = Hexadecimal()
@@ -75,6 +76,7 @@ CERTIFICATE = {
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "layout": bool,
             "mixes": Items(grid("two m thrusters", AT_LEAST_0), 1),
+            "kind?": Text(tuple(ALLOCATIONS)), "multipliers?": grid("* m+1 m"),
         },
         "transients?": Items({"name": NAME, "lasts": ABOVE_0, "pushes?": grid("* m", AT_LEAST_0)}, 1, 8),
     },

@@ -8,6 +8,7 @@ checked another scenario. Written by hand on purpose; a test compares it with th
 import math
 from typing import Any
 
+from ..assumptions import ALLOCATIONS
 from ..kernel.verdict import Rejected
 from .file_keys import READ
 from .structure import Either, Items, Kinds, Real, Text, Whole, conform, every
@@ -84,6 +85,7 @@ SCENARIO = {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
         "pulse?": Text(("held", "centred")), "remainder?": Text(("dropped", "carried")),
+        "allocation?": Text(tuple(ALLOCATIONS)),
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),

@@ -1,6 +1,7 @@
 """Thrusters that push only: every input within the limits is made, whichever one of them has failed.
 
-Each input has a mix of thrusters either way, and what is commanded is the sum of these mixes.
+Each input has a mix of thrusters either way. What is commanded is made by the sum of these mixes, or by
+thrusts that are bounded by it.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from ..kernel.verdict import Rejected
 
 MOST_INPUTS = 6  # most inputs: their signs have two combinations for each
 BEYOND = 1e-11  # share by which thrusters can make more than is needed, so that they make that exactly
+INVERSE = 1e-9  # share of a direction by which a table may miss the equation of the pseudo-inverse
 MIXED = BEYOND / 2  # share of an input's limit that mixes may be off it where all inputs are at their limits
 
 
@@ -49,6 +51,11 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
         limits = per_axis(spec["thrust_max_N"], len(directions))
     if (made["directions"], made["limits"], made["layout"]) != (directions, limits, layout):
         raise Rejected("system", "thrusters are not those of the scenario")
+    kind = spec.get("allocation", "least_thrust_mixes") if layout else None
+    if made.get("kind") != kind:
+        raise Rejected(
+            "system", f"allocation is {made.get('kind')} in the certificate, {kind} in the scenario"
+        )
     shares = [arb(1) - arb(fault["share"]) if fault["kind"] == "loss" else arb(0) for fault in faults]
     cases = [(0, arb(1)), *((j, left) for left in shares for j in range(len(limits)))]
     if len(made["mixes"]) != len(cases):
@@ -66,6 +73,50 @@ def check_allocation(document: Document, scenario: dict[str, Any]) -> None:
             top = arb(limit) * left if j == failed else arb(limit)
             reason = f"mixes exceed the limit of thruster {j}, with thruster {failed} failed"
             require("system", top - sum(asked, arb(0)) * (1 + BEYOND), reason)
+        if kind == "pseudo_inverse":
+            _check_pairs(directions, mixes, [j != failed or bool(left > 0) for j in range(len(limits))])
+
+
+def _line(direction: list[float]) -> tuple[tuple[float, ...], int]:
+    """Return a direction with its first number above 0, and 1 if it was turned round for that, else 0."""
+    turned = next((x for x in direction if x), 0.0) < 0
+    return tuple(-x if turned else x for x in direction), int(turned)
+
+
+def _check_pairs(directions: list[list[float]], mixes: list[list[list[float]]], alive: list[bool]) -> None:
+    """Check that mixes are twice the positive part of the pseudo-inverse of pairs of opposite thrusters.
+
+    Two of a pair then push along their line by a linear function of u, and mixes that are exact make u exact.
+    """
+    sides: dict[tuple[float, ...], tuple[list[int], list[int]]] = {}
+    for j, direction in enumerate(directions):
+        way, side = _line(direction)
+        sides.setdefault(way, ([], []))[side].append(j)
+    rows, kept = [[[row[j] for row in mix] for mix in mixes] for j in range(len(directions))], list[int]()
+    once = all(
+        not (x and y) for forwards, backwards in rows for x, y in zip(forwards, backwards, strict=True)
+    )
+    for pair in sides.values():
+        each = [
+            sorted(rows[j][:: 1 - 2 * side] for j in pair[side] if any(map(any, rows[j]))) for side in (0, 1)
+        ]
+        once &= each[0] == each[1] and len(each[0]) == min(sum(alive[j] for j in side) for side in pair)
+        kept += [j for side in pair for j in side if any(map(any, rows[j]))]
+    if not once:
+        raise Rejected("system", "the pseudo-inverse does not ask opposite thrusters for opposite thrusts")
+    for j in kept:
+        push = [arb(x) - y for x, y in zip(*rows[j], strict=True)]
+        made = [arb(0)] * len(push)
+        for other in kept:
+            part = dot(push, directions[other])
+            made = [x + part * d for x, d in zip(made, directions[other], strict=True)]
+        for x, d in zip(made, directions[j], strict=True):
+            near = INVERSE * arb(max(map(abs, directions[j])))
+            require("system", near - abs(x - 2 * arb(d)), f"thruster {j} has not the pseudo-inverse's part")
+
+
+def _norm(x: list[arb]) -> arb:
+    return root(dot(x, x))
 
 
 @dataclass(frozen=True)
@@ -105,28 +156,81 @@ class Nozzles:
         return [[(abs(x) + y) / (1 - self.mass) for x, y in zip(*rows, strict=True)] for rows in each]
 
     def at_once(self, each: list[list[arb]]) -> list[arb]:
-        """Return the largest sums over thrusters that are asked at once, of (N, m), shape (m)."""
+        """Return the largest sums over thrusters that are asked at once, of (N, m), shape (m).
+
+        What a program asks lies on one side of a plane: of opposite thrusters one side alone.
+        """
         m, used = len(each[0]), set[tuple[int, ...]]()
+        if self.solves:
+            sides: dict[tuple[float, ...], list[list[arb]]] = {}
+            for (way, side), row in zip(map(_line, self.allocation["directions"]), each, strict=True):
+                pair = sides.setdefault(way, [[arb(0)] * m, [arb(0)] * m])
+                pair[side] = [x + y for x, y in zip(pair[side], row, strict=True)]
+            return [sum((largest([x[j], y[j]]) for x, y in sides.values()), arb(0)) for j in range(m)]
         for mixes in self.allocation["mixes"]:
             for signs in product((0, 1), repeat=m):
                 asked = zip(*(mixes[sign][i] for i, sign in enumerate(signs)), strict=True)
                 used.add(tuple(int(any(x > 0 for x in thrusts)) for thrusts in asked))
         return [largest(dot([x[j] for x in each], row) for row in used) for j in range(m)]
 
-    def most(self, each: list[arb]) -> list[arb]:
-        """Return the largest sum of thrusts times `each` (N) per unit of every input, (m)."""
-        mixes = [mixes[sign] for mixes in self.allocation["mixes"] for sign in (0, 1)]
-        return [largest([dot(mix[i], each) for mix in mixes]) for i in range(len(mixes[0]))]
+    @property
+    def solves(self) -> bool:
+        """Return True if a program is solved for each command."""
+        return self.allocation["kind"] in ("linear_program", "nearest")
+
+    @cached_property
+    def lengths(self) -> list[arb]:
+        """Return the length of each thruster's direction, (N)."""
+        return [root(dot(d, d)) for d in self.ways]
+
+    def most(self, each: list[arb], multipliers: list[list[float]]) -> list[arb]:
+        """Return the largest sum of thrusts times `each` (N) per unit of every input, (m).
+
+        Of a program it is ``sum_t f_t each_t <= lambda u + rest size(f)``, whatever lambda is for inputs of
+        some signs, and its thrusts have no larger size than mixes (Proposition 5 (d)).
+        """
+        mixes, program = self.allocation["mixes"], self.allocation["kind"] == "linear_program"
+        m, size = len(mixes[0][0]), (lambda mix: dot(self.lengths, mix)) if program else _norm
+        if not self.solves:
+            return [largest([dot(each, mix[sign][i]) for mix in mixes for sign in (0, 1)]) for i in range(m)]
+        sizes = [
+            [largest([size(list(map(arb, mix[sign][i]))) for mix in mixes]) for i in range(m)]
+            for sign in (0, 1)
+        ]
+        found = [arb(0)] * m
+        for signs, factors in zip(product((0, 1), repeat=m), multipliers, strict=True):
+            left = [largest([arb(0), x - dot(d, factors)]) for x, d in zip(each, self.ways, strict=True)]
+            pairs = zip(left, self.lengths, strict=True)
+            rest = (
+                largest([arb(0), *(x / y for x, y in pairs if not y.is_zero())]) if program else _norm(left)
+            )
+            more = [
+                x * (1 - 2 * s) + rest * sizes[s][i]
+                for i, (x, s) in enumerate(zip(factors, signs, strict=True))
+            ]
+            found = [largest(pair) for pair in zip(found, more, strict=True)]
+        return found
+
+    @cached_property
+    def bounds(self) -> list[list[arb]]:
+        """Return the errors of the inputs, and all thrust, by a unit of each input, (m + 1, m)."""
+        columns = [*(list(column) for column in zip(*self.error, strict=True)), self.lengths]
+        factors = self.allocation.get("multipliers", [[[]] * len(columns)] * 2 ** len(self.error[0]))
+        if self.solves != ("multipliers" in self.allocation) or len(factors) != 2 ** len(self.error[0]):
+            raise Rejected(
+                "system", "there must be multipliers for all signs of the inputs, and only of a program"
+            )
+        return [self.most(x, list(y)) for x, y in zip(columns, zip(*factors, strict=True), strict=True)]
 
     @property
     def weights(self) -> tuple[arb, ...]:
         """Return the most thrust of all thrusters that a unit of each input takes, (m)."""
-        return tuple(self.most([root(dot(d, d)) for d in self.ways]))
+        return tuple(self.bounds[-1])
 
     @property
     def shares(self) -> list[list[arb]]:
         """Return the error of every input, rows, by a unit of each command, (m, m)."""
-        rows = [self.most(list(column)) for column in zip(*self.error, strict=True)]
+        rows = self.bounds[:-1]
         own = [[x + self.mass * (i == j) for i, x in enumerate(row)] for j, row in enumerate(rows)]
         return [[x / (1 - arb(self.mass)) for x in row] for row in own]
 

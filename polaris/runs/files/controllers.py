@@ -44,6 +44,10 @@ def system_table(problem: Problem) -> dict[str, Any]:
     """Return the system and its errors."""
     system, made = problem.system, problem.allocation
     table = {key: getattr(made, key) for key in ALLOCATION if made is not None}
+    table["layout"] = (layout := system.nozzles) is not None
+    if layout is not None:
+        table["kind"] = layout.allocation.kind
+        table |= {"multipliers": layout.multipliers} if layout.allocation.solves else {}
     late = [  # no pushes where navigation is lost
         {
             "name": each.name,
@@ -65,7 +69,7 @@ def system_table(problem: Problem) -> dict[str, Any]:
         **({"bias_max": system.bias} if np.any(system.bias) else {}),
         "input_names": list(system.input_names),
         **errors_of(system),
-        **({} if made is None else {"allocation": table | {"layout": system.nozzles is not None}}),
+        **({} if made is None else {"allocation": table}),
         **({"transients": late} if late else {}),
     }
 

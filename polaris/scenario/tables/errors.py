@@ -7,12 +7,13 @@ from typing import Annotated, Literal
 import numpy as np
 
 from ...model import keys as f
-from ...model.allocation import Allocation, Nozzles, axis_pairs
+from ...model.allocation import MIXES, Allocation, axis_pairs
 from ...model.checks import MAX_STEPS
 from ...model.craft import Craft
 from ...model.errors import ScenarioError
 from ...model.prediction import predicting
 from ...model.system import Array, LinearSystem
+from ...model.thrusters import Nozzles
 from ...model.thrusters import Thrusters as Errors
 from ...model.timing import Timing as Delays
 from ...model.timing import Transient
@@ -50,8 +51,15 @@ class Thrusters(ScenarioPart):
     thrust). Without it there is one either way along every input."""
     thrust_max_N: f.PositivePerAxis | None = unit("N", default=None)
     """Largest thrust, one number for all thrusters or one each; needed with `directions`. The limits of the
-    inputs are then those of the largest box within the system's own, and of its shape, that they make. Every
-    input has a fixed mix of them either way, of least thrust in all, by which commands are allocated."""
+    inputs are then those of the largest box within the system's own, and of its shape, that they make."""
+    allocation: Literal["least_thrust_mixes", "pseudo_inverse", "linear_program", "nearest"] = unit(
+        "-", default="least_thrust_mixes"
+    )
+    """How commands are allocated to the thrusters of `directions`. `least_thrust_mixes`: every input has a
+    fixed mix of them either way, of least thrust in all. `pseudo_inverse`: twice the positive part of the
+    pseudo-inverse times the command; every thruster needs an opposite one, and one that gives nothing takes
+    that out, too. `linear_program`: the least thrust in all, and `nearest`: thrusts of the least 2-norm, both
+    solved for each command within the limits of the thrusters."""
 
     def nozzles(self, made: Allocation | None) -> Nozzles | None:
         """Return the thrusters of a layout with what each may do wrong; None where none is given."""
@@ -108,9 +116,11 @@ def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -
         rule = "must be given both or neither"
         raise ScenarioError("thrusters.directions, thrust_max_N", (directions, limits), rule)
     if directions is None or limits is None:
+        if given is not None and given.allocation != MIXES:
+            raise ScenarioError("thrusters.allocation", given.allocation, "needs thrusters.directions")
         return Allocation.of(*axis_pairs(u_max), u_max, failed) if failed else None
     most = per_axis("thrusters.thrust_max_N", limits, len(directions))
-    return Allocation.of(np.array(directions), most, u_max, failed)
+    return Allocation.of(np.array(directions), most, u_max, failed, given.allocation if given else MIXES)
 
 
 def transients(

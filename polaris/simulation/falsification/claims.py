@@ -14,6 +14,7 @@ from ...synthesis.safety.carried_rows import error_tube
 from ...synthesis.safety.clearance import facet_room
 from ...synthesis.safety.demand import command_errors
 from ...synthesis.schedule.schedule import Schedule
+from ..allocating import thrusts_of
 from ..failing import Failing
 from ..run_metrics import Runs, cubic
 from ..simulate import flown_modes
@@ -221,7 +222,7 @@ def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> A
     layout, half = system.nozzles, expm(system.A * h / 2)
     fired = np.array(system.timing.fired) if layout is None else layout.allocation.limits
     mean = (after - before @ (half @ half).T) @ np.linalg.pinv(half @ system.B * h).T
-    mean = mean if layout is None else layout.allocation.thrusts(mean)
+    mean = mean if layout is None else thrusts_of(layout.allocation, mean)
     on = np.minimum(np.abs(mean) / fired, 1.0)
     moved = np.clip(s - (1 - on) / 2, 0.0, on) ** 2 + 2 * on * np.maximum(s - (1 + on) / 2, 0.0)
     force = np.sign(mean) * fired * (moved - on * s**2) / 2

@@ -207,7 +207,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
 
 class Reflown(Sequence[Step]):
-    """Steps of a schedule that are flown again when one is first asked for, as their tubes take much memory."""
+    """Steps of a schedule that fly again when one is first asked for: their tubes take much memory."""
 
     def __init__(self, search: Search, modes: tuple[int, ...]) -> None:
         self.search, self.modes = replace(search, rules=SwitchingRules(), intended=modes), modes

@@ -51,7 +51,7 @@ def assumed(system: Craft, h: float) -> Premises:
         thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(prompt.thrusters.bit))),
         pulses=system.timing.fired,
         carried=system.timing.carried,
-        layout=system.nozzles is not None,
+        layout="" if system.nozzles is None else system.nozzles.allocation.kind,
         late=[(fault.name, fault.lasts) for fault in system.transients],
         position=system.position.tolist(),
     )
