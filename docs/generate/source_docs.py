@@ -79,6 +79,11 @@ ROWS = (
         (f"navigation.phases=[{{{PHASE},within_m=2000.0}}]",),
         (f"navigation.phases=[{{{PHASE}}}]",),
     ),
+    Row(
+        "Range and bearing",
+        "navigation.bearing_error_deg",
+        ("navigation={range_error_m=0.1,bearing_error_deg=0.1,within_m=2000.0}",),
+    ),
     Row("Measurements of an observer", "navigation.measurement", (CAMERA,)),
     Row(
         "First estimate of an observer",

@@ -40,6 +40,8 @@ class Craft(LinearSystem):
         Source of the estimates, where their errors are worked out from those of measurements.
     transients : tuple of Transient
         Faults that are isolated late, of which at most one occurs.
+    sights : array_like, shape (K + 1, 5) or (1, 5), optional
+        Errors of range [m] and bearing [rad], and the part of the bounds on the position (3,) that they make.
     nozzles : Nozzles, optional
         Layout of thrusters from whose errors one by one `thrusters` was worked out.
     """
@@ -51,10 +53,13 @@ class Craft(LinearSystem):
     observer: Observer | None = None
     transients: tuple[Transient, ...] = ()
     nozzles: Nozzles | None = None
+    sights: Array | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         put, eta = object.__setattr__, self.estimate_error
+        if self.sights is not None and not np.any(self.sights):
+            put(self, "sights", None)
         if self.error_by_step is not None:
             put(self, "error_by_step", as_finite("navigation", self.error_by_step, 2))
             eta = np.max(self.error_by_step, axis=0)

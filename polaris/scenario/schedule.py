@@ -65,9 +65,10 @@ class ScheduleScenario(Scenario):
         if late and system.observer is not None and system.timing.missed:
             rule = "isolated late need timing.missed_periods = 0 where there is navigation.measurement"
             raise ScenarioError("faults", late[0].name, rule)
-        abort, phases = model.abort, () if model.navigation is None else model.navigation.phases
+        abort, given = model.abort, model.navigation
+        parts = () if given is None else (given, *given.phases, given.measurement or given)
         drifts = abort is not None and abort.build(system) is not None and abort.keep_in
-        if drifts and any(phase.within_m is not None for phase in phases):
+        if drifts and any(part.within_m is not None for part in parts):
             rule = "must be false where phases of navigation have within_m, of which a drift needs nothing"
             raise ScenarioError("abort.keep_in", True, rule)
         if model.abort is not None:

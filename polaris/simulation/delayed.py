@@ -101,7 +101,9 @@ class Predicting(Integrator):
             off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
             if self.eta is not None:
                 used = min(self.measured + self.lag, self.steps - 1)
-                off = off + observer.noise * np.sign(self.eta[used] @ observer.measures.T)
+                noise = observer.noise * np.sign(self.eta[used] @ observer.measures.T)
+                at = max(self.measured, 0)
+                off = off + self.turned(at, self.seen[self.measured], noise, observer.noise)
             missing = self.ages[(self.measured + self.lag) // self.substeps] > 0
             if self.failing is not None:
                 missing |= self.failing.missing(np.full(len(missing), self.measured))
@@ -131,7 +133,9 @@ class Predicting(Integrator):
                 continue
             else:
                 y = self.seen[start, runs]
-                y = y if self.eta is None else y + self.noise[start] * self.eta[start, runs]
+                if self.eta is not None:
+                    off = self.noise[start] * self.eta[start, runs]
+                    y = y + self.turned(start, y, off, self.noise[start, 0] * self.known[start, 0])
             for at in range(max(start, 0), step):
                 y = y @ Ad.T + self.told[at, runs] @ Bd.T
             within = np.abs(y - x[runs])[~missing[runs]] / bound

@@ -122,12 +122,31 @@ class Integrator(Firing):
         middle, half = (part[k, law.node(passed)] for part in law.told)
         return np.asarray(middle + half * self.shares[step][:, : len(half)])
 
+    def turned(self, step: int, x: Array, error: Array, bound: Array) -> Array:
+        """Return errors (R, n) of measured states x in a step, those of range and bearing turned with it.
+
+        Drawn errors, within a bound (n,), say which way: along the true line of sight, and across it.
+        """
+        if (sights := self.system.sights) is None:
+            return error
+        off, angle, *box = sights[min(step // self.steps_per_cell, len(sights) - 1)]
+        less = float(np.min(bound[:3] / np.maximum(box, 1e-300), initial=1.0))  # measured for another phase
+        off, angle, box = less * off, np.arcsin(less * np.sin(angle)), less * np.array(box)
+        share, p = error[:, :3] / np.maximum(bound[:3], 1e-300), x[:, :3]
+        away = np.maximum(np.linalg.norm(p, axis=1, keepdims=True), 1e-300)
+        along = np.sum(share * p / away, axis=1, keepdims=True)
+        across = share - along * p / away
+        size = np.linalg.norm(across, axis=1, keepdims=True)
+        turn, aside = angle * np.minimum(2 * size, 1.0), across / np.maximum(size, 1e-300)
+        seen = (away + off * np.clip(2 * along, -1, 1)) * (np.cos(turn) * p / away + np.sin(turn) * aside)
+        return np.hstack([error[:, :3] - share * box + seen - p, error[:, 3:]])
+
     def estimate(self, step: int, x: Array) -> Array:
         """What controllers know of states in a step."""
-        known = x if self.eta is None else x + self.eta[step]
+        known = x if self.eta is None else x + self.turned(step, x, self.eta[step], self.known[step, 0])
         if self.eta is not None and self.left is not None:
             flown = self.system.displaced_at_nodes / np.maximum(self.known[step], 1e-300)  # not as errors
-            known = x + self.eta[step] * (1 - flown)
+            known = x + (known - x) * (1 - flown)
         if self.failing is None:
             return np.asarray(known)
         lost = self.failing.on(step) & self.failing.lost
@@ -216,7 +235,7 @@ class Integrator(Firing):
         is what `period` returns for every node, stacked, and what is spent in the whole cell.
         """
         law, limit, count = self.schedule.controllers[number], self.system.u_max, self.steps_per_cell
-        parts = self.thrust, self.left, self.failing, self.system.nozzles
+        parts = self.thrust, self.left, self.failing, self.system.nozzles, self.system.sights
         inexact = any(part is not None for part in parts)
         if not isinstance(law, AffineController) or self.substeps > 1 or inexact or len(self.fired):
             return None

@@ -13,9 +13,11 @@ CHECKED = {
         "": "name",
         "system": "kind mean_motion_rad_s mass_kg thrust_max_N A B C D disturbance_max_m_s2 input_max"
         " disturbance_max position_states bias_max_m_s2 bias_max",
-        "navigation": "position_error_m velocity_error_m_s state_error",
-        "navigation.phases": "from_s position_error_m velocity_error_m_s state_error",
-        "navigation.measurement": "position_error_m velocity_error_m_s matrix error",
+        "navigation": "position_error_m velocity_error_m_s state_error range_error_m bearing_error_deg",
+        "navigation.phases": "from_s position_error_m velocity_error_m_s state_error range_error_m"
+        " bearing_error_deg",
+        "navigation.measurement": "position_error_m velocity_error_m_s matrix error range_error_m"
+        " bearing_error_deg",
         "navigation.measurement.initial": "position_error_m velocity_error_m_s state_error",
         "thrusters": "magnitude_error misalignment_deg mass_error impulse_bit_N_s remainder pulse"
         " directions thrust_max_N",
@@ -24,7 +26,9 @@ CHECKED = {
     },
     "unsafe_sets": {
         "chaser": "radius_m",
+        "navigation": "within_m",
         "navigation.phases": "within_m",
+        "navigation.measurement": "within_m",
         "obstacles": "kind name center_m half_widths_m velocity_m_s radius_m facets normals offsets_m"
         " state state_half_widths thrust_accel_max_m_s2",
         "keep_in": "kind name normals offsets_m apex_m axis half_angle_deg facets length_m",

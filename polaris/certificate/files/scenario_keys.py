@@ -45,6 +45,7 @@ _AFFINE = {
     "name": NAME, "Q?": WEIGHT, "R?": WEIGHT, "gain?": MATRIX, "reference?": _REFERENCE, "weight?": WORTH,
 }
 _ESTIMATE = {**every(SIZES, "position_error_m? velocity_error_m_s?"), "state_error?": WIDTHS}
+_SIGHT = {"range_error_m?": NOT_NEGATIVE, "bearing_error_deg?": Real(least=0, most=45), "within_m?": PER_AXIS}
 _GOAL = every(POSITIVE, "tolerance_m? velocity_tolerance_m_s?")
 _ORBITS: dict[str, dict[str, Any]] = {
     "elliptical_nmt": {**_GOAL, "inner_semi_minor_m": NOT_NEGATIVE, "outer_semi_minor_m": POSITIVE,
@@ -76,10 +77,10 @@ SCENARIO = {
         "inclination_max_deg?": Real(least=0, most=90),
     },
     "navigation?": {
-        **_ESTIMATE,
-        "phases?": Items({"from_s": POSITIVE, "within_m?": PER_AXIS, **_ESTIMATE}, 0, 64),
+        **_ESTIMATE, **_SIGHT,
+        "phases?": Items({"from_s": POSITIVE, **_ESTIMATE, **_SIGHT}, 0, 64),
         "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
-                         "error?": LIMITS, "initial?": _ESTIMATE},
+                         **_SIGHT, "error?": LIMITS, "initial?": _ESTIMATE},
     },
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,

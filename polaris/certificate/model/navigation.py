@@ -11,12 +11,15 @@ from ..files.document import ROUNDED, Document
 from ..kernel.balls import absolute, column, exponential, identity, largest, magnitude, matrix, require, sums
 from ..kernel.motion import Motion, Plant, Push
 from ..kernel.verdict import Rejected
+from .allocation import per_axis
 from .plants import plant_of
 from .timing import displaced
 
 PARTS = 4  # parts of a period over each of which integrals are bounded by the trapezoid rule
 
 INSTANT = 1e-9  # share of a step by which instants may differ and count as one
+
+TOLD = 1e-8  # share by which bounds may be larger than the scenario's: what a program adds for rounding
 
 FORGOTTEN, LONGEST = 1e-9, 4096
 """What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
@@ -33,10 +36,10 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
         if document.observer is not None:
             raise Rejected("system", "the scenario has no observer")
         rows = _phased(document, spec.get("phases") or [], declared, timing)
-        if stored != [max(each) for each in zip(*rows, strict=True)]:
+        if not same_bounds(stored, [max(each) for each in zip(*rows, strict=True)]):
             raise Rejected("system", f"error of estimates: {stored} is not the scenario's")
         return rows
-    if any(declared) or spec.get("phases"):
+    if any(declared) or spec.get("phases") or "within_m" in spec:
         raise Rejected("system", "an observer's estimates are declared as well")
     if document.transients and timing.get("missed_periods", 0):  # as the scenario has them
         raise Rejected("system", "an observer that may miss periods, with faults isolated late")
@@ -55,7 +58,29 @@ def _declared(document: Document, spec: dict[str, Any]) -> list[float]:
         found = spec.get("state_error", [0.0] * n)
     if len(found) != n:
         raise Rejected("system", "errors of estimates are not one for every state")
-    return found
+    turned = [float(x.upper()) for x in turned_by(document, spec)] + [0.0] * (n - 3)
+    return [a + b if b else a for a, b in zip(found, turned, strict=True)] if any(turned) else found
+
+
+def turned_by(document: Document, spec: dict[str, Any]) -> list[arb]:
+    """Bounds by axis on what errors of range and bearing make of a position in the box where they hold.
+
+    The line of sight may have any direction that it has in the box.
+    """
+    off, angle = (arb(spec.get(key, 0.0)) for key in ("range_error_m", "bearing_error_deg"))
+    if off == 0 and angle == 0:
+        return [arb(0)] * 3
+    if document.mean_motion is None or not angle < 90:
+        raise Rejected("system", "errors of range and bearing are given for another kind of system")
+    angle, half = angle * arb.pi() / 180, list(map(arb, per_axis(spec["within_m"], 3)))
+    across = [sum((x * x for j, x in enumerate(half) if j != i), arb(0)).sqrt() for i in range(3)]
+    return [off + (1 - angle.cos()) * x + angle.sin() * y for x, y in zip(half, across, strict=True)]
+
+
+def same_bounds(stored: list[float], needed: list[float]) -> bool:
+    """Whether bounds are those that are needed, up to rounding."""
+    pairs = zip(stored, needed, strict=True)
+    return len(stored) == len(needed) and all(x <= y <= x * (1 + TOLD) for y, x in pairs)
 
 
 def _per_axis(parts: list[Any]) -> list[float]:
@@ -98,11 +123,15 @@ def _observed(
     if document.mean_motion is None:
         measures, noise = spec.get("matrix", []), spec.get("error", [])
     else:
-        noise = _per_axis([spec[k] for k in ("position_error_m", "velocity_error_m_s") if k in spec])
+        turned = turned_by(document, spec)
+        given = [spec.get("position_error_m", 0.0), *(spec[k] for k in ["velocity_error_m_s"] if k in spec)]
+        noise = _per_axis(given)
+        noise = [x + float(y.upper()) for x, y in zip(noise, turned, strict=False)] + noise[3:]
         measures = [[float(i == j) for j in range(n)] for i in range(len(noise))]
-        if "position_error_m" not in spec or {"matrix", "error"} & set(spec):
+        if not all(x > 0 for x in noise) or {"matrix", "error"} & set(spec):
             raise Rejected("system", "the observer does not measure the position")
-    if (stated["measures"], stated["noise"], stated.get("initial") or []) != (measures, noise, initial):
+    observes = stated["measures"], stated.get("initial") or []
+    if observes != (measures, initial) or not same_bounds(stated["noise"], noise):
         raise Rejected("system", "the observer is not the scenario's")
     plant, M, missed = plant_of(document), matrix(measures), document.timing.get("missed", 0)
     gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]

@@ -53,10 +53,15 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
             if len(item.normals) != 1 or not item.resting:
                 raise Rejected("unsafe_sets", f"{item.name} must be one halfspace at rest")
         _check_keep_in(document, facets, spec)
-    for i, phase in enumerate(scenario.get("navigation", {}).get("phases", ())):
-        if "within_m" in phase:
+    navigation = scenario.get("navigation", {})
+    phases = navigation.get("phases", ())
+    first = {"from_s": 0.0} | navigation.get("measurement", navigation)
+    until = [*(phase["from_s"] for phase in phases), math.inf]
+    names = ["within", *(f"within-{i}" for i in range(len(phases)))]
+    for name, spec, ends in zip(names, (first, *phases), until, strict=True):
+        if "within_m" in spec:
             facets, left = left[: 2 * len(document.C)], left[2 * len(document.C) :]
-            _check_within(document, facets, scenario, i, radius + moved)
+            _check_within(document, facets, name, spec, ends, radius + moved)
     if left:
         raise Rejected("unsafe_sets", f"{left[0].name} is not in the scenario")
     return len(document.unsafe)
@@ -184,25 +189,24 @@ def _check_keep_in(document: Document, facets: list[UnsafeSet], spec: dict[str, 
 
 
 def _check_within(
-    document: Document, facets: list[UnsafeSet], scenario: dict[str, Any], i: int, size: arb
+    document: Document, facets: list[UnsafeSet], name: str, spec: dict[str, Any], ends: float, size: arb
 ) -> None:
     """The chaser is kept where a phase's bounds on errors of estimates hold, for as long as it lasts."""
-    d, phases = len(document.C), scenario["navigation"]["phases"]
-    half = per_axis(phases[i]["within_m"], d)
-    begins, ends = (phase["from_s"] for phase in [*phases, {"from_s": math.inf}][i : i + 2])
+    d, begins = len(document.C), spec["from_s"]
+    half = per_axis(spec["within_m"], d)
     if begins >= document.steps * document.delta or len(half) != d:
-        raise Rejected("unsafe_sets", f"within_m of phase {i} does not fit the scenario")
+        raise Rejected("unsafe_sets", f"within_m of {name} does not fit the scenario")
     for f, item in enumerate(facets):
         outward = [(-1.0 if f < d else 1.0) * (j == f % d) for j in range(d)]
-        if item.name != f"within-{i}[{f}]" or not item.keep_in or item.normals != [outward]:
-            raise Rejected("unsafe_sets", f"{item.name} is not what phase {i} of the navigation needs")
+        if item.name != f"{name}[{f}]" or not item.keep_in or item.normals != [outward]:
+            raise Rejected("unsafe_sets", f"{item.name} is not what {name} of the navigation needs")
         most = half[f % d] - size
         for k in range(len(item.start)):
             if holding(document, begins, ends, min(k, document.steps)):
                 for offset in (item.start[k][0], item.end[k][0]):
                     require("unsafe_sets", most + offset + half[f % d] * ROUNDED, f"{item.name}, step {k}")
     if len(facets) != 2 * d:
-        raise Rejected("unsafe_sets", f"where phase {i} of the navigation holds is not all kept")
+        raise Rejected("unsafe_sets", f"where {name} of the navigation holds is not all kept")
 
 
 def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, Any]) -> None:

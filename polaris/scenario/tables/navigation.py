@@ -12,8 +12,10 @@ from ...model.prediction import design, fading, observing
 from ...model.scene.keep_in import INSTANT, KeepInPolytope, during
 from ...model.system import Array, LinearSystem
 from ...model.timing import Timing
+from ...model.tolerances import ROUNDING
 from .fields import ScenarioPart, check_length, per_axis, unit
 
+PATH = "navigation.measurement"
 MOST_MISSED = 20  # most periods without a measurement that an observer is designed for
 
 
@@ -40,16 +42,38 @@ class Estimate(ScenarioPart):
         return np.concatenate([per_axis(f"{path}.{name}", value, 3) for name, value in named])
 
 
-class Phase(Estimate):
+class Sight(ScenarioPart):
+    """Errors along and across the line of sight to the target, which turn with it and grow with the range."""
+
+    range_error_m: f.NonNegative = unit("m", "Of the distance from the target.", default=0.0)
+    bearing_error_deg: f.Real = unit("deg", default=0.0, ge=0, le=45)
+    """Angle by which the direction from the target may be off, to any side. Range and bearing need Hill's
+    frame and `within_m`, whose box bounds what they make of the position; they add to `position_error_m`."""
+    within_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
+    """Half-widths of a box about the target in which these bounds hold, where accuracy depends on the range:
+    the chaser, its size included, is kept in it for as long as they count, as in a keep-in set."""
+
+    def sight(self, system: LinearSystem, path: str) -> Array:
+        """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
+        off, angle = self.range_error_m, float(np.deg2rad(self.bearing_error_deg))
+        if off == 0 and angle == 0:
+            return np.zeros(5)
+        if system.mean_motion is None or self.within_m is None:
+            rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire') and within_m"
+            raise ScenarioError(f"{path}.range_error_m, bearing_error_deg", (off, angle), rule)
+        half = per_axis(f"{path}.within_m", self.within_m, 3)
+        across = np.sqrt(np.sum(half**2) - half**2)
+        turned = off + (1 - np.cos(angle)) * half + np.sin(angle) * across
+        return np.array([off, angle, *turned * (1 + ROUNDING)])
+
+
+class Phase(Estimate, Sight):
     """Bounds that hold from an instant on, by the schedule's clock, until the next phase begins."""
 
     from_s: f.Positive = unit("s", "When it begins, later than the phase before.")
-    within_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
-    """Half-widths of a box about the target in which these bounds hold, where accuracy depends on the range:
-    the chaser, its size included, is kept in it in all steps of this phase, as in a keep-in set."""
 
 
-class Measurement(ScenarioPart):
+class Measurement(Sight):
     """What an observer measures once a control period: the errors of its estimates are worked out.
 
     Its gain is the steady Kalman gain; after missed periods it has another. In Hill's frame it measures the
@@ -66,21 +90,22 @@ class Measurement(ScenarioPart):
 
     def build(self, system: LinearSystem) -> tuple[Array, Array]:
         """What is measured, shape (r, n), and bounds on its errors, shape (r,)."""
-        path = "navigation.measurement"
+        path, turned = PATH, self.sight(system, PATH)
         own, hill = ("position_error_m", "velocity_error_m_s"), system.mean_motion is not None
         where = "in Hill's frame" if hill else "outside Hill's frame"
         for name in (*own, "matrix", "error"):
             value, here = getattr(self, name), (name in own) == hill
             if value is not None and not here:
                 raise ScenarioError(f"{path}.{name}", value, f"has no meaning {where}")
-            if value is None and here and name != own[1]:
+            if value is None and here and name != own[1] and not np.any(turned):
                 raise ScenarioError(f"{path}.{name}", value, f"must be given {where}")
         if self.matrix is not None and self.error is not None:
             check_length(f"{path}.matrix", self.matrix[0], system.n)
             check_length(f"{path}.error", self.error, len(self.matrix))
             return np.array(self.matrix), np.array(self.error)
-        named = ("position_error_m", self.position_error_m), ("velocity_error_m_s", self.velocity_error_m_s)
+        named = ("position_error_m", self.position_error_m or 0.0), (own[1], self.velocity_error_m_s)
         noise = np.concatenate([per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
+        noise[:3] += turned[2:]
         return np.eye(6)[: len(noise)], noise
 
     def known(
@@ -99,10 +124,10 @@ class Measurement(ScenarioPart):
             if not timing.missed:
                 left = fading(system, observer, period, steps, max(round(step / period), 1))
                 observer = replace(observer, fading=left)
-        return observing(system, observer, period)
+        return replace(observing(system, observer, period), sights=self.sight(system, PATH)[None])
 
 
-class Navigation(Estimate):
+class Navigation(Estimate, Sight):
     """How well the state is known: bounds on the errors of the estimate that every controller acts on.
 
     Within the bounds the errors may be any at any time. In Hill's frame positions and velocities have bounds,
@@ -118,38 +143,47 @@ class Navigation(Estimate):
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
     ) -> Craft:
         """Return the system with these errors; `horizon`: steps, their length [s]; `late`: late faults."""
-        declared = self.build(system)
+        declared, sights = self.build(system), [self.sight(system, "navigation")]
         if self.measurement is not None:
-            if np.any(declared) or self.phases:
+            if np.any(declared) or self.within_m or self.phases:
                 rule = "must be left out where an observer's estimates are declared"
                 raise ScenarioError("navigation.measurement", None, rule)
             return self.measurement.known(system, horizon, period, timing, late)
         if not self.phases:
-            return replace(system, estimate_error=declared)
+            return replace(system, estimate_error=_seen(declared, sights[0]), sights=np.array(sights))
         begin = [0.0, *(phase.from_s for phase in self.phases)]
         if np.any(np.diff(begin) <= 0):
             raise ScenarioError("navigation.phases", begin[1:], "must begin one after the other")
         later = [phase.build(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
-        bounds, (steps, step) = np.array([declared, *later]), horizon
+        sights += [phase.sight(system, f"navigation.phases[{i}]") for i, phase in enumerate(self.phases)]
+        bounds, (steps, step) = np.array(list(map(_seen, [declared, *later], sights))), horizon
         oldest = timing.delay + timing.missed * period
         start, last = np.arange(steps + 1, dtype=float) * step, np.arange(steps + 1) == steps
         met = [during(np.where(last, 0.0, a), b, start, step, oldest) for a, b in pairwise([*begin, np.inf])]
         rows = np.max(np.where(np.array(met)[..., None], bounds[:, None], 0.0), axis=0)
-        return replace(system, error_by_step=rows)
+        flown = np.searchsorted(begin, start + INSTANT * step, side="right") - 1
+        return replace(system, error_by_step=rows, sights=np.array(sights)[flown])
 
     def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
         """Where bounds of phases hold, as sets to stay inside; `horizon` as for `known`."""
-        found, T = [], horizon[0] * horizon[1]
-        until = [*(phase.from_s for phase in self.phases[1:]), np.inf]
-        for i, (phase, end) in enumerate(zip(self.phases, until, strict=False)):
-            if phase.within_m is None:
+        found, T, slack = [], horizon[0] * horizon[1], INSTANT * horizon[1]
+        first = self if self.measurement is None else self.measurement
+        parts = [(first, "navigation" if first is self else PATH, "within", 0.0)]
+        for i, phase in enumerate(self.phases):
+            parts.append((phase, f"navigation.phases[{i}]", f"within-{i}", phase.from_s))
+        until = [*(begins for *_, begins in parts[1:]), np.inf]
+        for (part, path, name, begins), end in zip(parts, until, strict=True):
+            if part.within_m is None:
                 continue
-            path, slack = f"navigation.phases[{i}]", INSTANT * horizon[1]
-            if phase.from_s >= T - slack:
+            if begins >= T - slack:
                 rule = f"must be before the end of the schedule ({T:g} s) where within_m is given"
-                raise ScenarioError(f"{path}.from_s", phase.from_s, rule)
-            half = per_axis(f"{path}.within_m", phase.within_m, system.d)
+                raise ScenarioError(f"{path}.from_s", begins, rule)
+            half = per_axis(f"{path}.within_m", part.within_m, system.d)
             sides = np.vstack([np.eye(system.d), -np.eye(system.d)]), np.tile(half, 2)
-            times = phase.from_s, np.inf if end > T + slack else end
-            found.append(KeepInPolytope(f"within-{i}", *sides, *times))
+            found.append(KeepInPolytope(name, *sides, begins, np.inf if end > T + slack else end))
         return found
+
+
+def _seen(bounds: Array, sight: Array) -> Array:
+    """Return bounds on errors of states (n,) with those of the position by range and bearing."""
+    return np.asarray(bounds + np.pad(sight[2:], (0, len(bounds) - 3))) if np.any(sight) else bounds
