@@ -438,11 +438,12 @@ def test_every_error_source_can_be_swept():
         "faults[1]": (NavigationLost, ["kind"]),
     }
     more = {
-        "navigation.measurement": ["navigation.measurement.position_error_m=0.05"],
+        "navigation": ["navigation.within_m=2500"],
+        "navigation.measurement": ["navigation.measurement={position_error_m=0.05, within_m=2500}"],
         "navigation.measurement.initial": [
             "navigation.measurement={position_error_m=0.05, initial={velocity_error_m_s=0.05}}"
         ],
-        "navigation.phases[0]": ["navigation.phases=[{from_s=600, position_error_m=0.1}]"],
+        "navigation.phases[0]": ["navigation.phases=[{from_s=600, position_error_m=0.1, within_m=2500}]"],
         "thrusters": ["thrusters.remainder=carried", "thrusters.pulse=centred"],
         "faults[0]": ["faults=[{kind='loss', share=0.1, isolation_s=2}]"],
         "faults[1]": [

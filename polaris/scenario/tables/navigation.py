@@ -167,7 +167,7 @@ class Navigation(Estimate, Sight):
     def kept_within(self, system: LinearSystem, horizon: tuple[int, float]) -> list[KeepInPolytope]:
         """Where bounds of phases hold, as sets to stay inside; `horizon` as for `known`."""
         found, T, slack = [], horizon[0] * horizon[1], INSTANT * horizon[1]
-        first = self if self.measurement is None else self.measurement
+        first: Sight = self if self.measurement is None else self.measurement
         parts = [(first, "navigation" if first is self else PATH, "within", 0.0)]
         for i, phase in enumerate(self.phases):
             parts.append((phase, f"navigation.phases[{i}]", f"within-{i}", phase.from_s))
