@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from polaris.runs.read_schedule import read_schedule
-from polaris.simulation.falsification.claims import Claims
+from polaris.report.scene.timelines import proven_distance
+from polaris.runs.run import read_run
 from polaris.simulation.orbit.frame import near_circular
 from polaris.synthesis.safety.goal_rows import distance, goal_rows
 
@@ -72,18 +72,12 @@ class CraftScene(Scene):
 
     @cached_property
     def proven(self) -> dict[str, float]:
-        """Least distance, distance from the goal and its tolerance, velocity change, and by when."""
-        schedule = read_schedule(self.folder)
-        claims, goal = Claims(schedule, True), schedule.arrival
-        floor = claims.floor[:, : len(claims.unsafe)]
-        periods = min(round(goal.by / claims.h), len(floor))
-        return {
-            "distance": max(float(floor[:periods].min()), 0.0),
-            "goal": goal.distance,
-            "tolerance": goal.tolerance,
-            "delta_v": goal.delta_v,
-            "by": goal.by,
-        }
+        """Least distance under the schedule; distance from the goal, tolerance, velocity change and when."""
+        run = read_run(self.folder)
+        promised, goal = proven_distance(run.picture()), run.json("schedule.json")["guarantee"]["goal"]
+        assert promised is not None  # there is an unsafe set
+        names = {"goal": "distance_m", "tolerance": "tolerance_m", "delta_v": "delta_v_max_m_s", "by": "by_s"}
+        return {"distance": float(promised.min()), **{key: goal[name] for key, name in names.items()}}
 
     def stuck(self, seed: int, software: CraftSoftware, rng: np.random.Generator) -> Stuck | None:
         """Draw a valve that sticks in flights of odd numbers, at a node in half of them."""

