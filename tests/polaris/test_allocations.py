@@ -181,8 +181,12 @@ def test_every_kind_is_verified_and_none_passes_for_another(kind, tmp_path):
             system["allocation"]["mixes"].reverse()
         system["allocation"].pop("multipliers", None)
 
-    for change in (lower, left_out, without, less, unstated):
+    def few(system):
+        system["allocation"].setdefault("multipliers", [[[(0.0).hex()] * 2] * 3] * 5).pop()
+
+    for change in (lower, left_out, without, less, unstated, few):
         assert forged(change).claim == "system", change.__name__
+    assert forged(lambda system: system["allocation"].pop("kind")).outcome == "REJECTED"
     for other in (each for each in KINDS if each != kind):
         text = (forger.run / "scenario.toml").read_text().replace(f'"{kind}"', f'"{other}"')
         assert forger.judge({"scenario.toml": text}).claim == "system"

@@ -176,7 +176,7 @@ class Nozzles:
     @property
     def solves(self) -> bool:
         """Return True if a program is solved for each command."""
-        return self.allocation["kind"] in ("linear_program", "nearest")
+        return self.allocation.get("kind") in ("linear_program", "nearest")
 
     @cached_property
     def lengths(self) -> list[arb]:
@@ -189,7 +189,7 @@ class Nozzles:
         Of a program it is ``sum_t f_t each_t <= lambda u + rest size(f)``, whatever lambda is for inputs of
         some signs, and its thrusts have no larger size than mixes (Proposition 5 (d)).
         """
-        mixes, program = self.allocation["mixes"], self.allocation["kind"] == "linear_program"
+        mixes, program = self.allocation["mixes"], self.allocation.get("kind") == "linear_program"
         m, size = len(mixes[0][0]), (lambda mix: dot(self.lengths, mix)) if program else _norm
         if not self.solves:
             return [largest([dot(each, mix[sign][i]) for mix in mixes for sign in (0, 1)]) for i in range(m)]
@@ -215,12 +215,11 @@ class Nozzles:
     def bounds(self) -> list[list[arb]]:
         """Return the errors of the inputs, and all thrust, by a unit of each input, (m + 1, m)."""
         columns = [*(list(column) for column in zip(*self.error, strict=True)), self.lengths]
-        factors = self.allocation.get("multipliers", [[[]] * len(columns)] * 2 ** len(self.error[0]))
-        if self.solves != ("multipliers" in self.allocation) or len(factors) != 2 ** len(self.error[0]):
-            raise Rejected(
-                "system", "there must be multipliers for all signs of the inputs, and only of a program"
-            )
-        return [self.most(x, list(y)) for x, y in zip(columns, zip(*factors, strict=True), strict=True)]
+        m, factors = len(self.error[0]), self.allocation.get("multipliers", [])
+        if len(factors) != (2**m if self.solves else 0):
+            raise Rejected("system", "a program, and it alone, needs multipliers for all signs of the inputs")
+        each = map(list, zip(*factors, strict=True)) if factors else [[]] * (m + 1)
+        return [self.most(*pair) for pair in zip(columns, each, strict=True)]
 
     @property
     def weights(self) -> tuple[arb, ...]:
