@@ -1,6 +1,7 @@
 """Errors of range and bearing: boxes that hold them, proofs, certificates, flights and attacks."""
 
 import json
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.integration import Integrator
+from polaris.synthesis.schedule.arrival import Tail
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import kept
@@ -213,3 +215,15 @@ def test_all_options_of_sensors_go_together_but_one_pair_of_an_observer(thruster
             assert observed and {"missed", "outage"} <= set(names), (sensed, first, names, str(error))
             refused.add(str(error))
     assert len(refused) == 1 and "need timing.missed_periods = 0" in refused.pop()
+
+
+MISSED = "navigation={position_error_m=0.02, velocity_error_m_s=0.001}", "timing.missed_periods=2"
+
+
+def test_upkeep_counts_what_is_commanded_where_periods_may_be_missed(monkeypatch):
+    """Errors of thrusters that no measurement shows: of the periods before, S having settled long ago."""
+    schedule = sighted("missed", *MISSED, OPTIONS["thrusters"], "timing.delay_s=2.0")
+    assert verify_document(certificate(schedule, "approach")).outcome == "VERIFIED"
+    told, u_max = schedule.upkeep, schedule.safety.problem.system.u_max
+    monkeypatch.setattr(Tail, "commanded_before", lambda self, nodes: u_max)
+    assert replace(schedule).upkeep.per_orbit > 5 * told.per_orbit

@@ -11,7 +11,7 @@ LONG = 200  # periods in which all responses die out
 
 def long_flight(s):
     """The long flight of a loop whose first state is known exactly."""
-    return LongFlight(s, np.zeros(s.loop.N), s.system.u_max, np.zeros(s.system.m))
+    return LongFlight(s, np.zeros(s.loop.N), s.system.u_max, np.zeros(s.system.m), s.system.u_max)
 
 
 def peaks(s):
@@ -57,7 +57,7 @@ def test_the_first_state_counts_once(proportional):
     closed, thrusters, rng = s.tightening.closed, s.system.thrusters, np.random.default_rng(0)
     K, F, made = closed.K, closed.F, closed.loop.made
     start, worst = rng.uniform(0.01, 0.02, s.loop.N), np.zeros(2)
-    once = LongFlight(s, start, s.system.u_max, np.zeros(2)).once()
+    once = LongFlight(s, start, s.system.u_max, np.zeros(2), s.system.u_max).once()
     for _ in range(50):
         z, total = start * rng.choice([-1.0, 1.0], s.loop.N), np.zeros(2)
         for _ in range(LONG):

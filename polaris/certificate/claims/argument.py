@@ -82,7 +82,7 @@ class Argument:
             if self.stated.upkeep is not None:
                 self.record.holds("upkeep", check_upkeep(arrival, self.stated.upkeep, self.stated.tank))
             if self.stated.estimate is not None:
-                self.record.holds("estimate", check_estimate(arrival, self.stated.estimate, flown))
+                self.record.holds("estimate", check_estimate(arrival, self.stated, flown))
         if doc.powered is not None:
             self.record.holds("powered_abort", check_aborts(tracker, sets, flown, self.stated))
 

@@ -8,7 +8,19 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..kernel.balls import above, column, diagonal, largest, magnitude, matrix, plain, require, smallest, sums
+from ..kernel.balls import (
+    above,
+    column,
+    diagonal,
+    largest,
+    magnitude,
+    matrix,
+    maxima,
+    plain,
+    require,
+    smallest,
+    sums,
+)
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Merging
 from ..model.craft.needs import Needs
@@ -220,6 +232,15 @@ class Arrival:
     def tops(self, node: int) -> list[arb]:
         """Bound S's commands in the period after a node [N]."""
         return self.flight.commanded(self._commands, self.held, self._first + node)
+
+    def tops_before(self, node: int) -> list[arb]:
+        """Bound S's commands from a node long after T on, and those before that errors remember [N]."""
+        craft = self.flight.tracker.craft
+        if not craft.lag < node:
+            return craft.plant.u_max
+        last = max(node, self.flight.tracker.memory.periods + 1)
+        most = maxima(*map(self.tops, range(node - craft.lag - 1, last + 1)))
+        return [smallest(pair) for pair in zip(most, craft.plant.u_max, strict=True)]
 
     def states(self, node: int) -> list[arb]:
         """Bounds on sizes of the loop state at a node long after T, from boxes of what S took over."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from flint import arb
 
+from ..files.artefacts import Stated
 from ..kernel.balls import above, absolute, column, identity, largest, maxima, require, smallest, sums
 from ..kernel.verdict import Rejected, Undecided
 from ..model.craft.needs import Needs
@@ -35,35 +36,39 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
 
 
-def check_estimate(arrival: Arrival, claim: dict[str, Any], flown: Sequence[Flown]) -> str:
+def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> str:
     """Check how far an observer's estimates may be off, by state: while others than S fly, and much later."""
     craft, memory, doc = arrival.flight.tracker.craft, arrival.flight.tracker.memory, arrival.document
-    n, plant, checked = len(doc.A), craft.plant, []
+    n, claim, checked = len(doc.A), stated.estimate or {}, []
     more = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))
-    off = absolute(craft.carry) * column(craft.missed(sums(more, craft.lagged(plant.u_max))))
     rows = craft.sees - craft.whole(identity(n))
     both = above(rows, -rows)
     if (claimed := claim["experimental"]) is not None:
         steps = [each for each in flown if each.pilot.law.kind != "safety"]
         needs = [z.support(both) for each in steps for z in (each.start, *each.nodes, each.end)]
-        checked.append(("while others fly", claimed, maxima(*needs)))
+        checked.append(("while others fly", claimed, maxima(*needs), craft.plant.u_max))
     if (claimed := claim["settled"]) is not None:
-        node = (doc.steps + doc.cells) * doc.q  # the last that is followed stands for all later ones
-        need = arrival.flight.need(Needs(craft, memory, both), arrival.boxes, node)
-        checked.append(("once S has settled", claimed, need))
-    for when, bounds, need in checked:
+        if stated.upkeep is None:
+            raise Rejected("goal", "errors of estimates once S has settled belong to an upkeep")
+        first, T = arrival.node_at(stated.upkeep["settled_s"]), doc.steps * doc.q
+        along, later = Needs(craft, memory, both), range(first, max(first, memory.periods + 1) + 1)
+        needs = [arrival.flight.need(along, arrival.boxes, T + node) for node in later]
+        checked.append(("once S has settled", claimed, maxima(*needs), arrival.tops_before(first)))
+    for when, bounds, need, most_before in checked:
+        off = absolute(craft.carry) * column(craft.missed(sums(more, craft.lagged(most_before))))
         found = sums(maxima(need[:n], need[n:]), off.entries())
         most = sums(map(smallest, zip(found, map(arb, doc.estimate), strict=True)), map(arb, doc.at_nodes))
         for i, (bound, x) in enumerate(zip(bounds, most, strict=True)):
             arrival.no_less(f"error of the estimate of state {i} {when}", bound, x)
-    return ", ".join(when for when, _, _ in checked) or "nothing claimed"
+    return ", ".join(when for when, *_ in checked) or "nothing claimed"
 
 
 def _means(arrival: Arrival, later: range, most: list[arb]) -> tuple[list[arb], list[arb]]:
     """Bound sums of commands from the first of some nodes on, of which the last stands for all later ones."""
     craft, memory = arrival.flight.tracker.craft, arrival.flight.tracker.memory
     box = column(list(map(largest, zip(*map(arrival.states, later), strict=True))))
-    off = sums(craft.extra(arrival.document, arrival.document.steps), craft.lagged(craft.plant.u_max))
+    lagged = craft.lagged(arrival.tops_before(later.start))
+    off = sums(craft.extra(arrival.document, arrival.document.steps), lagged)
     return MeanCommands(craft, memory, box, off).bounds(most)
 
 

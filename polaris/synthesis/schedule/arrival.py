@@ -202,19 +202,32 @@ class Tail(Nearness):
         needs = [states.needs(each, self.T + nodes - 1, self.T + nodes)[1, -1] for each in self.held]
         start = np.min(needs, axis=0).reshape(2, -1).max(axis=0)
         more = self.safety.clearance.round_off(tracking.gain)
-        flight = LongFlight(tracking, start, most, more)
+        flight = LongFlight(tracking, start, most, more, self.commanded_before(nodes))
         each, once = flight.mean(), flight.once()
         if each is None or once is None or system.spent(each).sum() >= system.spent(most).sum():
             return system.spent(most), 0 * most
         more = system.longest * system.weights * (once + system.thrusters.summed(once))
         return system.spent(np.minimum(each, most)), more
 
+    def commanded_before(self, nodes: int) -> Array:
+        """Bound S's commands from so many nodes after T on, and those before that errors remember, (m,)."""
+        tracking = self.safety.tracking
+        lag, u_max = tracking.lag, self.safety.problem.system.u_max
+        if lag >= nodes:
+            return u_max
+        first = self.T + nodes - lag - 1
+        most = commanded(self.commands, self.held, first, self.T + nodes).max(axis=(0, 1))
+        return np.asarray(np.minimum(most, u_max))
+
     def estimate(self, nodes: int) -> Array:
         """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
         tracking, rows = self.safety.tracking, self.safety.tracking.misjudged
         both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.failing, between=False)
         each = [both.needs(handed, self.T + nodes - 1, self.T + nodes)[1, -1] for handed in self.held]
-        return np.asarray(np.min(each, axis=0).reshape(2, -1).max(axis=0) + tracking.unremembered())
+        return np.asarray(
+            np.min(each, axis=0).reshape(2, -1).max(axis=0)
+            + tracking.unremembered(self.commanded_before(nodes))
+        )
 
     def upkeep(self, taken: float) -> Upkeep | None:
         """Bound S's velocity change for all time, from that until T (Proposition 14 (d)).

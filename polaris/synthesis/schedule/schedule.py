@@ -211,7 +211,7 @@ class Schedule:
         tracking = self.safety.tracking
         if tracking.system.observer is None:
             return None
-        rows, beside = tracking.misjudged, tracking.unremembered()
+        rows, beside = tracking.misjudged, tracking.unremembered(tracking.system.u_max)
         flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
         most = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
         least = tracking.system.navigation + tracking.system.displaced_at_nodes  # whatever is commanded

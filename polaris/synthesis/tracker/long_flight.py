@@ -30,12 +30,15 @@ class LongFlight:
         Bounds on the loop state at every node.
     most, more : ndarray, shape (m,)
         Bounds on all commands, and on what adds to each of them besides the loop.
+    before : ndarray, shape (m,)
+        Bound on the same commands and on those before that some channel remembers.
     """
 
     tracking: Tracking
     start: Array
     most: Array
     more: Array
+    before: Array
 
     @cached_property
     def rows(self) -> Array:
@@ -54,7 +57,7 @@ class LongFlight:
         answer, steps = np.zeros((system.m, system.m)), self.tracking.step_errors[-1]
         for channel in (*limits.closed.loop.channels, Channel("steps", steps, noise=np.eye(system.n))):
             gains = self._amplified(channel)
-            size = limits.sizes(channel, system.u_max if channel.lag else self.most)
+            size = limits.sizes(channel, self.before if channel.lag else self.most)
             if channel.name == THRUSTERS:
                 answer, size = gains, channel.size
             given = given + gains @ size

@@ -54,14 +54,14 @@ class Tracking(Contraction):
         """Rows of the loop state that are errors of the estimate a law acts on, shape (n, N)."""
         return np.asarray(self.loop.known - self.whole(np.eye(self.system.n)))
 
-    def unremembered(self) -> Array:
-        """Bound on errors of estimates beside these rows, under commands within the limits, shape (n,)."""
+    def unremembered(self, most: Array) -> Array:
+        """Bound on errors of estimates beside these rows, under commands within a bound (m,), shape (n,)."""
         system = self.system
         limits = self.tightening
         total = self.step_errors.max(axis=0) + system.displaced_at_nodes
         for each in limits.closed.loop.channels:
             if each.noise is not None:
-                total = total + np.abs(each.noise) @ limits.largest(each, system.u_max)
+                total = total + np.abs(each.noise) @ limits.largest(each, most)
         return np.asarray(total)
 
     def error(self, sets: Zonotope) -> Zonotope:
@@ -263,8 +263,12 @@ class Tracking(Contraction):
     @property
     def long(self) -> int:
         """Periods after a hand-over from which on `settled` bounds what disturbs."""
-        lag = max((channel.lag for channel in self.loop.channels), default=0)
-        return self.memory + self.tightening.horizon + 2 + lag
+        return self.memory + self.tightening.horizon + 2 + self.lag
+
+    @property
+    def lag(self) -> int:
+        """Number of periods for which commands count in errors of estimates, beside the loop's states."""
+        return max((channel.lag for channel in self.loop.channels), default=0)
 
     @cached_property
     def whole_transitions(self) -> Array:
