@@ -1,6 +1,7 @@
 """Errors of range and bearing: boxes that hold them, proofs, certificates, flights and attacks."""
 
 import json
+import tomllib
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,7 +14,7 @@ from polaris.certificate.checker import verify, verify_document
 from polaris.certificate.files.document import Document
 from polaris.certificate.kernel.verdict import Rejected
 from polaris.certificate.model.navigation import measured_errors
-from polaris.model.errors import ScenarioError
+from polaris.model.errors import PolarisError, ScenarioError
 from polaris.runs.certificate import certificate
 from polaris.runs.run import run
 from polaris.scenario.reading import write_toml
@@ -24,7 +25,9 @@ from polaris.synthesis.schedule.arrival import Tail
 from polaris.synthesis.schedule.synthesize import synthesize
 
 from ..kept import kept
+from ..sizes import fewer
 from .forging import CERTIFICATE, Forger
+from .random_scenarios import random_scenario
 
 APPROACH = Path(__file__).parent / "data" / "approach.toml"
 RANGED = (
@@ -227,3 +230,29 @@ def test_upkeep_counts_what_is_commanded_where_periods_may_be_missed(monkeypatch
     told, u_max = schedule.upkeep, schedule.safety.problem.system.u_max
     monkeypatch.setattr(Tail, "commanded_before", lambda self, nodes: u_max)
     assert replace(schedule).upkeep.per_orbit > 5 * told.per_orbit
+
+
+@pytest.mark.slow
+def test_runs_of_random_spacecraft_that_see_range_and_bearing_are_confirmed(tmp_path):
+    """Proven where S has room for it; then the checker confirms it, and no attack refutes it."""
+    proven = 0
+    for seed in range(fewer(400, 40)):
+        document = tomllib.loads(random_scenario(seed))
+        if document["system"]["kind"] != "clohessy_wiltshire":
+            continue
+        path = tmp_path / f"{seed}.toml"
+        path.write_text(write_toml(document), encoding="utf-8")
+        scenario, half = load_scenario(path), load_scenario(path).initial_set().half_widths
+        away = 3 * float(np.abs(scenario.initial_set().c[:3]).max())
+        seen = {"range_error_m": 0.03 * float(half[:3].min()), "within_m": away}
+        seen |= {"bearing_error_deg": float(np.rad2deg(0.02 * half[:3].min() / away))}
+        given = {f"navigation.{key}": value for key, value in seen.items()}
+        given |= {"navigation.velocity_error_m_s": 0.03 * float(half[3:].min()), "planner.time_limit_s": 1e6}
+        try:
+            schedule = synthesize(scenario.with_overrides({"recoverable.kind": "polytope"} | given))
+        except PolarisError:
+            continue
+        proven += 1
+        assert verify_document(certificate(schedule, document["name"])).outcome == "VERIFIED", seed
+        assert falsify(schedule, 20, seed).failure is None, seed
+    assert proven >= 2
