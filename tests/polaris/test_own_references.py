@@ -45,6 +45,7 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
         carried=0.0,
         bits=(),
         prompt_bits=(),
+        bias=(),
         allocation=None,
         timing={},
         transients=[],

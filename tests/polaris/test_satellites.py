@@ -233,7 +233,7 @@ def checked(system, sat, delta, cells, thrust):
         **{name: getattr(system, name).tolist() for name in "ABCD"},
         **{"u_max": system.u_max.tolist(), "w_max": system.w_max, "delta": delta, "q": 1, "cells": cells},
         **{"estimate": [], "shares": [0.0] * 3, "bits": [], "prompt_bits": [], "timing": {}, "carried": 0.0},
-        **{"transients": [], "mass": system.mass, "mean_motion": system.mean_motion},
+        **{"transients": [], "mass": system.mass, "mean_motion": system.mean_motion, "bias": []},
         system_kind="linear" if system.mean_motion is None else "clohessy_wiltshire",
         allocation=None,
     )
