@@ -91,6 +91,12 @@ ROWS = (
         ("navigation.measurement.initial={position_error_m=0.3,velocity_error_m_s=0.01}",),
         (CAMERA,),
     ),
+    Row(
+        "Constant errors of measurements",
+        "navigation.measurement.constant_share",
+        ("navigation.measurement.constant_share=0.8",),
+        (CAMERA,),
+    ),
     Row("Periods that an observer misses", "timing.missed_periods", ("timing.missed_periods=2",), (CAMERA,)),
     Row(
         "Thrusters, mass",

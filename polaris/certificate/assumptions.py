@@ -63,6 +63,7 @@ class Premises:
     by_step: bool = False  # whether there are bounds for every step besides
     observer: Iterable[float] = ()  # bounds on the errors of what an observer measures
     initial: Iterable[float] = ()  # bounds on the errors of its first estimate, if it has one
+    constant: Iterable[float] = ()  # part of the errors of what it measures that is one for the whole flight
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
     thrusters: Iterable[float] = ()  # shares of the command, of the 2-norm of others, of the mass; at all [N]
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
@@ -111,6 +112,8 @@ class Premises:
         if measured := list(self.observer):
             of = " in each period that is not missed" if missed else " in each period"
             told = f"what is measured{of} is within [{_listed(measured)}] of what it should be"
+            if constant := list(self.constant):
+                told += f", of which [{_listed(constant)}] is a constant of the flight"
             first = list(self.initial)
             made = f"its first estimate is within [{_listed(first)}]" if first else "has long been at work"
             yield f"observer: {told}, the filter has the gain that is stated, and {made}"

@@ -84,6 +84,12 @@ class Observer:
     initial: Array | None = None  # bounds on the errors of the first estimate, (n,), unless long in use
     settled: Array | None = None  # of one that has long been made, (n,)
     fading: Array | None = None  # what the first errors still add in each step and ever after, (K + 1, n)
+    constant: Array | None = None  # part of `noise` that is one value for the whole flight, (r,)
+
+    def errors(self, signs: Array, first: Array) -> Array:
+        """Return errors of what is measured, at their bounds: by signs, of what is constant by first ones."""
+        constant = 0 * self.noise if self.constant is None else self.constant
+        return (self.noise - constant) * signs + constant * first
 
     @property
     def rest(self) -> Array:

@@ -82,7 +82,8 @@ class Predicting(Integrator):
         signs, left, loop = np.sign(self.eta[0]), observer.gain, observer.rest @ expm(A * h)
         off = signs * (0.0 if observer.initial is None else observer.initial)
         for _ in range(PAST if observer.initial is None else 0):  # past updates
-            off, left = off + observer.noise * np.sign(self.eta[0] @ left) @ left.T, loop @ left
+            noise = observer.errors(np.sign(self.eta[0] @ left), np.sign(self.eta[0] @ observer.measures.T))
+            off, left = off + noise @ left.T, loop @ left
         made = np.linalg.matrix_power(loop, -(-step // self.substeps))
         return np.asarray(off @ (expm(-A * min(since, 0) * self.dt) @ made).T)
 
@@ -101,8 +102,8 @@ class Predicting(Integrator):
             off = (self.seen[self.measured] - self.filtered) @ observer.measures.T
             if self.eta is not None:
                 used = min(self.measured + self.lag, self.steps - 1)
-                noise = observer.noise * np.sign(self.eta[used] @ observer.measures.T)
-                at = max(self.measured, 0)
+                signs, first = (np.sign(self.eta[at] @ observer.measures.T) for at in (used, 0))
+                noise, at = observer.errors(signs, first), max(self.measured, 0)
                 off = off + self.turned(at, self.seen[self.measured], noise, observer.noise)
             missing = self.ages[(self.measured + self.lag) // self.substeps] > 0
             if self.failing is not None:

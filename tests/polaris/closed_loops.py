@@ -340,7 +340,10 @@ class Computer:
             self.noise = error @ held(self.A, self.B, self.delay)[0].T
             self.wrong = carried + self.noise - x
             return
-        noise = (seen.noise + np.abs(seen.measures) @ moved) * np.where(sign @ seen.gain < 0, -1.0, 1.0)
+        same = 0 * seen.noise if seen.constant is None else seen.constant  # in the whole flight
+        whole = np.where(np.sign(self.eta).sum(axis=0) @ seen.gain < 0, -1.0, 1.0)
+        each = np.where(sign @ seen.gain < 0, -1.0, 1.0)
+        noise = (seen.noise - same + np.abs(seen.measures) @ moved) * each + same * whole
         if self.estimate is None or at < -1e-9:
             self._begin(min(at, 0.0), sign, noise)
             at = 0.0

@@ -19,6 +19,7 @@ from polaris.simulation.falsification.search import falsify
 from polaris.synthesis.safety.attempts import perceive_unsafe
 from polaris.synthesis.safety.passive import Abort, FreeFlight
 from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.sources.observer import MEASUREMENT
 from polaris.synthesis.tracker.tracking import Tracking
 
 from ..sizes import fewer
@@ -26,6 +27,7 @@ from .closed_loops import attack, held
 from .forging import COARSE, Forger, Lie, make
 from .random_scenarios import random_scenario
 from .test_closed_loops import judge
+from .test_loop import bounds, rows_of, sizes, software, unit_flights
 from .tiny import TINY
 
 FEW = (5016, 5024, 5034)
@@ -94,6 +96,23 @@ def test_rows_of_s_need_what_the_worst_constant_makes_and_no_more(scene):
     assert np.all(need[-1] < varying)
     speeds = slice(problem.system.d, problem.system.n)
     assert np.all(need[-1, speeds] < 0.6 * varying[speeds])
+
+
+@pytest.mark.parametrize("delay", [0, 0.5, 1.4])
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_a_constant_error_of_a_camera_adds_the_sum_of_its_responses(delay, share):
+    soft, count = software("hill", "observer", delay), 100
+    flown, pushes, q = unit_flights(soft, "observer", count)
+    limits, noise = bounds(soft, "observer", w=0.0), sizes("observer", len(soft.A))
+    loop = limits.closed.loop
+    channels = [replace(c, constant=share * c.size) if c.name == MEASUREMENT else c for c in loop.channels]
+    closed = replace(limits.closed, loop=replace(loop, channels=tuple(channels)))
+    need = replace(limits, closed=closed).from_rest(rows_of(limits))
+    each = flown[1:, pushes : pushes + q]
+    worst = np.maximum.accumulate(np.tensordot(np.abs(np.cumsum(each, axis=0)), share * noise, (1, 0)))
+    worst += np.cumsum(np.tensordot(np.abs(each), (1 - share) * noise, (1, 0)), axis=0)
+    np.testing.assert_allclose(need[1 : count + 1], worst, rtol=1e-7, atol=1e-15)
+    assert np.all(need[count] < 0.9 * limits.from_rest(rows_of(limits))[count])
 
 
 def test_free_drift_is_bounded_by_the_worst_constant():
@@ -196,3 +215,37 @@ def test_forged_constants_are_refused(forger):
     for varying, constant in ((0.005, [0.0, 0.015]), (0.005, []), (0.0, [0.005, 0.03]), (0.005, [0.03, 0.0])):
         lied(varying, constant, False).judge({"system"})
     lied(0.035, [0.0, 0.0], True).judge({"margins", "recoverable", "separation", "passive", "goal", "upkeep"})
+
+
+CAMERA = (
+    *(f"navigation.measurement.matrix={np.eye(4)[:2].tolist()}", "navigation.measurement.error=[0.01,0.01]"),
+    *("navigation.measurement.constant_share=0.8", "feedback.period_s=0.25", "system.disturbance_max=0.002"),
+    "tracking.R=[20,20]",
+)
+"""Tiny scene whose estimates come from a camera with a constant error."""
+
+
+@pytest.mark.parametrize("delay", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
+def test_proofs_with_a_camera_with_a_constant_error_hold_at_their_worst(delay, tmp_path):
+    scenario = load_scenario(TINY, [*CAMERA, f"timing.delay_s={delay}", "simulation.runs=2"])
+    schedule = synthesize(scenario)
+    assert schedule.guarantee == "proved" and schedule.share() > 0
+    found = attack(schedule, 24, 0)
+    judge(0, found)
+    assert found.tight > 0.5
+    assert falsify(schedule, 150, 0).failure is None
+    folder = write_run(tmp_path / "run", scenario, schedule).path
+    assert verify(folder).outcome == "VERIFIED"
+    lie = Lie(Forger(folder, tmp_path))
+    lie.certificate["system"]["observer"]["constant"] = [(0.01).hex()] * 2
+    lie.judge({"assumptions"})
+    for told in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
+        told[:] = [line.replace("[0.008, 0.008] is", "[0.01, 0.01] is") for line in told]
+    lie.summary["guarantee"] = lie.schedule["guarantee"]
+    lie.judge({"system"})
+    del lie.scenario["navigation"]["measurement"]["constant_share"]
+    lie.judge({"system"})
+    del lie.certificate["system"]["observer"]["constant"]
+    for told in (lie.certificate["assumptions"], lie.schedule["guarantee"]["assumptions"]):
+        told[:] = [line.replace(", of which [0.01, 0.01] is a constant of the flight", "") for line in told]
+    lie.judge({"margins", "recoverable", "separation", "goal", "upkeep"})

@@ -21,6 +21,10 @@ SOURCES = {
         f"navigation.measurement.matrix={np.eye(4).tolist()}",
         "navigation.measurement.error=[0.002,0.002,0.0004,0.0004]",
     ],
+    "constant camera": [
+        f"navigation.measurement.matrix={np.eye(4)[:2].tolist()}",
+        *("navigation.measurement.error=[0.002,0.002]", "navigation.measurement.constant_share=0.9"),
+    ],
     "delay": ["timing.delay_s=0.5"],
     "part of a period": ["timing.delay_s=0.08"],
     "missed periods": ["timing.missed_periods=1"],

@@ -17,7 +17,7 @@ CHECKED = {
         "navigation.phases": "from_s position_error_m velocity_error_m_s state_error range_error_m"
         " bearing_error_deg",
         "navigation.measurement": "position_error_m velocity_error_m_s matrix error range_error_m"
-        " bearing_error_deg",
+        " bearing_error_deg constant_share",
         "navigation.measurement.initial": "position_error_m velocity_error_m_s state_error",
         "thrusters": "magnitude_error misalignment_deg mass_error impulse_bit_N_s remainder pulse"
         " directions thrust_max_N",

@@ -118,6 +118,9 @@ class Document:
         known = self.estimate or [0.0] * len(self.A)
         if self.error_by_step and known != [max(x) for x in zip(*self.error_by_step, strict=True)]:
             raise ValueError("errors of estimates must be the largest of all steps")
+        seen = self.observer or {}
+        if any(x > most for x, most in zip(seen.get("constant", ()), seen.get("noise", ()), strict=False)):
+            raise ValueError("constant errors of what is measured must not exceed its errors")
         if not (self.A and self.u_max and 1 <= len(self.C) <= 3):
             raise ValueError("there must be states and inputs, and positions have one to three axes")
 
@@ -219,6 +222,7 @@ class Document:
             by_step=bool(self.error_by_step),
             observer=(self.observer or {}).get("noise", ()),
             initial=(self.observer or {}).get("initial") or (),
+            constant=(self.observer or {}).get("constant") or (),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
             thrusters=(*self.shares, max(self.prompt_bits)),
             pulses=self.fired,

@@ -72,7 +72,8 @@ CERTIFICATE = {
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"), "carried?": HEX},
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
-                      "after?": grid("missed n measured"), **every(grid("n"), "initial? settled?")},
+                      "after?": grid("missed n measured"), "constant?": grid("measured", AT_LEAST_0),
+                      **every(grid("n"), "initial? settled?")},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "layout": bool,
             "mixes": Items(grid("two m thrusters", AT_LEAST_0), 1),

@@ -80,7 +80,8 @@ SCENARIO = {
         **_ESTIMATE, **_SIGHT,
         "phases?": Items({"from_s": POSITIVE, **_ESTIMATE, **_SIGHT}, 0, 64),
         "measurement?": {**every(PER_AXIS, "position_error_m? velocity_error_m_s?"), "matrix?": MATRIX,
-                         **_SIGHT, "error?": LIMITS, "initial?": _ESTIMATE},
+                         **_SIGHT, "error?": LIMITS, "initial?": _ESTIMATE,
+                         "constant_share?": Real(least=0, most=1)},
     },
     "thrusters?": {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"), "impulse_bit_N_s?": NOT_NEGATIVE,

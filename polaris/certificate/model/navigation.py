@@ -128,10 +128,14 @@ def _observed(
         noise = _per_axis(given)
         noise = [x + float(y.upper()) for x, y in zip(noise, turned, strict=False)] + noise[3:]
         measures = [[float(i == j) for j in range(n)] for i in range(len(noise))]
+        if spec.get("constant_share", 0.0) and any(y > 0 for y in turned):
+            raise Rejected("system", "errors that turn with the line of sight are not constant")
         if not all(x > 0 for x in noise) or {"matrix", "error"} & set(spec):
             raise Rejected("system", "the observer does not measure the position")
-    observes = stated["measures"], stated.get("initial") or []
-    if observes != (measures, initial) or not same_bounds(stated["noise"], noise):
+    share = spec.get("constant_share", 0.0)
+    constant = [share * x for x in noise] if share else []
+    observes = stated["measures"], stated.get("initial") or [], stated.get("constant") or []
+    if observes != (measures, initial, constant) or not same_bounds(stated["noise"], noise):
         raise Rejected("system", "the observer is not the scenario's")
     plant, M, missed = plant_of(document), matrix(measures), document.timing.get("missed", 0)
     gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]

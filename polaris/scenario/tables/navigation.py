@@ -84,6 +84,8 @@ class Measurement(Sight):
     velocity_error_m_s: f.PositivePerAxis | None = unit("m/s", "Not measured without.", default=None)
     matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
     error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
+    constant_share: f.Real = unit("-", default=0.0, ge=0, le=1)
+    """Share of these errors that is constant in a flight though unknown, as by the mounting of a camera."""
     initial: Estimate | None = unit("-", default=None)
     """Bounds on the errors of its first estimate, on which the first command rests. Without them it has long
     been at work when the flight starts."""
@@ -116,6 +118,11 @@ class Measurement(Sight):
             rule = f"must be at most {MOST_MISSED} with an observer"
             raise ScenarioError("timing.missed_periods", timing.missed, rule)
         observer = design(system, *self.build(system), period, timing.missed, late or timing.missed > 0)
+        if self.constant_share > 0:
+            if np.any(self.sight(system, PATH)):
+                rule = "must be 0 where errors turn with the line of sight: these are not constant"
+                raise ScenarioError(f"{PATH}.constant_share", self.constant_share, rule)
+            observer = replace(observer, constant=observer.noise * self.constant_share)
         first = np.zeros(system.n)
         if self.initial is not None:
             first = self.initial.build(system, "navigation.measurement.initial")

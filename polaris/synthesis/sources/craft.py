@@ -47,6 +47,7 @@ def assumed(system: Craft, h: float) -> Premises:
         by_step=system.error_by_step is not None,
         observer=() if observer is None else observer.noise.tolist(),
         initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
+        constant=() if observer is None or observer.constant is None else observer.constant.tolist(),
         timing=astuple(system.timing)[:4],
         thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(prompt.thrusters.bit))),
         pulses=system.timing.fired,

@@ -38,6 +38,5 @@ class Bias:
 
     def extend(self, loop: Loop) -> Loop:
         """Add one channel."""
-        return loop.with_channels(
-            Channel("bias", np.ones(self.rates.shape[1]), rate=self.rates, constant=True)
-        )
+        one = np.ones(self.rates.shape[1])
+        return loop.with_channels(Channel("bias", one, rate=self.rates, constant=one))

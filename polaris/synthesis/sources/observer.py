@@ -43,5 +43,5 @@ class Filter:
         sample[first : first + n] = self.observer.gain
         offset = loop.offset_measured
         size = self.observer.noise + measures @ self.away + measures @ offset
-        loop = loop.with_channels(Channel(MEASUREMENT, size, sample=sample))
+        loop = loop.with_channels(Channel(MEASUREMENT, size, sample=sample, constant=self.observer.constant))
         return replace(loop, navigated=offset, settled=self.settled)

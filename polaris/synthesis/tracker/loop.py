@@ -50,8 +50,8 @@ class Channel:
         Part of the half-widths that grows with the size of the commands.
     lag : int
         For how many periods a command counts in `share`: the largest of that many and of the period's own.
-    constant : bool
-        The value, within a box, is one for the whole flight.
+    constant : ndarray, shape (k,), optional
+        Part of the half-widths `size` of a box that is one value for the whole flight.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Channel:
     ball: bool = False
     share: Share | None = None
     lag: int = 0
-    constant: bool = False
+    constant: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

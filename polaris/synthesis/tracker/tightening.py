@@ -128,15 +128,17 @@ class Tightening:
         count = len(carried) - 1
         sums = np.zeros((count + 1, carried.shape[1]))
         for channel in self.closed.loop.channels:
-            if channel.constant:  # the largest so far, so that needs do not fall
+            gains, constant = self.closed.gains(channel, carried[:-1]), channel.constant
+            if constant is None:
+                constant = np.zeros(1)
+            else:  # the largest so far, so that needs do not fall
                 response = np.abs(np.cumsum(carried[:-1] @ self.closed.held(channel), axis=0))
-                sums[1:] += np.maximum.accumulate(response @ channel.size, axis=0)
-                continue
-            gains = self.closed.gains(channel, carried[:-1])
+                sums[1:] += np.maximum.accumulate(response @ constant, axis=0)
             if channel.share is None or bound is None or np.ndim(bound) == 1:
-                sums[1:] += np.cumsum(gains @ self.largest(channel, bound), axis=0)
+                sums[1:] += np.cumsum(gains @ (self.largest(channel, bound) - constant), axis=0)
             else:
-                sums += summed(gains, self.sizes(channel, self.known(channel, bound)[:count]))
+                sizes = self.sizes(channel, self.known(channel, bound)[:count]) - constant
+                sums += summed(gains, sizes)
         return np.vstack([sums, sums[-1] + np.abs(carried[-2]) @ self.reached(bound)]) * (1 + ROUNDING)
 
     def reached(self, bound: Array | None) -> Array:

@@ -27,6 +27,7 @@ class Sample:
     adds: arb_mat  # shape (N, k)
     push: arb_mat  # shape (m, k)
     size: list[arb]
+    constant: list[arb] = field(default_factory=list)  # part of it that is one value for the whole flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +168,24 @@ class Craft:
 
     @cached_property
     def varying(self) -> Craft:
-        """The loop without what pushes constantly in a whole flight."""
-        bias = self.plant.bias
-        return replace(self, steady=[x for x in self.steady if x not in bias], _along={}) if bias else self
+        """The loop without what is constant in a whole flight."""
+        steady = [push for push in self.steady if push not in self.plant.bias]
+        samples = [
+            replace(each, size=[x - y for x, y in zip(each.size, each.constant, strict=True)], constant=[])
+            if each.constant
+            else each
+            for each in self.samples
+        ]
+        return replace(self, steady=steady, samples=samples, _along={})
 
-    def constant(self, push: Push) -> arb_mat:
-        """Map of an input that is constant over a period into the next loop state, shape (N, k)."""
-        each = [enters * motion.gamma * push.V for enters, motion in self.spans]
-        return sum(each[1:], each[0])
+    @cached_property
+    def constants(self) -> list[arb_mat]:
+        """Generators of what adds in every period the same, shape (N, k) each."""
+        found = [each.adds * diagonal(each.constant) for each in self.samples if each.constant]
+        for push in self.plant.bias:
+            each = [enters * motion.gamma * push.V * push.cover for enters, motion in self.spans]
+            found.append(sum(each[1:], each[0]))
+        return found
 
     @cached_property
     def turned(self) -> arb_mat:

@@ -8,8 +8,20 @@ from itertools import pairwise
 
 from flint import arb, arb_mat
 
-from ...kernel.balls import above, column, identity, kinds, largest, magnitude, matrix, maxima, rows_of, sums
-from ...kernel.motion import Along, Motion, Push
+from ...kernel.balls import (
+    above,
+    column,
+    identity,
+    kinds,
+    largest,
+    magnitude,
+    matrix,
+    maxima,
+    rows_of,
+    sums,
+    widths,
+)
+from ...kernel.motion import Along, Motion
 from ...kernel.zonotopes import Zonotope
 from .craft import Craft
 from .memory import Gains, Memory
@@ -71,17 +83,17 @@ class Needs:
         rest = [[arb(0)] * len(first)]
         for gains in self._split(self.craft.varying.supports(self._stacked)):
             rest.append([x.upper() for x in sums(rest[-1], gains)])
-        for push in self.craft.plant.bias:
-            rest = [sums(*each) for each in zip(rest, self._constant(push), strict=True)]
+        for added in self.craft.constants:
+            rest = [sums(*each) for each in zip(rest, self._constant(added), strict=True)]
         return [[each[i] for i in which] for each in rest]
 
-    def _constant(self, push: Push) -> list[list[arb]]:
-        """Largest response so far at node L to a constant, which may cancel, by kind of row."""
-        first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), push.V.ncols())
-        found, held = [first], (self._stacked * self.craft.constant(push)).tolist()
+    def _constant(self, added: arb_mat) -> list[list[arb]]:
+        """Largest response so far at node L to constants, which may cancel, by kind of row."""
+        first, total = [arb(0)] * len(self.alike[0]), arb_mat(len(self.alike[0]), added.ncols())
+        found, held = [first], (self._stacked * added).tolist()
         for at in range(0, len(held), len(first)):
             total = total + matrix(held[at : at + len(first)])
-            found.append(maxima(found[-1], push.along(total)))
+            found.append(maxima(found[-1], widths(total)))
         return found
 
     def _by_lag(self, gains: arb_mat) -> Gains:

@@ -30,7 +30,7 @@ class States:
     parts: list[tuple[arb, arb, Blocks]] = field(default_factory=list)  # how additions of a period enter
     shown: Blocks = field(default_factory=dict)  # additions that the next measurement shows first
     shown_now: list[arb_mat] = field(default_factory=list)  # the same of the parts of the period
-    samples: list[tuple[Blocks, arb_mat, list[arb]]] = field(default_factory=list)
+    samples: list[tuple[Blocks, arb_mat, list[arb], list[arb]]] = field(default_factory=list)
     box: list[arb] = field(default_factory=list)  # bounds on all but the error, whatever law has flown
     carries: int = 0  # block of the impulses that are carried, which the flight computer does not know of
 
@@ -106,12 +106,17 @@ class States:
         for i, each in made.items():
             self.moves[i, block] = each
         adds = {i: -each for i, each in made.items()} | {block: identity(m)}
-        self.samples.append((adds, identity(m) * (1 / plant.h), [arb(plant.carried)] * m))
+        self.samples.append((adds, identity(m) * (1 / plant.h), [arb(plant.carried)] * m, []))
 
     def observer(
-        self, gain: arb_mat, measures: arb_mat, noise: list[arb], carry: arb_mat, settled: list[arb]
+        self,
+        gain: arb_mat,
+        measures: arb_mat,
+        noise: tuple[list[arb], list[arb]],
+        carry: arb_mat,
+        settled: list[arb],
     ) -> None:
-        """Estimate from measurements, with an error that lasts."""
+        """Estimate from measurements, with an error that lasts; of their noise a part is constant."""
         rest, block = identity(gain.nrows()) - gain * measures, self.add(settled)
         self.moves[block, block] = rest * self.plant.open.phi
         self.known[block] = carry
@@ -119,7 +124,7 @@ class States:
             self.moves[block, i] = -rest * each
         for (_, _, enters), now in zip(self.parts, self.shown_now, strict=True):
             enters[block] = -rest * now
-        self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), noise))
+        self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), *noise))
 
     def closed(
         self, gain: arb_mat, steady: list[Push], noise: Noise, lag: int, base: list[arb] | None
@@ -135,7 +140,10 @@ class States:
         unit = {self.carries: identity(m) * (1 / plant.h)} if self.carries else {}
         drifts = self.beside({0: plant.A}, n) + plant.B * self.beside(unit, m)
         parts = [(a, b, self.laid_out(enters, n)) for a, b, enters in self.parts]
-        samples = [Sample(self.laid_out(adds, len(size)), push, size) for adds, push, size in self.samples]
+        samples = [
+            Sample(self.laid_out(adds, len(size)), push, size, same)
+            for adds, push, size, same in self.samples
+        ]
         sees, given = self.beside(self.known, n), (steady, samples, self.box, *noise)
         return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, lag, base)
 
@@ -179,7 +187,8 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         M, base = matrix(stated["measures"]), None
         noisy = sums(map(arb, stated["noise"]), (absolute(M) * column(away)).entries())
         L = matrix(stated["gain"]) * int(observing)
-        states.observer(L, M, noisy, carry, sums(map(arb, first), moved))
+        same = list(map(arb, stated.get("constant") or []))
+        states.observer(L, M, (noisy, same), carry, sums(map(arb, first), moved))
     elif delay:
         off = sums(measured, away)
     elif document.estimate:
