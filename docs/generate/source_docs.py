@@ -166,14 +166,16 @@ class Declared:
     def checked(self) -> dict[str, str]:
         """Parts of the checker's loop beside the tracking error, by what they are called."""
         craft, states = self.craft, self.craft.F.nrows() - self.problem.system.n
-        grows = any(craft.plant.thrusters[:2])
+        plant = craft.plant
+        shares = plant.along, plant.across, *(str(each) for row in plant.shares for each in row)
         return {
             f"{states} states": str(states or ""),
             "values per period": "".join(
                 str(size) for size in (*(each.size for each in craft.samples), craft.off)
             ),
             "pushes": "".join(str(push.cover) for push in (*craft.steady, *craft.bits)),
-            "shares of commands": str((craft.plant.thrusters, craft.lag)) if grows else "",
+            "shares of commands": str((shares, craft.lag)) if any(shares) else "",
+            "constants": "".join(map(str, craft.constants)),
         }
 
     @cached_property
@@ -202,12 +204,13 @@ class Declared:
         """Errors that simulations draw, and the kind of their flights."""
         system, kind = self.problem.system, f"`{flies(self.problem.system).__name__}`"
         first = None if system.observer is None else system.observer.initial
+        constants = system.bias, None if system.observer is None else system.observer.constant
         sizes = system.w_max, (system.navigation, system.error_by_step, first), system.thrusters
         drawn = zip(("disturbance", "estimates", "thrusters"), columns(system), sizes, strict=False)
         return {
             kind: kind,
             **{name: pickle.dumps(size) for name, part, size in drawn if part.start != part.stop},
-            "constants": pickle.dumps(system.bias) if np.any(system.bias) else b"",
+            "constants": pickle.dumps([each for each in constants if each is not None and np.any(each)]),
             "impulses": system.timing.carried,
             "pulses": system.timing.fired,
             "faults": pickle.dumps(system.transients) if system.transients else b"",
