@@ -157,6 +157,7 @@ def stated(s):
         **{name: getattr(system, name).tolist() for name in ("A", "B", "D", "u_max")},
         C=system.position.tolist(),
         w_max=system.w_max,
+        bias=[],
         system_kind="linear",
         delta=H,
         q=1,
