@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,6 +169,20 @@ def test_a_stuck_valve_is_open_or_shut_until_it_is_isolated():
     assert np.allclose(sorted(found), [(0, 0.7, 1.0), (1, 0.5, 1.5)])
     found = sorted(Stuck("stuck_on", 0, 1.0, 1).windows(0, 2.0, on))
     assert np.allclose(found, [(0, 0.7, 1.0), (0, 1.0, 2.0), (1, 0.5, 1.5)])
+
+
+def test_the_page_has_200_flights_of_cubesat_within_what_is_proven():
+    page = (Path(__file__).parents[1] / "docs" / "model-error.md").read_text(encoding="utf-8")
+    told = page.split("<!-- table cubesat -->")[1].split("<!-- end -->")[0]
+    rows = [[x.strip(" %") for x in row.split("|")[1:-1]] for row in told.splitlines() if row[:2] == "| "]
+    _, *flown, proven = rows
+    assert [int(row[1]) for row in flown] == [100, 50, 50]
+    for row in flown:
+        assert row[2] == "0" and float(row[3]) > 0 and row[4] == row[1]
+        assert all(float(share) <= 100 for share in row[8:])
+    whole = flown[0]
+    assert float(whole[3]) > float(proven[3]) > 0
+    assert float(whole[5]) < float(proven[5]) and float(whole[7]) < float(proven[7])
 
 
 @pytest.mark.slow

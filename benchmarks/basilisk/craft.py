@@ -173,7 +173,7 @@ def table(scene: CraftScene, flights: list[Flown]) -> list[str]:
         ]
         rows.append("| " + " | ".join(cells).replace("%", " %") + " |")
     limits = [f"{proven['distance']:.2f}", "", f"{proven['goal']:.2f}", "", f"{proven['delta_v']:.2f}"]
-    return [*rows, "| proven without a fault | | 0 | " + " | ".join(limits) + " | | 100 % | 100 % | 100 % |"]
+    return [*rows, "| proven without a fault | | 0 | " + " | ".join(limits) + " |" + " 100 % |" * 4]
 
 
 COLUMNS = (
