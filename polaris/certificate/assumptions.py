@@ -21,14 +21,16 @@ ALLOCATED = (
 ALLOCATIONS = {
     "least_thrust_mixes": "the sum of a fixed mix for each input and sign",
     "pseudo_inverse": "twice the positive part of the pseudo-inverse, of whole pairs, times the inputs",
-    "linear_program": "thrusts within their limits that make the inputs, of the least thrust in all",
+    "linear_program": "thrusts within their limits that make the inputs, of the least sum, each times the "
+    "length of its direction",
     "nearest": "thrusts within their limits that come nearest to the inputs, of these the least in 2-norm",
 }
 """Ways to allocate what is commanded to the thrusters of a layout, by kind."""
 
 NOTHING_ELSE = (
     "the safety controller flies from then on (without measurements: from when they cease), and no second "
-    "fault occurs; goal, velocity change, enclosures and drift are those of flights without such faults"
+    "fault occurs; goal, velocity change, estimates, enclosures and drift are those of flights without such "
+    "faults"
 )
 """Assumed of faults that are isolated late, and what is told of them."""
 

@@ -73,6 +73,8 @@ class Allocation:
             rule = f"must have {len(wanted)} numbers per thruster, for at most {MOST_INPUTS} inputs and "
             rule += f"{MOST_THRUSTERS} thrusters"
             raise ScenarioError("thrusters.directions", directions.shape, rule)
+        if not np.all(np.any(directions, axis=1)):
+            raise ScenarioError("thrusters.directions", directions.tolist(), "must not be zero")
         every, share = cases(limits, faults), 1.0
         scaled = (directions / wanted).tobytes()
         for what, capacity in every:

@@ -8,7 +8,7 @@ import pytest
 
 from polaris.certificate.checker import verify
 from polaris.model.allocation import Allocation, Fault
-from polaris.model.errors import SynthesisInfeasible
+from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.model.thrusters import Nozzles
 from polaris.runs.run import run
 from polaris.scenario.scenario import load_scenario
@@ -107,6 +107,11 @@ def test_pulses_of_thrusters_move_a_state_no_further_than_the_pulses_of_inputs(s
         one = np.maximum(speed, 0), np.maximum(-speed, 0)
         moved = sum(abs(flown(rng, layout, errors, each)) for each in one)
         assert np.all(moved <= fired / 8 * (1 + 1e-9))
+
+
+def test_a_thruster_without_a_direction_is_refused():
+    with pytest.raises(ScenarioError, match="must not be zero"):
+        Allocation.of(np.vstack([np.eye(2), -np.eye(2), np.zeros((1, 2))]), np.ones(5), np.ones(2), ())
 
 
 def test_every_error_of_a_layout_flies_within_what_is_proven(tmp_path):

@@ -18,7 +18,7 @@ from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical, digest
 from polaris.certificate.files.structure import sha256
 from polaris.cli.app import app
-from polaris.model.errors import PolarisError, ScenarioError
+from polaris.model.errors import NotCertified, PolarisError, ScenarioError
 from polaris.runs.case import load_target
 from polaris.runs.certificate import certificate
 from polaris.runs.read_schedule import read_schedule
@@ -29,7 +29,8 @@ from polaris.simulation.sampled import with_boxes
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.controllers.controllers import AnyThrust
 from polaris.synthesis.safety.get_safety import SHARES
-from polaris.synthesis.schedule.synthesize import synthesize
+from polaris.synthesis.schedule.search import Search
+from polaris.synthesis.schedule.synthesize import Reflown, synthesize
 
 from ..kept import CHOSEN, scheduled
 from ..sizes import fewer
@@ -447,3 +448,18 @@ def test_policies_train_from_a_run_folder(run):
     with no_search(*SOLVERS):
         env = SwitchingVectorEnv(run, num_envs=2, half_widths=0.001)
     assert env.reset(seed=0)[0].shape[0] == 2
+
+
+def test_a_schedule_without_its_tubes_flies_again_as_it_was():
+    scenario = load_scenario(TINY)
+    schedule = synthesize(scenario)
+    search = Search.over(scenario, schedule.safety, schedule.controllers[1:], None, None, fits=True)
+    known = schedule.arrival, schedule.delta_v
+    light = Reflown.of(search, schedule)
+    assert (light.arrival, light.delta_v) == known and light.share() == schedule.share()
+    assert "_flown" not in vars(light.steps)  # no tube is needed
+    assert all(isinstance(one.steps, Reflown) for one in schedule.library)
+    assert_equal(light, schedule, scenario)
+    other = Reflown(light.steps.search, (1 - schedule.modes).tolist())
+    with pytest.raises(NotCertified, match="its own modes"):
+        list(other)

@@ -49,9 +49,7 @@ def kept(monitor, runs=8, seed=1):
 def choice():
     """A small schedule with safe references to choose from, on all of which the monitor's proof starts."""
     with TemporaryDirectory() as folder:
-        schedule = synthesised(5034, Path(folder))[1]
-    assert all("_flown" not in vars(one.steps) for one in schedule.library)  # no tubes but those of the best
-    return schedule
+        return synthesised(5034, Path(folder))[1]
 
 
 def members(schedule):

@@ -148,7 +148,8 @@ class Drifts:
             rows = matrix([(row * M).entries() for M in self._powers[:-1]])
             gained = motion.push_gain(rows, self.plant.disturbance)
             pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))
-            pushed = sums(pushed, *(motion.constant_gain(rows, push) for push in self.plant.bias))
+            constants = (motion.constant_gain(rows, push, self._claim.parts) for push in self.plant.bias)
+            pushed = sums(pushed, *constants)
             self._known[key] = row, motion.bend(row * self.plant.A), pushed
         return self._known[key]
 

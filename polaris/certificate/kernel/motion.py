@@ -220,15 +220,17 @@ class Motion:
         bent = push.along(magnitude(rows * self.A * self.A * self.over * V))
         return [h / 2 * (a + b) + h**3 / 12 * c for a, b, c in zip(left, right, bent, strict=True)]
 
-    def constant_gain(self, rows: arb_mat, push: Push) -> list[arb]:
+    def constant_gain(self, rows: arb_mat, push: Push, later: int) -> list[arb]:
         """Bound what a constant does along rows, which follow one another by a period, by any time of each.
 
-        At the ends of periods it is their sum; between them it leaves the chord by no more than it bends.
+        It begins at the start, or up to so many periods `later`. At the ends of periods it is the sum of the
+        rows; between them it leaves the chord by no more than it bends.
         """
         each = (rows * (self.gamma * push.V)).tolist()
         reached = accumulate(each, sums, initial=[arb(0)] * push.V.ncols())
         ends = push.along(matrix(list(reached)))
-        return sums([largest(pair) for pair in pairwise(ends)], self.push_bend(rows, push))
+        each_part = sums([largest(pair) for pair in pairwise(ends)], self.push_bend(rows, push))
+        return [largest(each_part[max(j - later, 0) : j + 1]) for j in range(len(each_part))]
 
     def gains_over(self, rows: arb_mat, pushes: Sequence[Push], count: int) -> tuple[list[arb], arb_mat]:
         """`push_gain` of several over so many periods, and the rows carried over all of them."""

@@ -179,8 +179,9 @@ def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -
 def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     """Return the difference that up to `count` updates in a row make which an observer does not make.
 
-    The other flight has the same disturbances and errors, and measures exactly meanwhile. They differ first
-    in the update after a node at which the observer's error is within its bounds.
+    The other flight has the same disturbances and errors, and measures meanwhile as exactly as what is
+    constant in its errors lets it. They differ first in the update after a node at which the observer's error
+    is within its bounds.
     """
     plant, blind = craft.plant, craft_of(document, craft.plant, craft.gain, observing=False)
     error = sums(map(arb, document.measured), carried_away(plant))
@@ -188,6 +189,11 @@ def _unmade(document: Document, craft: Craft, count: int) -> Differences:
     start = above(arb_mat(n, len(box)), diagonal(box))
     pushes = plant.thruster_error(plant.u_max)
     added = [beside(*each.added(pushes)[1:]) for each in (craft, blind)]  # measurements are the first
+    seen = craft.samples[0]
+    if seen.constant:
+        left = [largest([arb(0), 2 * x - size]) for x, size in zip(seen.constant, seen.size, strict=True)]
+        inexact = seen.adds * diagonal(left)
+        added = [beside(added[0], inexact), beside(added[1], inexact * 0)]
     first = second = identity(n + len(box))
     found = []
     for _ in range(count):

@@ -58,8 +58,8 @@ class Thrusters(ScenarioPart):
     """How commands are allocated to the thrusters of `directions`. `least_thrust_mixes`: every input has a
     fixed mix of them either way, of least thrust in all. `pseudo_inverse`: twice the positive part of the
     pseudo-inverse times the command; every thruster needs an opposite one, and one that gives nothing takes
-    that out, too. `linear_program`: the least thrust in all, and `nearest`: thrusts of the least 2-norm, both
-    solved for each command within the limits of the thrusters."""
+    that out, too. `linear_program`: the least sum of thrusts, each times the length of its direction, and
+    `nearest`: thrusts of the least 2-norm, both solved for each command within the thrusters' limits."""
 
     def nozzles(self, made: Allocation | None) -> Nozzles | None:
         """Return the thrusters of a layout with what each may do wrong; None where none is given."""

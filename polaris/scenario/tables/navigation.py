@@ -51,7 +51,8 @@ class Sight(ScenarioPart):
     frame and `within_m`, whose box bounds what they make of the position; they add to `position_error_m`."""
     within_m: f.PositivePerAxis | None = unit("m", "Per axis, or one number for all.", default=None)
     """Half-widths of a box about the target in which these bounds hold, where accuracy depends on the range:
-    the chaser, its size included, is kept in it for as long as they count, as in a keep-in set."""
+    the chaser, its size included, is kept in it for as long as they count, as in a keep-in set. It was inside
+    before the start, too, for as long as estimates remember."""
 
     def sight(self, system: LinearSystem, path: str) -> Array:
         """Errors of range [m] and bearing [rad], and bounds on those of the position, shape (5,)."""
@@ -60,7 +61,9 @@ class Sight(ScenarioPart):
             return np.zeros(5)
         if system.mean_motion is None or self.within_m is None:
             rule = "needs Hill's frame (system.kind = 'clohessy_wiltshire') and within_m"
-            raise ScenarioError(f"{path}.range_error_m, bearing_error_deg", (off, angle), rule)
+            raise ScenarioError(
+                f"{path}.range_error_m, bearing_error_deg", (off, self.bearing_error_deg), rule
+            )
         half = per_axis(f"{path}.within_m", self.within_m, 3)
         across = np.sqrt(np.sum(half**2) - half**2)
         turned = off + (1 - np.cos(angle)) * half + np.sin(angle) * across

@@ -111,7 +111,9 @@ class FreeFlight:
             ends = np.cumsum(carried[:-1] @ flow.input_map(biases), axis=0)
             ends = np.abs(np.concatenate([0 * ends[:1], ends])).sum(axis=-1)
             bent = np.abs(carried[:-1] @ system.A) @ flow.growth @ np.abs(biases).sum(axis=1)
-            pushed = pushed + np.maximum(ends[:-1], ends[1:]) + h**2 / 8 * bent
+            each = np.maximum(ends[:-1], ends[1:]) + h**2 / 8 * bent
+            less = [np.pad(each, ((j, 0), (0, 0)))[: len(each)] for j in range(self.parts + 1)]
+            pushed = pushed + np.max(less, axis=0)  # thrust stops up to a step later
         return carried, bend, pushed
 
     def after(self, k: int, nodes: Zonotope, bow: Array) -> tuple[Drift, ...]:

@@ -177,14 +177,13 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         return switching_logic(replace(along(search, safety), intended=intended))
 
     worth, late = Worth.beside(printed, search.rules, printed.safety), False
-    best, library = printed, list[Schedule]()
+    best, others = printed, list[Schedule]()
 
     def compare(other: Schedule) -> None:
-        """Keep the better one, and beside it those that are as good, without their tubes."""
-        nonlocal best, library
+        """Keep the better one, and the other without its tubes."""
+        nonlocal best
         worse, best = (best, other) if worth(other) > worth(best) else (other, best)
-        each = [*library, Reflown.of(search, worse)]
-        library = [one for one in each if as_good(one, best, search.rules)]
+        others.append(Reflown.of(search, worse))
 
     for other in with_clearance(search, printed):
         compare(other)
@@ -196,6 +195,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         late |= any(view.late for view in searches)
         if best.keeps(search.rules):
             break
+    library = tuple(one for one in others if as_good(one, best, search.rules))
     if late:
         told = "the wall clock (planner.time_limit_s) ended the search for a reference with U in view early"
         warnings.warn(
@@ -203,14 +203,14 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
         )
         cut = (*printed.safety.cut_by_clock, "reference with U in view")
         best = replace(best, safety=replace(best.safety, cut_by_clock=cut))
-    return replace(best, library=tuple(library), worth=worth.prices)
+    return replace(best, library=library, worth=worth.prices)
 
 
 class Reflown(Sequence[Step]):
-    """Steps of a schedule that fly again when one is first asked for: their tubes take much memory."""
+    """Steps of a schedule that are propagated again on first access: their tubes take much memory."""
 
     def __init__(self, search: Search, modes: tuple[int, ...]) -> None:
-        self.search, self.modes = replace(search, rules=SwitchingRules(), intended=modes), modes
+        self.search, self.modes = search, modes
 
     @classmethod
     def of(cls, search: Search, schedule: Schedule) -> Schedule:
@@ -232,7 +232,11 @@ class Reflown(Sequence[Step]):
 
     @cached_property
     def _flown(self) -> Sequence[Step]:
-        return switching_logic(self.search).steps
+        search = replace(self.search, rules=SwitchingRules(), progress=None, intended=self.modes)
+        steps = switching_logic(search).steps
+        if tuple(step.mode for step in steps) != self.modes:
+            raise NotCertified("the schedule is not proven again in its own modes")
+        return steps
 
 
 def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:

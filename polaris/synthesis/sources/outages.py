@@ -64,14 +64,19 @@ def lost(
 def unmade(closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Array, count: int) -> Difference:
     """Return the difference that up to so many updates in a row make which an observer does not make.
 
-    The other flight has the same disturbances and errors, and measures exactly meanwhile. The loop is `blind`
-    without updates, and other states than the tracking error are `remembered`, (N - n,).
+    The other flight has the same disturbances and errors, and measures meanwhile as exactly as what is
+    constant in its errors lets it. The loop is `blind` without updates, and other states than the tracking
+    error are `remembered`, (N - n,).
     """
     channels = [each for each in closed.loop.channels if each.name != MEASUREMENT]
     sized = [(c, c.size if c.share is None else c.size + c.share(u_max)) for c in channels]
     once, other = (
         np.hstack([rates_added(each.loop, sized), sampled_added(each, sized)]) for each in (closed, blind)
     )
+    for seen in closed.loop.channels:
+        if seen.name == MEASUREMENT and seen.constant is not None:
+            inexact = closed.sampled(seen) * np.maximum(2 * seen.constant - seen.size, 0.0)
+            once, other = np.hstack([once, inexact]), np.hstack([other, 0 * inexact])
     first, second, found = np.eye(closed.loop.N), np.eye(closed.loop.N), Difference([], [])
     for _ in range(count):
         found.added.append((second @ other - first @ once) * (1 + ROUNDING))
