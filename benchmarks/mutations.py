@@ -49,9 +49,9 @@ model/prediction.py
 + 0.0 * np.array(timing.pulsed or 0.0)
 ! test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
 model/prediction.py
-- impulse = jitter * (2 * system.u_max +
-+ impulse = jitter * (system.u_max +
-! test_timing.py::test_an_impulse_out_of_time_is_an_error_within_a_period_and_a_displacement
+- 2 * timing.jitter / h
++ timing.jitter / h
+! test_timing.py::test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_shifted
 synthesis/tracker/tightening.py
 - self.factor * sizes.max(axis=0)
 + self.factor * sizes[0]

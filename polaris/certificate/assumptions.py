@@ -147,6 +147,7 @@ class Premises:
             if self.layout:
                 made = "one pulse of each thruster per period, in the middle of it, of which those at once "
                 made += f"make at most [{fired}] N"
+            made += ", of its impulse whenever it begins, never over another of its thruster" * (jitter > 0)
             yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
         late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)
         if self.allocated:

@@ -103,12 +103,28 @@ class Craft(LinearSystem):
 
     @cached_property
     def adrift(self) -> Array:
-        """Rates of the states by carried impulses and their errors, as generators (n, ...)."""
+        """Rates of the states by carried impulses, their errors, and jitter, as generators (n, ...)."""
         if not self.timing.carried:
-            return np.zeros((self.n, 0))
+            return self.shifting
         held = discretize(self.A, self.B, self.timing.period)[1] / self.timing.period
         wrong = [self.thrusters.along * self.B] if self.thrusters.along > 0 else []
-        return np.asarray(self.timing.carried * self.A @ np.hstack([held, *wrong]))
+        carried = self.timing.carried * self.A @ np.hstack([held, *wrong])
+        return np.hstack([carried, self.shifting])
+
+    @property
+    def shifted(self) -> Array:
+        """Bounds on the impulses that jitter brings forward or puts off, of inputs [N s], shape (m,)."""
+        timing = self.timing
+        if not timing.jitter > 0:
+            return np.zeros(self.m)
+        held = self.u_max + (2 * timing.carried / timing.period if timing.carried else 0.0)
+        top = 2 * np.array(timing.fired) if timing.fired else held
+        return np.asarray(timing.jitter * (top + self.on_time.error(top)) * (1 + 1e-9))
+
+    @property
+    def shifting(self) -> Array:
+        """Rates of the states by `shifted` impulses, as generators (n, m); (n, 0) without jitter."""
+        return np.asarray((self.A @ self.B * self.shifted)[:, : self.m * (self.timing.jitter > 0)])
 
     @cached_property
     def unknown(self) -> Array:
@@ -129,8 +145,13 @@ class Craft(LinearSystem):
         """Craft whose commands take effect at once: with the errors of measurements."""
         if self.timing == Timing():
             return self
-        own = replace(self.thrusters, bit=self.timing.bit)
-        return replace(self.known_to(self.measured), observer=None, timing=Timing(), thrusters=own)
+        own = self.known_to(self.measured)
+        return replace(own, observer=None, timing=Timing(), thrusters=self.on_time)
+
+    @property
+    def on_time(self) -> Thrusters:
+        """Return the errors of thrusters without what stands for jitter and pulses."""
+        return self.thrusters if self.timing == Timing() else self.timing.on_time
 
     def as_ideal(self) -> Craft:
         """Return the craft without errors of estimates and thrusters, and without late faults."""
@@ -173,13 +194,13 @@ class Craft(LinearSystem):
 
         Each by its weight: the sum bounds what counts of velocity change.
         """
-        return np.asarray(self.longest * (most + self.prompt.thrusters.error(most)) * self.weights)
+        return np.asarray(self.longest * (most + self.on_time.error(most)) * self.weights)
 
     @property
     def owed(self) -> float:
         """Return what may be left of impulses from before, of all inputs [N s], with its errors."""
         sides = 1 if self.nozzles is None else 2  # each way thrusters of their own
-        return self.thrusters.made(sides * self.m * self.timing.carried)
+        return self.longest * self.on_time.made(sides * self.m * self.timing.carried)
 
     @property
     def longest(self) -> float:

@@ -207,38 +207,21 @@ def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
     return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
 
 
-def jitter_error(system: Craft, jitter: float, h: float) -> tuple[float, Array]:
-    """What commands add that take effect up to `jitter` [s] early or late, renewed every h [s].
+def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
+    """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
 
-    An error of every input [N], and a displacement (n,) that does not add up (docs/theory.md, Lemma 6 (a)):
-    as much impulse at the same place is spread over a period about the instant.
+    An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
+    Lemma 6 (b)). Errors of the thrusters hold for a period.
 
     Raises
     ------
     ScenarioError
         If inputs that are linear in time cannot do that: too few of them for the states.
     """
-    if not jitter > 0:
-        return 0.0, np.zeros(system.n)
-    A, B, m, reach = system.A, system.B, system.m, h / 2 + jitter
-    inverse, over = _spreading(system, h, "timing.jitter_s", jitter), expm(np.abs(A) * reach) @ np.abs(B)
-    shape = np.abs(inverse @ B) + jitter * np.abs(inverse @ A @ B)
-    shape += jitter**2 / 2 * np.abs(inverse) @ np.abs(A) @ np.abs(A) @ over
-    impulse = jitter * (2 * system.u_max + system.thrusters.error(system.u_max))
-    spread = np.maximum((shape[:m] + shape[m:]) @ impulse, impulse / h) * (1 + ROUNDED)
-    return float(spread.max()), np.asarray(over @ spread * reach * (1 + ROUNDED))
-
-
-def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
-    """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
-
-    An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
-    Lemma 6 (b)). Errors of the thrusters hold for a period. Raises what `jitter_error` does.
-    """
     A, B, m = system.A, system.B, system.m
     each = (fired * scale for scale in (h / 8, h**2 / 32, h**3 / 62))
     speed, way, lasting = (part + system.thrusters.part(part) for part in each)
-    inverse = _spreading(system, h, "thrusters.pulse", "centred")
+    inverse = _spreading(system, h)
     growth, bent = expm(np.abs(A) * h), A @ A @ B
     shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
     spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
@@ -247,7 +230,7 @@ def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
     return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
 
 
-def _spreading(system: Craft, h: float, field: str, given: object) -> Array:
+def _spreading(system: Craft, h: float) -> Array:
     """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
     A, B, n = system.A, system.B, system.n
     block = np.zeros((3 * n, 3 * n))
@@ -256,7 +239,7 @@ def _spreading(system: Craft, h: float, field: str, given: object) -> Array:
     moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
     if np.linalg.matrix_rank(moments) < n:
         rule = "is not covered for a system with fewer inputs than half its states, or states that none moves"
-        raise ScenarioError(field, given, rule)
+        raise ScenarioError("thrusters.pulse", "centred", rule)
     return np.linalg.pinv(moments)
 
 
@@ -275,16 +258,20 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
         If the system is so unstable that nothing bounds a prediction.
     """
     h, exact = period or 0.0, system.thrusters
-    bit, moved = jitter_error(system, timing.jitter, h)
-    if timing.carried:
-        moved = moved + replace(system, timing=replace(timing, period=h)).carried_away
-    away = moved
+    late = 0.0 if timing.fired or not timing.jitter else 2 * timing.jitter / h
+    layout = None if system.nozzles is None else system.m
+    thrusters, timing = exact.stretched(late, layout), replace(timing, on_time=exact, period=h)
+    if late and layout:  # which make more than is commanded of what they have left
+        thrusters = thrusters.raised(2 * late * timing.carried / h * (1 + ROUNDED))
+    system = replace(system, timing=timing, thrusters=thrusters)
+    away = moved = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
     if timing.fired:
         bit, within = pulse_error(system, np.array(timing.fired), h)
         timing = replace(timing, pulsed=tuple(within.tolist()))
         away, moved = when_measured(timing, h, moved), moved + within
-    timing = replace(timing, bit=exact.bit, displaced=tuple(moved.tolist()), period=h)
-    system = replace(system, timing=timing, thrusters=exact.raised(bit))
+        system = replace(system, thrusters=exact.raised(bit))
+    timing = replace(timing, displaced=tuple(moved.tolist()))
+    system = replace(system, timing=timing)
     if system.observer is not None:  # of the motion under inputs that are held
         system = observing(system, system.observer, h, away)
     steps = system.navigation[None] if system.error_by_step is None else system.error_by_step

@@ -36,6 +36,21 @@ class Thrusters:
         along, across, bit = (x * (1 + 1e-9) if x > 0 else 0.0 for x in bounds)
         return cls(along, across, bit)
 
+    def stretched(self, share: float, inputs: int | None = None) -> "Thrusters":
+        """Return the errors if commands may be in force for longer or shorter by a share of their period.
+
+        Their impulse changes by as much (docs/theory.md, Lemma 6 (a)). Of a layout that makes some `inputs`
+        the table of shares grows.
+        """
+        if not share > 0:
+            return self
+        longer, more = (1 + share) * (1 + 1e-9), share * (1 + 1e-9)
+        bit = tuple(x * longer for x in self.bit) if isinstance(self.bit, tuple) else self.bit * longer
+        if inputs is None:
+            return Thrusters(self.along * longer + more, self.across * longer, bit)
+        table = np.array(self.shares or np.zeros((inputs, inputs))) * longer + more * np.eye(inputs)
+        return replace(self, bit=bit, shares=tuple(map(tuple, table.tolist())))
+
     def rounding(self, m: int) -> float:
         """Multiple of which every input is commanded [N]: twice what `of` was given."""
         return 2 * float(np.max(self.bit)) / (1 + self.along + self.across * float(np.sqrt(m - 1)))

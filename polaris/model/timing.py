@@ -47,7 +47,7 @@ class Timing:
     jitter: Annotated[float, Key("jitter_s", "s", NonNegative)] = 0.0
     missed: Annotated[int, Key("missed_periods", "-", Annotated[Whole, Field(ge=0, le=1000)])] = 0
     clock: Annotated[float, Key("clock_error_s", "s", NonNegative)] = 0.0
-    bit: float | tuple[float, ...] = 0.0  # `Thrusters.bit` without jitter and pulses [N]
+    on_time: Thrusters = Thrusters()  # errors of thrusters without what stands for jitter and pulses
     measured: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)
     displaced: tuple[float, ...] = ()  # how far jitter, pulses, and what is carried displace states, (n,)
     fired: tuple[float, ...] = ()  # thrust of the pulses of every input, each in the middle of its period [N]

@@ -159,11 +159,14 @@ def fly(
 
 
 class Engine(Integrator):
-    """Integration from node to node, every run under its own mode."""
+    """Integration from node to node, every run under its own mode; inputs that stand for jitter are held."""
+
+    jitter = 0.0
 
     def __init__(self, grid: DecisionGrid) -> None:
         self.grid = grid
         super().__init__(grid.fine_schedule, np.zeros(grid.clearance.planned, dtype=int), 1)
+        self.thrusters = self.system.on_time if len(self.fired) else self.system.thrusters
         self._asked: dict[int, Array] = {}
         self._rows: slice | NDArray[np.bool_] = slice(None)
 
@@ -219,7 +222,8 @@ class Engine(Integrator):
         (Ad, Bd, Dd), limit = self.grid.held, self.system.u_max
         applied, pushed = self.applied(u, node), w @ Dd.T
         demand, spent = (np.abs(u) / limit).max(axis=1), np.abs(applied).sum(axis=1)
-        after = x @ Ad.T + applied @ Bd.T + pushed + self.bow()
+        self.start(node)
+        after = x @ Ad.T + applied @ Bd.T + pushed + self.bow(0)
         if self.failing is not None:
             eta = 0.0 if self.eta is None else self.eta[0]
             self.failing.predict(node, Ad, pushed + (applied - np.clip(u, -limit, limit)) @ Bd.T, eta)

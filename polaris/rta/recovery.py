@@ -130,7 +130,7 @@ class Recovery:
         rate = rows @ system.A
         applied = spread + system.thrusters.error(system.u_max)
         bend = np.abs(rate @ system.A) @ within + np.abs(rate @ system.B) @ applied
-        wrong = system.adrift[:, system.m :]  # that part is not constant over a period
+        wrong = system.adrift[:, system.m * bool(system.timing.carried) :]  # not constant over a period
         bend = bend + np.abs(rate @ system.unknown).sum(axis=1)
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
         bend = bend + flow.h / 2 * np.abs(rows @ wrong).sum(axis=1)

@@ -17,13 +17,13 @@ class Predicting(Integrator):
 
     `eta` holds errors of predictions, each within its bound; scaled down they are those of measurements.
     Where a measurement would lie before the start, the prediction is off by them as they are. A delay is
-    flown as the nearest whole number of steps of the integration; jitter makes commands late by up to one.
+    flown as the nearest whole number of steps of the integration.
     An observer, if there is one, filters measurements, each off by its bound, with the sign of `eta` there;
     before the start it has made its first estimate, and the model has held since.
     """
 
     ages: Array  # periods for which a prediction has had no new measurement, (nodes, R)
-    late: Array  # by which share of a step a command comes late, (nodes, R)
+    late: Array | None  # by how many steps a command comes late, (nodes, R), where that is drawn
     off: Array  # largest errors of predictions so far, as shares of their bounds, (n,)
     filtered: Array  # an observer's estimates, (R, n), since how many periods without a measurement, (R,)
     since: NDArray[np.int_]
@@ -39,7 +39,7 @@ class Predicting(Integrator):
 
     def prepare(self, runs: int, rng: np.random.Generator | None) -> None:
         """Draw which periods are missed: each with even chance, up to as many in a row as may be."""
-        system, timing, self.thrusters = self.system, self.system.timing, self.system.prompt.thrusters
+        system, timing, self.thrusters = self.system, self.system.timing, self.system.on_time
         nodes = len(self.modes) * self.q
         self.lag, self.off = round(timing.delay / self.dt), np.zeros(system.n)
         self.drawn, each = rng is not None, np.arange(nodes)[:, None] % (timing.missed + 1)
@@ -50,8 +50,7 @@ class Predicting(Integrator):
             self.ages[node] = np.where(lost[node] & (older <= timing.missed), older, 0)
         # Every instant's measurement, and what is commanded from then on.
         self.seen, self.told = (np.zeros((self.steps, runs, size)) for size in (system.n, system.m))
-        late = 0.0 if rng is None else rng.choice([0.0, min(timing.jitter / self.dt, 1.0)], (nodes, runs))
-        self.late = np.broadcast_to(late, (nodes, runs))
+        self.late = None if rng is None else rng.choice([0.0, timing.jitter / self.dt], (nodes, runs))
         self.noise = self._noise() / np.maximum(self.known, 1e-300)
         self.measured = -1
 
@@ -149,12 +148,15 @@ class Predicting(Integrator):
         self.told[step : step + self.substeps] = np.clip(raw, -self.system.u_max, self.system.u_max)
         return super().applied(raw, step)
 
+    def lateness(self, step: int) -> Array:
+        """Return the shares that were drawn, if any."""
+        late = None if self.late is None else self.late[step // self.substeps, :, None]
+        return super().lateness(step) if late is None or not step else late / self.substeps
+
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States a step later, what is measured at its start being noted."""
         at = k * self.steps_per_cell + step
         self.seen[at] = x[:, : self.system.n]
-        if at and at % self.substeps == 0:  # part of the step still flies what was commanded before
-            u = u + self.late[at // self.substeps][:, None] * (self.told[at - 1] - self.told[at])
         return super().move(k, step, x, u, w)
 
     def _unclipped(self, *cell: object) -> None:

@@ -1,9 +1,8 @@
-"""What thrusters make of commands, and what centred pulses make of a flight."""
+"""What thrusters make of commands, and what pulses and jitter make of a flight."""
 
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import expm
 
 from ..model.craft import Array, Craft
 from ..model.thrusters import Thrusters
@@ -18,6 +17,10 @@ class Firing:
     that push along the rows of `ways` (N, m), those of a layout or else one both ways along every input,
     pulses have the thrust `fired` (N,); without any, what is commanded is held. From `begin` on, the rest of
     an impulse is `left` (R, N) [N s] if it is carried. What fails is `failing`.
+
+    With jitter and pulses `parts` are (forces (R, .), inputs that a unit of each makes (., m), begin and end
+    as shares of the period (R, .)). Forces that are held add to the inputs, pulses are all that is made. A
+    pulse keeps its impulse, and one that is not over when the next of its thruster is due delays that.
     """
 
     system: Craft
@@ -28,6 +31,9 @@ class Firing:
     thrust: Array | None = None
     failing: Failing | None = None
     left: Array | None = None
+    made: Array  # inputs, what fails apart, (R, m)
+    before: Array  # those of the last period
+    parts: list[tuple[Array, Array, Array, Array]]
 
     @cached_property
     def ways(self) -> Array:
@@ -42,8 +48,9 @@ class Firing:
         return np.array(timing.fired) if layout is None or not layout.pulsed else layout.allocation.limits
 
     def begin(self, runs: int) -> None:
-        """Nothing is left of impulses."""
+        """Leave nothing of impulses."""
         self.left = np.zeros((runs, len(self.ways))) if self.system.timing.carried else None
+        self.parts, self.before = [], np.zeros((runs, self.system.m))
 
     def applied(self, raw: Array, step: int) -> Array:
         """What the thrusters make of commands in a step."""
@@ -58,8 +65,8 @@ class Firing:
             f = np.sign(due) * np.minimum(whole / h, most)
             self.left = due - f * h
         self.asked, made = f, f @ self.ways
-        u = made if self.thrust is None else made + self.thrust[step] * self.thrusters.error(told)
-        return u if self.failing is None else u + self.failing.added(made, step)
+        self.made = made if self.thrust is None else made + self.thrust[step] * self.thrusters.error(told)
+        return self.made if self.failing is None else self.made + self.failing.added(made, step)
 
     def size(self, u: Array) -> Array:
         """Return what counts of velocity change while inputs u (R, m) are applied, (R,) [N].
@@ -72,29 +79,63 @@ class Firing:
             np.abs(self.asked) @ layout.allocation.lengths + np.abs(u - self.asked @ self.ways).sum(axis=1)
         )
 
-    def pulsed(self, start: Array | float, end: Array | float) -> Array:
-        """Mean thrust of the pulses from one share of a period to another, less what is commanded, (R, m)."""
-        on = np.abs(self.asked) / self.fired / 2
-        within = np.maximum(np.minimum(0.5 + on, end) - np.maximum(0.5 - on, start), 0)
-        mean = np.sign(self.asked) * self.fired * within / np.maximum(end - start, 1e-300)
-        return np.asarray((mean - self.asked) @ self.ways)
+    def start(self, step: int) -> None:
+        """Note when what is made in the period that begins with a step, and before, is in force."""
+        late, last = np.zeros((len(self.made), 1)), self.parts
+        if self.jitter > 0:
+            late, held, self.before = self.lateness(step), self.before, self.made
+            self.parts = [(held - self.made, np.eye(self.system.m), 0 * late, late)]
+        if not len(self.fired):
+            return
+        on = np.abs(self.asked) / self.fired
+        begin = (1 - on) / 2 + late
+        last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[: self.jitter > 0]]
+        for *_, over in last:  # what is not over yet
+            begin = np.maximum(begin, over)
+        self.parts = [(np.sign(self.asked) * self.fired, self.ways, begin, begin + on), *last]
 
-    def bow(self) -> Array | float:
-        """What pulses within one step add to the state at its end beyond their mean, (R, n); 0 without."""
-        if not len(self.fired) or self.substeps > 1:
+    @cached_property
+    def jitter(self) -> float:
+        """Share of a period by which commands may come late."""
+        return self.system.timing.jitter / (self.dt * self.substeps)
+
+    def lateness(self, step: int) -> Array:
+        """Return the share of the period by which what is made takes effect late, (R, 1): all or nothing.
+
+        Late is what the last inputs do more for along `thrust`, and nothing in the first period.
+        """
+        more = (self.before - self.made) * (0.0 if self.thrust is None else self.thrust[step])
+        return np.where(more.sum(axis=1, keepdims=True) > 0, self.jitter * (step > 0), 0.0)
+
+    def _beyond(self, power: int, start: Array | float, end: Array | float) -> Array:
+        """Moment of inputs about the end of a part of a period beyond those that are held, (R, m).
+
+        Of each instant counts the time until then to a power, integrated; start, end and time are shares.
+        """
+        power += 1
+        moment = -self.asked @ self.ways * (end - start) ** power if len(self.fired) else 0.0
+        for force, ways, begin, over in self.parts:
+            left, right = (end - np.clip(each, start, end) for each in (begin, over))
+            moment = moment + force * (left**power - right**power) @ ways
+        return np.asarray(moment)
+
+    def pulsed(self, start: Array | float, end: Array | float) -> Array:
+        """Mean of inputs from one share of a period to another, less those that are held, (R, m)."""
+        return self._beyond(0, start, end) / np.maximum(end - start, 1e-300)
+
+    def bow(self, sub: int) -> Array | float:
+        """What pulses and jitter add to the state by the end of a step of a period, (R, n)."""
+        if not self.parts:
             return 0.0
-        on, sign = np.abs(self.asked) / self.fired, np.sign(self.asked) * self.fired
-        parts = [sign * (on ** (2 * i + 3) - on) @ term for i, term in enumerate(self._series)]
-        return np.asarray(sum(parts, np.zeros(self.system.n)))
+        start, end = sub / self.substeps, (sub + 1) / self.substeps
+        each = (self._beyond(power, start, end) @ term for power, term in enumerate(self._series))
+        return np.asarray(sum(each, np.zeros(self.system.n)))
 
     @cached_property
     def _series(self) -> list[Array]:
-        """A pulse about a step's middle: per share of the step to the third, fifth, ... power, (N, n)."""
-        A, h = self.system.A, self.dt
-        parts: list[Array] = []
-        term = first = expm(A * h / 2) @ self.system.B @ self.ways.T * h
-        while np.abs(term).max() > 1e-15 * np.abs(first).max():
-            power = 2 * len(parts) + 2
-            term = (h / 2) ** 2 / (power * (power + 1)) * A @ A @ term
-            parts.append(term.T)
-        return parts
+        """What a unit of each moment of the inputs adds to the state, (m, n)."""
+        h = self.dt * self.substeps
+        terms, least = [self.system.B.T * h], 1e-15 * np.abs(self.system.B).max()
+        while np.abs(terms[-1]).max() > least * h:
+            terms.append(terms[-1] @ self.system.A.T * (h / (len(terms) + 1)))
+        return terms

@@ -31,7 +31,7 @@ class Integrator(Firing):
     What a controller does that may do anything is `free` (steps, R, m); without it, as its `command` says.
     Errors of the estimates that controllers act on are `eta` (steps, R, n). What networks are told of bodies
     is off by `shares` (steps, R, ...) of what is not known; where `bodies` has true states of satellites at
-    the nodes, by name (R, N+1, n), it is the truth. Pulses are flown exactly, in several steps by means.
+    the nodes, by name (R, N+1, n), it is the truth. Pulses and jitter are flown exactly.
     """
 
     def __init__(self, schedule: Schedule, modes: NDArray[np.int_], substeps: int) -> None:
@@ -42,7 +42,7 @@ class Integrator(Firing):
         self.bodies: dict[str, Array] = {}
         self.schedule, self.modes, self.substeps = schedule, modes, substeps
         self.system, self.tracking = safety.tracking.system, safety.tracking
-        self.thrusters = (self.system.prompt if len(self.fired) else self.system).thrusters
+        self.thrusters, self.parts = self.system.on_time, []
         self.q = self.tracking.feedback.nodes_per_cell
         self.dt = self.tracking.flow.h / substeps
         self.steps_per_cell = self.q * substeps
@@ -155,9 +155,7 @@ class Integrator(Firing):
     def move(self, k: int, step: int, x: Array, u: Array, w: Array) -> Array:
         """States (R, n) a step later, u being held."""
         (Ad, Bd, Dd), sub = self.held, step % self.substeps
-        if len(self.fired) and self.substeps > 1:
-            u = u + self.pulsed(sub / self.substeps, (sub + 1) / self.substeps)
-        return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.bow())
+        return np.asarray(x @ Ad.T + u @ Bd.T + w @ Dd.T + self.bow(sub))
 
     def period(
         self, number: int, k: int, place: int, x: Array, w: Sequence[Array] | Array
@@ -172,6 +170,7 @@ class Integrator(Firing):
         raw = self.command(number, k, begin, x)
         demanded = np.max(np.abs(raw) / limit, axis=1)
         u, held = self.applied(raw, k * self.steps_per_cell + begin), np.clip(raw, -limit, limit)
+        self.start(k * self.steps_per_cell + begin)
         for sub in range(self.substeps):
             step = begin + sub
             x = self.move(k, step, x, u, w[sub])
@@ -180,10 +179,7 @@ class Integrator(Firing):
                 wrong = w[sub] @ Dd.T + (u - held) @ Bd.T
                 eta = 0.0 if self.eta is None or at + 1 == self.steps else self.eta[at + 1]
                 self.failing.predict(at, Ad, wrong, eta)
-            size = self.size(u)
-            if self.system.timing.jitter > 0:  # moves thrust in time, and adds little of it
-                size = np.minimum(size, self.system.spent(np.minimum(np.abs(raw), limit)).sum(axis=1))
-            spent += size
+            spent += self.size(u)
         return x, held, demanded, spent
 
     def run(self, x0: Array, w: Array) -> Runs:

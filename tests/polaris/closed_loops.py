@@ -128,7 +128,7 @@ class Loop:
         h, bit, errors = self.dt * self.parts, self.system.timing.carried, self.system.thrusters
         asked = told * h + rest
         made = np.minimum(np.floor(np.abs(asked) / bit) * bit, self.system.u_max * h) * np.sign(asked)
-        wrong = errors.part(made / h) + errors.bit - self.system.timing.bit
+        wrong = errors.part(made / h) + errors.bit - self.system.on_time.bit
         return made / h + off * wrong, asked - made
 
     def _path(self, chi: Array, nu: Array) -> Array:

@@ -57,7 +57,7 @@ def tracking(delay=0.0, observer=False, proportional=False, carried=0.0, missed=
         system = replace(system, observer=design(system, np.eye(2, 4), np.array([0.01, 0.02]), H))
     timing = Timing(delay=delay * H, missed=missed, carried=carried, jitter=jitter, fired=fired)
     system = predicting(system, timing, H)
-    return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional else None)
+    return Tracking(system, P[2:] / 2, Feedback(1), H, 0.5 if proportional or jitter else None)
 
 
 class Flight:
@@ -68,16 +68,16 @@ class Flight:
         system = s.system
         self.A, self.B, self.D, timing = system.A, system.B, system.D, system.timing
         self.lag = 0 if timing.missed else round(timing.delay / H * PARTS)  # estimates are in a box, then
-        self.part = hold(self.A, np.hstack([self.D, self.B]), H / PARTS)
+        self.part = hold(self.A, np.hstack([self.D, self.B, self.A @ self.B]), H / PARTS)
         self.seen = len(system.observer.noise) if system.observer else system.n
-        self.count = PARTS * (self.part[1].shape[1]) + self.seen + system.m
+        self.count = PARTS * self.part[1].shape[1] + self.seen + system.m
 
     def fly(self):
         """States at all parts of periods from the hand-over on, and S's commands."""
         s, (n, m), p = self.s, self.B.shape, self.D.shape[1]
         Ad, Gd = self.part
         x, states, estimate, last, commands = np.zeros((self.count, n)), [], None, 0, []
-        pushes, first = PARTS * (p + m), self.k * PARTS
+        pushes, first = PARTS * (p + 2 * m), self.k * PARTS
         for i in range(self.nodes):
             now, c = i * PARTS, np.zeros((2, self.count, m))
             for late in (0, 1):  # the impulse left at node k, the last of all errors
@@ -91,20 +91,20 @@ class Flight:
             else:
                 estimate = 0 * x if estimate is None else estimate
                 for j in range(last, at):
-                    estimate = estimate @ Ad.T + commands[j // PARTS] @ Gd[:, p:].T
+                    estimate = estimate @ Ad.T + commands[j // PARTS] @ Gd[:, p : p + m].T
                 y = states[at] @ observer.measures.T + noise
                 estimate = estimate + (y - estimate @ observer.measures.T) @ observer.gain.T
                 known, last = estimate, at
             for j in range(at, now):
-                known = known @ Ad.T + commands[j // PARTS] @ Gd[:, p:].T
+                known = known @ Ad.T + commands[j // PARTS] @ Gd[:, p : p + m].T
             u = -known @ s.gain.T if i >= BEFORE else np.zeros((self.count, m))
             commands.append(u)
             v = u + (c[0] - c[1]) / H
             for j in range(now, now + PARTS):
-                x = x @ Ad.T + v @ Gd[:, p:].T
+                x = x @ Ad.T + v @ Gd[:, p : p + m].T
                 if 0 <= (place := j - first) < PARTS:
                     x = x.copy()
-                    x[place * (p + m) : (place + 1) * (p + m)] += Gd.T
+                    x[place * (p + 2 * m) : (place + 1) * (p + 2 * m)] += Gd.T
                 states.append(x)
         return np.array(states)[BEFORE * PARTS :], np.array(commands)[BEFORE:]
 
@@ -140,11 +140,12 @@ def worst(s):
         else:
             noise = np.array(system.timing.measured) + system.displaced - system.carried_away
         for moved, total in ((x - own, states), (u, commands)):
-            pushes = moved[:, : PARTS * (p + m)].reshape(len(moved), PARTS, p + m, -1)
+            pushes = moved[:, : PARTS * (p + 2 * m)].reshape(len(moved), PARTS, p + 2 * m, -1)
             total += system.w_max * np.linalg.norm(pushes[:, :, :p], axis=2).sum(axis=1)
-            total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), thrust)
+            wrong = np.concatenate([thrust, system.shifted])
+            total += np.einsum("tjmi,m->ti", np.abs(pushes[:, :, p:]), wrong)
             rest = np.concatenate([noise, np.full(m, system.timing.carried)])
-            total += np.einsum("tri,r->ti", np.abs(moved[:, PARTS * (p + m) :]), rest)
+            total += np.einsum("tri,r->ti", np.abs(moved[:, PARTS * (p + 2 * m) :]), rest)
     return states, commands
 
 
@@ -165,11 +166,13 @@ def stated(s):
         measured=list(timing.measured),
         calmest=estimate,
         error_by_step=[],
-        shares=[errors.along, errors.across, 0.0],
+        shares=[timing.on_time.along, timing.on_time.across, 0.0],
         bits=[errors.bit] * system.m,
-        prompt_bits=[timing.bit] * system.m,
+        prompt_bits=[timing.on_time.bit] * system.m,
+        late=timing.jitter > 0 and not timing.fired,
         allocation=None,
-        timing={"delay": timing.delay, "missed": timing.missed},
+        timing={"delay": timing.delay, "missed": timing.missed, "jitter": timing.jitter},
+        fired=list(timing.fired),
         carried=timing.carried,
         at_nodes=system.displaced_at_nodes.tolist(),
         pulsed=list(timing.pulsed) or nothing,
@@ -236,6 +239,8 @@ CASES = [
     {"jitter": 0.01, "observer": True, "delay": 0.5},
     {"missed": 1, "delay": 0.5, "proportional": True},
     {"fired": (1.5, 1.2), "delay": 1.5},
+    {"fired": (1.5, 1.2), "delay": 1.5, "jitter": 0.05},
+    {"carried": 0.02, "delay": 1.25, "jitter": 0.05},
     {"fired": (1.5, 1.2), "delay": 0.5, "observer": True},
 ]
 
@@ -309,8 +314,8 @@ def units(s, periods):
     """States by age after a unit of thrust in all parts of a period, and of noise, (periods + 1, ., n)."""
     x, _ = Flight(s, BEFORE, BEFORE + periods).fly()
     p, m = s.system.p, s.system.m
-    pushes = np.abs(x[::PARTS, : PARTS * (p + m)]).reshape(periods + 1, PARTS, p + m, -1)[:, :, p:]
-    noise = np.abs(x[::PARTS, PARTS * (p + m) : -m])
+    pushes = np.abs(x[::PARTS, : PARTS * (p + 2 * m)]).reshape(periods + 1, PARTS, p + 2 * m, -1)
+    pushes, noise = pushes[:, :, p : p + m], np.abs(x[::PARTS, PARTS * (p + 2 * m) : -m])
     return pushes.sum(axis=1), noise
 
 

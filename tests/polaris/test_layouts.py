@@ -141,6 +141,28 @@ def test_every_error_of_a_layout_flies_within_what_is_proven(tmp_path):
     assert changed("allocation", "limits", share=0.99).claim == "system"
 
 
+@pytest.mark.parametrize("remainder", ["dropped", "carried"])
+def test_jitter_of_a_layout_is_proven_and_no_less_of_it_accepted(remainder, tmp_path):
+    """Held commands of five thrusters, for longer or shorter: of what they have left, too."""
+    errors = ["thrusters.magnitude_error=0.02", "thrusters.mass_error=0.01", "timing.jitter_s=0.005"]
+    impulses = ["thrusters.impulse_bit_N_s=0.002", f'thrusters.remainder="{remainder}"']
+    scenario = load_scenario(TINY).with_assignments([*FIVE, *errors, *impulses])
+    system, period = scenario.system(), scenario.problem().period
+    exact, more, share = system.on_time, system.thrusters, 0.01 / period
+    grown = (1 + share) * np.array(exact.shares) + share * np.eye(2)
+    assert np.allclose(more.shares, grown, rtol=1e-8)
+    left = 2 * share * system.timing.carried / period
+    assert np.allclose(more.bit, (1 + share) * np.array(exact.bit) + left, rtol=1e-8)
+    assert (left > 0) == (remainder == "carried")
+    forger = Forger(make([*FIVE, *errors, *impulses, COARSE], tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    data = copy.deepcopy(forger.honest)
+    bits = [float.fromhex(x) for x in data["system"]["thrusters"]["bit"]]
+    for less in ([0.99 * x for x in bits], exact.bit):
+        data["system"]["thrusters"]["bit"] = [x.hex() for x in less]
+        assert forger.judge({CERTIFICATE: json.dumps(data)}).claim == "system"
+
+
 def test_runs_with_a_layout_fire_its_thrusters():
     """Impulses of a canted layout are multiples of the bit for each thruster, and cost what it pushes."""
     names = "layout", "magnitude", "carried bit", "pulses"

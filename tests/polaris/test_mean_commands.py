@@ -22,7 +22,7 @@ class Flown:
 
     def __init__(self, s, only=None):
         self.only, self.system, self.p, self.m = only, s.system, s.system.p, s.system.m
-        system, thrusts = self.system, PARTS * (self.p + self.m)
+        system, thrusts = self.system, PARTS * (self.p + 2 * self.m)
         self.answers = Flight(s, BEFORE, BEFORE + REMEMBERED).fly()[1]
         if system.observer is not None:
             off = system.displaced - system.carried_away
@@ -42,14 +42,15 @@ class Flown:
     def fly(self, ways):
         """Commands under errors as large as may be, of given directions by period and error."""
         system, p, m = self.system, self.p, self.m
-        pushes = ways[:, : self.thrusts].reshape(-1, PARTS, p + m)
+        pushes = ways[:, : self.thrusts].reshape(-1, PARTS, p + 2 * m)
         length = np.linalg.norm(pushes[:, :, :p], axis=2, keepdims=True)
         commands = np.zeros((len(ways) + REMEMBERED, m))
         for k, (way, push) in enumerate(zip(ways, pushes, strict=True)):
             value = np.sign(way[self.thrusts :]) * self.sampled
             commands[k : k + REMEMBERED] += np.einsum("tri,r->ti", self.answers[:, self.thrusts :], value)
             made = system.thrusters.error(np.abs(commands[k])) * self.has("thrusters")
-            each = np.sign(push) * np.append(np.zeros(p), made)
+            shifted = system.shifted * self.has("jitter")
+            each = np.sign(push) * np.concatenate([np.zeros(p), made, shifted])
             each[:, :p] = system.w_max * self.has("disturbance") * push[:, :p] / np.maximum(length[k], 1e-12)
             value = each.ravel()
             commands[k : k + REMEMBERED] += np.einsum("tri,r->ti", self.answers[:, : self.thrusts], value)

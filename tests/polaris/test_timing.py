@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from polaris.certificate.checker import verify
 from polaris.certificate.files.document import read
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
-from polaris.model.prediction import jitter_error, prediction_error
+from polaris.model.prediction import predicting, prediction_error
 from polaris.model.scene.obstacles import BallObstacle
 from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.thrusters import Thrusters
@@ -82,31 +82,67 @@ def test_the_error_of_a_prediction_is_what_the_worst_of_everything_reaches():
             assert np.all(reached <= bound * (1 + 1e-6)) and np.all(reached >= 0.999 * bound)
 
 
+@pytest.mark.parametrize("fired", [False, True])
 @pytest.mark.parametrize("share", [0.005, 0.1, 0.5])
-def test_an_impulse_out_of_time_is_an_error_within_a_period_and_a_displacement(share):
-    """Fly the jitter and the input that stands for it side by side: same end, and never far apart."""
-    rng = np.random.default_rng(3)
+def test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_shifted(share, fired):
+    """Fly late and early commands beside those that stand for them, as much of the impulse being made."""
+    rng, h, count, parts = np.random.default_rng(3), 2.0, 8, 200
+    jitter, step = share * h, h / parts
     for system in systems():
-        h, steps = 2.0, 2000
-        jitter, step = share * h, h / steps
-        bit, displaced = jitter_error(system, jitter, h)
-        change = 2 * system.u_max + system.thrusters.error(system.u_max)
-        s = (np.arange(steps) + 0.5) * step - h / 2
-        carry, push = expm(system.A * step), expm(system.A * step / 2) @ system.B * step
-        back = np.array([expm(-system.A * each) @ system.B for each in s])
-        moments = np.concatenate([back.sum(0), (back * (2 * s / h)[:, None, None]).sum(0)], axis=1) * step
-        for late in (1, -1):
-            wrong = np.where((s * late > 0) & (s * late < jitter), 1.0, 0.0)[:, None]
-            wrong = wrong * change * rng.choice([-1, 1], system.m)
-            a, b = np.split(np.linalg.pinv(moments) @ np.einsum("sij,sj->i", back, wrong) * step, 2)
-            stands = a + b * (2 * s / h)[:, None]
-            assert np.all(np.abs(stands) <= bit * (1 + 1e-3))
-            d, most = np.zeros(system.n), np.zeros(system.n)
-            for one, other in zip(wrong, stands, strict=True):
-                d = carry @ d + push @ (one - other)
-                most = np.maximum(most, np.abs(d))
-            assert np.all(most <= displaced) and np.all(np.abs(d) <= 1e-6 * displaced)
-            assert np.abs(stands).max() > 0.3 * bit
+        u = system.u_max * rng.choice([-1, -0.4, 0, 1], (count, system.m))
+        top, errors = system.u_max * (1.5 if fired else 1), system.thrusters
+        timing = Timing(jitter=jitter, fired=tuple(top) if fired else ())
+        late = predicting(system, timing, h)
+        assert late.prompt.thrusters == late.on_time == errors
+        begins = np.arange(count + 1) * h
+        shifts = jitter * rng.choice([-1, 1, 0], count + 1)
+        shifts[[0, -2, -1]] = 0.0
+        t = (np.arange(count * parts) + 0.5) * step
+        if fired:  # each begins as soon as the last one is over
+            on = np.abs(u) / top * h
+            begin, real = begins[:-1, None] + (h - on) / 2, []
+            for k in range(count):
+                first = np.maximum(begin[k] + shifts[k], real[-1] + on[k - 1] if k else -np.inf)
+                real.append(first)
+            assert np.all(np.abs(np.array(real) - begin) <= jitter * (1 + 1e-9))
+            force = np.sign(u) * top * (1 + errors.along * rng.choice([-1, 1], (count, 1)))
+            edges = np.arange(count * parts + 1) * step
+            done = [
+                np.sum(
+                    np.clip((edges[:, None, None] - at) / np.maximum(on, 1e-12), 0, 1) * on * force, axis=1
+                )
+                for at in (np.array(real), begin)
+            ]
+            asked = np.diff(done[1], axis=0) / step
+        else:
+            wrong = rng.uniform(-1, 1, (count * parts, system.m))
+            at = np.clip(np.searchsorted(begins[1:-1] + shifts[1:-1], t, side="right"), 0, count - 1)
+            made = u[at] + wrong * errors.error(u[at])
+            edges = np.arange(count * parts + 1) * step
+            total = np.vstack([0 * u[:1], np.cumsum(made * step, axis=0)])
+            ends = np.concatenate([[0], begins[1:-1] + shifts[1:-1], [count * h]])
+            warped = np.interp(edges, begins, ends)
+            done = [total, np.array([np.interp(warped, edges, each) for each in total.T]).T]
+            asked = np.diff(done[1], axis=0) / step
+            held = np.repeat(u, parts, axis=0)
+            off, most = np.abs(asked - held), late.thrusters.error(held)
+            assert np.all(off <= most * (1 + 1e-6) + 1e-9) and np.any(off >= 0.6 * most.max())
+        delta = done[0] - done[1]
+        assert np.all(np.abs(delta) <= late.shifted * (1 + 1e-9))
+        assert fired or np.abs(delta).max() >= 0.5 * late.shifted.min()
+        A, B, x, y = system.A, system.B, np.zeros(system.n), np.zeros(system.n)
+        carry, push = expm(A * step), discretize(A, np.eye(system.n), step)[1]
+        applied, middle = np.diff(done[0], axis=0) / step, (delta[1:] + delta[:-1]) / 2
+        scale = apart = 0.0
+        for i in range(count * parts):
+            x = carry @ x + push @ B @ applied[i]
+            y = carry @ y + push @ (B @ asked[i] + A @ B @ middle[i])
+            scale = max(scale, np.abs(x).max())
+            apart = max(apart, np.abs(x - y - B @ delta[i + 1]).max())
+        assert apart <= 1e-4 * scale
+        away = late.displaced_at_nodes
+        assert np.all(np.abs(B) @ np.abs(delta).max(axis=0) <= away * (1 + 1e-9))
+        assert np.allclose(late.adrift, A @ B * late.shifted)
 
 
 def test_without_timing_everything_is_as_without_the_table():
@@ -158,10 +194,7 @@ def test_bad_tables_are_refused_by_name(assignments, field):
     assert error.value.field.startswith(field)
 
 
-def test_where_jitter_or_clocks_are_not_covered_they_are_refused():
-    system = load_scenario(TINY).system()
-    with pytest.raises(ScenarioError, match="jitter"):
-        jitter_error(replace(system, B=system.B[:, :1], u_max=system.u_max[:1]), 0.01, 0.25)
+def test_where_clocks_are_not_covered_they_are_refused():
     other = SatelliteObstacle("other", [0, 9, 0, 0, 0, 0], [0] * 6, 1.0)
     with pytest.raises(ScenarioError, match="clock_error"):
         other.blurred(0.1, 0.0)

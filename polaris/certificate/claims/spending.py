@@ -55,7 +55,7 @@ def together(first: Flown, spells: Sequence[Spell]) -> arb:
         most, more = _amplified(known_of, arb(1)) * known + (_amplified(made_of) + rest) * made, arb(0)
         more += sum((plant.weighted(spell.errors[1]) for spell in spells), more)
     else:  # what is applied, but for errors that stand for pulses
-        apart = [arb(x) - arb(y) for x, y in zip(plant.bits, plant.prompt, strict=True)]
+        apart = [arb(x) - arb(y) for x, y in zip(plant.bits, plant.prompt.bits, strict=True)]
         more = count * plant.weighted(apart or [arb(0)] * m)
         most = _amplified(known_of, arb(1)) * known + (_amplified(made_of, arb(1)) + rest) * made
     return (base + plant.weighted(most.entries()) + more) * plant.h

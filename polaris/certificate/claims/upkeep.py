@@ -83,7 +83,7 @@ def _check(
     doc, plant, (means, rest) = arrival.document, arrival.flight.tracker.craft.plant, sums_up
     rate = plant.spent(means) / plant.h / doc.mass
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
-    once = plant.weighted(sums(rest, summed_errors(plant, rest))) * (plant.h + 2 * arb(plant.jitter))
+    once = plant.weighted(sums(rest, summed_errors(plant.prompt, rest))) * (plant.h + 2 * arb(plant.jitter))
     ahead = once / doc.mass
     if doc.fired:  # a pulse ends before its period does
         ahead += plant.spent(most) / doc.mass

@@ -104,6 +104,7 @@ class Document:
         self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
         self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
         self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
+        self.late: bool = self.timing.get("jitter", 0.0) > 0 and not self.fired  # what is made may grow by it
         self.prompt_bits: Vector = self._each(self.timing.get("bit", self.bits))  # without jitter, pulses
         self.mean_motion: float | None = system["mean_motion"]
         self.allocation: dict[str, Any] | None = system.get("allocation")
@@ -193,7 +194,7 @@ class Document:
     def _take_claims(self, read: dict[str, Any]) -> None:
         self.unsafe = [unsafe_set(item) for item in read["unsafe_sets"]]
         self.modes: list[int] = read["modes"]
-        caused = any(x > 0 for x in self.shares)
+        caused = any(x > 0 for x in self.shares) or self.late
         self.profile: Matrix = (read.get("profile") or [self.u_max]) if caused else []
         falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
         if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):

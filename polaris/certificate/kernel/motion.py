@@ -72,17 +72,18 @@ class Plant:
     w_max: arb  # bound on the 2-norm of the disturbance
     h: arb  # length of a period [s]
     q: int = 1  # periods per step
-    along: float = 0.0  # error of an input as a share of its own command; of a layout in `shares`
-    across: float = 0.0  # and of the 2-norm of the commands of the others
+    along: arb | float = 0.0  # error of an input as a share of its own command; of a layout in `shares`
+    across: arb | float = 0.0  # and of the 2-norm of the commands of the others
     shares: Sequence[Sequence[arb]] = ()  # and of each command, rows are errors; none without a layout
     bits: Sequence[float] = ()  # and of each input, whatever is commanded; none are 0
-    prompt: Sequence[float] = ()  # the same without jitter and pulses
+    on_time: Plant | None = None  # with errors of inputs without jitter and pulses
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
     bias: list[Push] = field(default_factory=list)  # inputs that are constant in a whole flight
     hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
+    shifted: tuple[arb, ...] = ()  # impulses of inputs that jitter brings forward or puts off [N s], if any
 
     @cached_property
     def unseen(self) -> arb_mat:
@@ -98,10 +99,20 @@ class Plant:
 
     @cached_property
     def carry(self) -> list[Push]:
-        """What impulses that are carried to the next period push meanwhile, if there are any."""
+        """What impulses push that are carried to the next period, and those that jitter moves, if any."""
         left, rates = [arb(self.carried)] * self.B.ncols(), [self.A * self.open.gamma * self.B * (1 / self.h)]
         rates += [self.A * self.B * self.along] if self.along > 0 else []
-        return [Push.in_box(rate, left) for rate in rates] if self.carried else []
+        return [*(Push.in_box(rate, left) for rate in rates if self.carried), *self.shifting]
+
+    @property
+    def shifting(self) -> list[Push]:
+        """What impulses push that jitter moves, if there is any."""
+        return [Push.in_box(self.A * self.B, list(self.shifted))] if self.shifted else []
+
+    @property
+    def prompt(self) -> Plant:
+        """The same without what stands for jitter and pulses in errors of the inputs."""
+        return self.on_time or self
 
     def disturbances(self, error: list[arb]) -> list[Push]:
         """Return the pushes of w, constants, carried impulses, and errors of the inputs up to some sizes."""
@@ -128,7 +139,7 @@ class Plant:
 
     def spent(self, most: Sequence[arb]) -> arb:
         """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""
-        applied = sums(most, replace(self, bits=self.prompt).thruster_error(most))
+        applied = sums(most, self.prompt.thruster_error(most))
         return self.weighted(applied) * (self.h + 2 * arb(self.jitter))
 
     def weighted(self, sizes: Sequence[arb]) -> arb:

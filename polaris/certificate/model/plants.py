@@ -35,13 +35,32 @@ def plant_of(document: Document) -> Plant:
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = 0 if document.transients else ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried)
-    plant = replace(plant, bits=document.bits, prompt=document.prompt_bits)
+    plant = replace(plant, bits=document.prompt_bits)
     if (layout := Nozzles.of(document)) is not None:
         plant = replace(plant, shares=layout.shares, weights=layout.weights)
     else:
         plant = replace(plant, along=document.shares[0], across=document.shares[1])
     bias = [Push.in_box(D, [arb(x) for x in document.bias])] if document.bias else []
-    return replace(plant, bias=bias, unmeasured=delay + missed * h, hidden=hidden)
+    plant = replace(plant, bias=bias, unmeasured=delay + missed * h, hidden=hidden)
+    return _out_of_time(document, plant)
+
+
+def _out_of_time(document: Document, on_time: Plant) -> Plant:
+    """Add what jitter and pulses make of errors of the inputs, and what jitter shifts (Lemma 6 (a))."""
+    plant, jitter = replace(on_time, bits=document.bits, on_time=on_time), arb(on_time.jitter)
+    if jitter == 0:
+        return plant
+    top = [2 * arb(x) for x in document.fired] or [x + 2 * plant.carried / plant.h for x in plant.u_max]
+    shifted = (jitter * (x + y) for x, y in zip(top, on_time.thruster_error(top), strict=True))
+    plant = replace(plant, shifted=tuple(shifted))
+    if not document.late:
+        return plant
+    share = 2 * jitter / plant.h
+    if plant.shares:
+        rows = enumerate(plant.shares)
+        shares = [[(1 + share) * x + share * (i == j) for i, x in enumerate(row)] for j, row in rows]
+        return replace(plant, shares=shares)
+    return replace(plant, along=(1 + share) * plant.along + share, across=(1 + share) * plant.across)
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

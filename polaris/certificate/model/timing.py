@@ -43,15 +43,14 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
     for most, needed in zip(document.fired, fired, strict=True):
         require("system", most - needed * (1 - ROUNDED), f"pulses of {most}")
-    if pulsed and jitter:
-        raise Rejected("system", "pulses go with no jitter")
-    none = arb(0), [arb(0)] * len(stored)
-    late, moved = _jitter(plant) if jitter else none
-    more, within = _pulses(plant, document.fired) if pulsed else none
+    more, within = _pulses(plant, document.fired) if pulsed else (arb(0), [arb(0)] * len(stored))
+    share = 2 * arb(jitter) / plant.h * int(document.late)
+    if plant.weights:  # thrusters make more than is commanded of what they have left
+        more += 2 * share * plant.carried / plant.h
     for booked, exact in zip(document.bits, document.prompt_bits, strict=True):
-        spare = booked * arb(1 + ROUNDED) - exact - late - more
+        spare = booked * arb(1 + ROUNDED) - (1 + share) * exact - more
         require("system", spare, f"error of the thrusters: {booked}")
-    moved = sums(moved, carried_away(plant))
+    moved = sums(carried_away(plant), (absolute(plant.B) * column(plant.shifted or nothing)).entries())
     for bounds, parts in ((document.at_nodes, moved), (document.pulsed, within)):
         for i, (bound, needed) in enumerate(zip(bounds, parts, strict=True)):
             require("system", bound - needed, f"displacement of state {i}: {bound}")
@@ -85,8 +84,8 @@ def carried_away(plant: Plant) -> list[arb]:
 
 def owed(plant: Plant) -> arb:
     """Impulse that may be left from before at an instant, with its errors, of all inputs [N s]."""
-    sides = 2 if plant.weights else 1
-    return sides * plant.B.ncols() * arb(plant.carried) * (1 + arb(plant.along))
+    sides, longest = 2 if plant.weights else 1, 1 + 2 * arb(plant.jitter) / plant.h
+    return sides * plant.B.ncols() * longest * plant.carried * (1 + arb(plant.prompt.along))
 
 
 def predicted(plant: Plant, known: list[arb], age: arb) -> list[arb]:
@@ -103,20 +102,6 @@ def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb
     pushes = plant.disturbances(plant.thruster_error(most))
     found, rows = replace(plant, h=age / PARTS).open.gains_over(identity(n), pushes, PARTS)
     return absolute(rows), found
-
-
-def _jitter(plant: Plant) -> tuple[arb, list[arb]]:
-    """What instants add that are off: an error of every input, and bounds on what states are displaced by."""
-    A, B, h, m = plant.A, plant.B, plant.h, len(plant.u_max)
-    jitter, reach, inverse = arb(plant.jitter), h / 2 + plant.jitter, _spreading(plant)
-    over = (absolute(A) * reach).exp() * absolute(B)
-    shape = absolute(inverse * B) + absolute(inverse * A * B) * jitter
-    shape += absolute(inverse) * absolute(A) * absolute(A) * over * (jitter**2 / 2)
-    worst = replace(plant, bits=plant.prompt).thruster_error(plant.u_max)
-    impulse = [jitter * (2 * u + e) for u, e in zip(plant.u_max, worst, strict=True)]
-    both = (shape * column(impulse)).entries()
-    spread = [largest((a + b, i / h)) for a, b, i in zip(both[:m], both[m:], impulse, strict=True)]
-    return largest(spread), (over * column(spread) * reach).entries()
 
 
 def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
@@ -144,4 +129,4 @@ def _spreading(plant: Plant) -> arb_mat:
     try:
         return moments.transpose() * (moments * moments.transpose()).inv()
     except ZeroDivisionError as error:
-        raise Rejected("system", "jitter or pulses cannot be spread over a period in this system") from error
+        raise Rejected("system", "pulses cannot be spread over a period in this system") from error

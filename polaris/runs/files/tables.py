@@ -135,10 +135,11 @@ def errors_of(system: Craft) -> dict[str, Any]:
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried")  # where there are any
     unsaid = "period", "unseen"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
+    timing["bit"] = timing.pop("on_time")["bit"]
     observer = {} if system.observer is None else asdict(system.observer)
     hidden = {"fading"} if observer.get("after") else {"fading", "after"}
     observer = {key: x for key, x in observer.items() if x is not None and key not in hidden}
-    thrusters, layout = asdict(system.thrusters), system.nozzles
+    thrusters, layout = asdict(system.on_time) | {"bit": system.thrusters.bit}, system.nozzles
     del thrusters["shares"]
     if layout is not None:  # of each thruster: what it makes wrong of the inputs is derived
         thrusters |= {"along": layout.along, "across": layout.across, "mass": layout.mass}

@@ -102,8 +102,6 @@ def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | N
     if timing.jitter > period / 2:
         rule = f"must be at most half of the period of {period:g} s"
         raise ScenarioError("timing.jitter_s", timing.jitter, rule)
-    if fired and timing.jitter > 0:
-        raise ScenarioError("timing.jitter_s", timing.jitter, "is not covered with pulses")
     timing = replace(timing, fired=fired, carried=carried)
     return system if timing == Delays() else predicting(system, timing, period)
 

@@ -198,11 +198,12 @@ def _look_closer(
     s = np.linspace(0, 1, PARTS + 1)[1:-1, None]
     ends = [runs.states[run, period + side][:, None] for side in (0, 1)]
     (a, b), (da, db) = ([part @ x.T for part in ends] for x in (system.position, h * system.velocity))
-    p, grown = cubic(a, b, da, db, s), 0.0
+    late = h * np.abs(system.velocity @ system.B) @ system.shifted  # jitter bends paths by no more
+    p, grown = cubic(a, b, da, db, s), float(np.linalg.norm(late))
     if system.timing.fired:  # not, then, what the polytopes are grown by because of them
         p = p + _pulsed(system, ends[0], ends[1], h, s)
         sizes = claims.moved, claims.moved + np.array(system.timing.pulsed)
-        grown = float(np.diff([np.linalg.norm(np.abs(system.position) @ size) for size in sizes])[0])
+        grown += float(np.diff([np.linalg.norm(np.abs(system.position) @ size) for size in sizes])[0])
     left, right = (offsets[period][:, None] for offsets in claims.offsets[o])
     margin = np.max(p @ u.normals.T - ((1 - s) * left + s * right), axis=-1) + grown
     best = np.argmin(margin, axis=1)

@@ -143,7 +143,7 @@ class _TrueMotion(Integrator):
         pushed = np.broadcast_to(push, (self.steps, n, 3))
         if system.ideal:
             return pushed, np.zeros((0, 6))
-        self.errors = system.prompt.thrusters
+        self.errors = system.on_time
         w, adjoint = disturbances(self, n, rng, "mixed")
         worst = np.arange(n) < len(adjoint)
         force = (w[..., :p] @ system.D.T)[..., 3:] * (self.env.other / max(system.w_max, 1e-300))
@@ -169,6 +169,8 @@ class _TrueMotion(Integrator):
         made += shares.across * np.cross(self.axis, told @ self.ways)
         if layout is not None:
             made = made / (1 + layout.mass * self.strength[:, :1])
+        self.made = u.copy()
+        self.made[built] = made
         if self.failing is not None:
             made = made + self.failing.added(self.asked @ self.ways, step)[built]
         u[built] = made
@@ -190,7 +192,7 @@ class _TrueMotion(Integrator):
         first, left_out = rates(u, x)
         node = k * self.q + step // self.substeps
         self.residual[node] = np.maximum(self.residual[node], np.linalg.norm(left_out, axis=1))
-        if not len(self.fired):
+        if not self.parts:
             return runge_kutta(under(u), x, self.dt, first)
         for one, other in pairwise(self._switches(step % self.substeps)):
             if np.any(one < other):
@@ -201,8 +203,9 @@ class _TrueMotion(Integrator):
     def _switches(self, sub: int) -> Array:
         """Shares of a period, over one of its steps, between which nothing switches, (., R, 1)."""
         start, end = (np.arange(2) + sub) / self.substeps
-        on, ends = np.abs(self.asked) / self.fired / 2, np.broadcast_to([start, end], (len(self.asked), 2))
-        return np.sort(np.clip(np.hstack([0.5 - on, 0.5 + on, ends]), start, end), axis=1).T[:, :, None]
+        ends = np.broadcast_to([start, end], (len(self.asked), 2))
+        every = np.hstack([ends, *(each for _, _, *part in self.parts for each in part)])
+        return np.sort(np.clip(every, start, end), axis=1).T[:, :, None]
 
 
 class _Predicting(Predicting, _TrueMotion):

@@ -206,7 +206,7 @@ class Tail(Nearness):
         each, once = flight.mean(), flight.once()
         if each is None or once is None or system.spent(each).sum() >= system.spent(most).sum():
             return system.spent(most), 0 * most
-        more = system.longest * system.weights * (once + system.thrusters.summed(once))
+        more = system.longest * system.weights * (once + system.on_time.summed(once))
         return system.spent(np.minimum(each, most)), more
 
     def commanded_before(self, nodes: int) -> Array:

@@ -114,7 +114,7 @@ def together(run: Sequence[Spell], count: int) -> float:
         told, more = seen[1] @ size + (wrong[0] + rest) @ off, float((made @ system.weights).sum())
     else:  # what is applied, but for errors that stand for pulses
         told = seen[1] @ size + (wrong[1] + rest) @ off
-        apart = np.subtract(system.thrusters.bit, system.prompt.thrusters.bit).max()
+        apart = np.subtract(system.thrusters.bit, system.on_time.bit).max()
         more = count * system.weights.sum() * float(apart)
     return float(((base.sum(axis=0) + told) @ system.weights + more) * (1 + ROUNDING))
 

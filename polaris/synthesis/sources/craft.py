@@ -38,7 +38,7 @@ def craft_loop(system: Craft, h: float) -> Loop:
 
 def assumed(system: Craft, h: float) -> Premises:
     """Return what is assumed of a system and of all its sources, its law renewed every h [s]."""
-    prompt, observer, each = system.prompt, system.observer, system.nozzles or system.thrusters
+    prompt, observer, each = system.prompt, system.observer, system.nozzles or system.on_time
     return Premises(
         system.w_max,
         h,
@@ -49,7 +49,7 @@ def assumed(system: Craft, h: float) -> Premises:
         initial=() if observer is None or observer.initial is None else observer.initial.tolist(),
         constant=() if observer is None or observer.constant is None else observer.constant.tolist(),
         timing=astuple(system.timing)[:4],
-        thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(prompt.thrusters.bit))),
+        thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(system.on_time.bit))),
         pulses=system.timing.fired,
         carried=system.timing.carried,
         layout="" if system.nozzles is None else system.nozzles.allocation.kind,

@@ -43,15 +43,16 @@ class CarriedImpulse:
 
 @dataclass(frozen=True, eq=False)
 class ImpulseDrift:
-    """Rates of the states by carried impulses, columns of `drift` (n, k), where the loop remembers none."""
+    """Rates of the states by jitter, and by carried impulses where the loop has none, as columns (n, k)."""
 
     drift: Array
 
     @classmethod
     def of(cls, system: Craft, h: float) -> "ImpulseDrift | None":
-        """Return the drift where a box stands for the estimate."""
-        return cls(system.adrift) if system.timing.carried and not remembers(system) else None
+        """Return the drift, carried impulses included where a box stands for the estimate."""
+        drift = system.shifting if remembers(system) else system.adrift
+        return cls(drift) if drift.size else None
 
     def extend(self, loop: Loop) -> Loop:
         """Add one channel."""
-        return loop.with_channels(Channel("carried impulse", np.ones(self.drift.shape[1]), rate=self.drift))
+        return loop.with_channels(Channel("impulse drift", np.ones(self.drift.shape[1]), rate=self.drift))

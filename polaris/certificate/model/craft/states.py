@@ -174,7 +174,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
     away = [_positive(x - y) + z for x, y, z in zip(displaced(document, delay), moved, offset, strict=True)]
     states = States.of(plant)
     drift = [Push.in_box(plant.A * plant.B, [along] * m)] if along > 0 else []
-    steady = [plant.disturbance, *plant.bias, *drift]
+    steady = [plant.disturbance, *plant.bias, *plant.shifting, *drift]
     if delay:
         states.delay(delay, [*steady, *plant.push(plant.thruster_error(plant.u_max))])
     if plant.carried:

@@ -1,0 +1,195 @@
+"""Flights whose commands come early or late, held or as pulses, with impulse bits, by exact exponentials.
+
+What flies is what thrusters do, not the input that stands for it. Measurements are of true states.
+"""
+
+import numpy as np
+from scipy.linalg import expm
+
+from polaris.model.errors import PolarisError
+from polaris.scenario.scenario import load_scenario
+from polaris.synthesis.schedule.synthesize import synthesize
+
+from .closed_loops import Computer, Flown, Loop, _aims, by_chance, held
+from .tiny import TINY
+
+
+class OutOfTime(Loop):
+    """A schedule flown with its jitter: at most so early that what a command rests on is known."""
+
+    def __init__(self, schedule, parts=4):
+        super().__init__(schedule, parts)
+        self.h, self.errors = self.dt * self.parts, self.system.on_time
+        self.ahead = 1 if self.system.timing.delay >= self.dt * (1 - 1e-9) else 0
+        self.most = 0.0  # largest command of S, as a share of the limit
+
+    def early(self, i):
+        """Return True if what the command of a step rests on is known a step before."""
+        return bool(self.ahead and i * self.dt >= self.system.timing.delay * (1 - 1e-9) > 0)
+
+    def moved(self):
+        """Nothing displaces what is measured but what flies."""
+        return np.zeros(self.system.n)
+
+    def gained(self, t):
+        """Return ``int_0^t e^{A s} B ds`` for times (...), shape (..., n, m)."""
+        (n, m), t = self.system.B.shape, np.maximum(t, 0.0)
+        block = np.zeros((n + m, n + m))
+        block[:n, :n], block[:n, n:] = self.system.A, self.system.B
+        times, back = np.unique(np.round(t, 12), return_inverse=True)
+        return expm(times[:, None, None] * block)[:, :n, n:][back.reshape(np.shape(t))]
+
+    def made(self, told, rest, off):
+        """Return the impulses that thrusters make of commands (R, m), over h, and what they leave."""
+        bit, carried = self.bit, self.system.timing.carried
+        if carried:
+            asked = told * self.h + rest
+            full = self.system.u_max * self.h
+            size = np.minimum(np.floor(np.abs(asked) / carried * (1 + 1e-12)) * carried, full)
+            u = size * np.sign(asked) / self.h
+            return u, asked - u * self.h, off * self.errors.along * u
+        u = np.round(told / bit) * bit if bit else told
+        u = np.clip(u, -self.system.u_max, self.system.u_max)
+        return u, rest, off * self.errors.along * u
+
+    @property
+    def bit(self):
+        """Multiple to which inputs are rounded [N]; 0 where none is dropped."""
+        return 0.0 if self.system.timing.carried else self.errors.rounding(self.system.m)
+
+    def fly(self, attack, who):
+        """Fly runs; what is made lasts from one instant to another, per input, whatever the step."""
+        system, (R, n), m = self.system, attack.x0.shape, self.system.m
+        states, clipped = np.zeros((self.N + 1, R, n)), np.zeros((self.N, R, m), dtype=bool)
+        modes, wrong = np.zeros((self.N, R), dtype=np.int8), np.zeros((self.N, R, n))
+        states[0] = x = attack.x0
+        Ad, Dd = held(system.A, system.B, self.dt)[0], held(system.A, system.D, self.dt)[1]
+        eta, off = (np.broadcast_to(each, (self.N, R, k)) for each, k in ((attack.eta, n), (attack.off, m)))
+        sees = Computer(self, states, eta, attack.w) if self.remembers else None
+        rest, told, last = np.zeros((R, m)), np.zeros((R, m)), np.zeros((R, m))
+        until = np.full((R, m), -np.inf)  # end of the last pulses
+        bursts = []  # of forces (R, m), and when they begin and end (R, m)
+        top, jitter = np.array(system.timing.fired or np.inf), system.timing.jitter
+
+        def command(i):
+            nonlocal rest, told, last, until, bursts
+            k, j = divmod(i, self.per)
+            flying = who(i, states[i])
+            if sees is not None:
+                sees.look(i)
+                wrong[i] = sees.wrong
+            else:
+                wrong[i] = eta[i]
+            raw = np.empty((R, m))
+            for number in np.unique(flying).tolist():
+                mine, free = flying == number, number and number not in self.laws
+                seen = states[i, mine] + wrong[i, mine]
+                raw[mine] = attack.free[i, mine] if free else self.command(number, k, j, seen)
+            share = np.abs(raw[flying == 0]) / system.u_max
+            self.most = max(self.most, float(share.max(initial=0.0)))
+            clipped[i : i + self.parts] = np.abs(raw) > system.u_max
+            modes[i : i + self.parts] = flying
+            told = np.clip(raw, -system.u_max, system.u_max)
+            u, rest, more = self.made(told, rest, off[i])
+            way = ((last - u - more) * (attack.way[i] @ system.B)).sum(axis=1, keepdims=True)
+            late = jitter * np.sign(way) if i else np.zeros((R, 1))
+            late = late if self.early(i) else np.maximum(late, 0.0)
+            begins, ends = i * self.dt + late, np.full((R, m), (i + 2 * self.parts) * self.dt)
+            if np.all(np.isfinite(top)):
+                on = np.abs(u) / top * self.h
+                begins = np.maximum(i * self.dt + (self.h - on) / 2 + late, until)
+                until = ends = begins + on
+                gain = np.divide(u + more, u, out=np.ones_like(u), where=u != 0)
+                bursts.append((np.sign(u) * top * gain, begins, ends))
+            else:
+                begins = np.broadcast_to(begins, (R, m))
+                bursts = [(f, a, np.minimum(b, begins)) for f, a, b in bursts]
+                bursts.append((u + more, begins, ends))
+            last, bursts = u + more, bursts[-3:]
+
+        for i in range(self.N):
+            if sees is not None:
+                sees.told[i] = told
+            if i % self.parts == 0 and not self.early(i):
+                command(i)
+                if sees is not None:
+                    sees.told[i] = told
+            now, then = i * self.dt, (i + 1) * self.dt
+            if i + 1 < self.N and (i + 1) % self.parts == 0 and self.early(i + 1):
+                command(i + 1)
+            x = x @ Ad.T + attack.w[i] @ Dd.T
+            for force, begins, ends in bursts:
+                left, right = (then - np.clip(each, now, then) for each in (begins, ends))
+                some = np.any(left > right)
+                if some:
+                    added = self.gained(left) - self.gained(right)  # (R, m, n, m)
+                    x = x + np.einsum("rj,rjnj->rn", force, added)
+            states[i + 1] = x
+        return Flown(states, clipped, modes, wrong)
+
+
+def clear_of(loop, flown):
+    """Return the least margin of runs to the unsafe sets, and the largest command of S as a share."""
+    least = np.inf
+    for k in range(loop.cells):
+        p = flown.states[k * loop.per : (k + 1) * loop.per + 1] @ loop.system.position.T
+        s = np.linspace(0, 1, loop.per + 1)[:, None, None]
+        for unsafe in loop.unsafe:
+            cell = min(k, unsafe.cells - 1)
+            b = unsafe.offsets[cell, 0] * (1 - s) + unsafe.offsets[cell, 1] * s
+            least = min(least, float((p @ unsafe.normals.T - b).max(axis=2).min()))
+    return least, loop.most
+
+
+def attacked(schedule, runs, seed, rounds=2):
+    """Return the least margin and the largest command of S in flights at their worst and at random."""
+    loop, rng = OutOfTime(schedule), np.random.default_rng(seed)
+    over, _, rows, targets = _aims(loop, runs, rng)
+    who, least = loop.scheduled(over), np.inf
+    modes, clipped = np.array([who(i, rows) for i in range(loop.N)]), None
+    for number in range(rounds + 1):
+        made = loop.worst(rows, targets, modes, clipped)
+        if number == rounds:
+            made = by_chance(loop, made, rng)
+        flown = loop.fly(made, who)
+        clipped = flown.clipped
+        least = min(least, clear_of(loop, flown)[0])
+    return least, loop.most
+
+
+def mixed(seed):
+    """Return a small random scene with jitter, and pulses, bits, delays, observers or none."""
+    rng = np.random.default_rng(seed)
+    period = float(rng.choice([0.25, 1 / 3, 0.5]))
+    turn, weight = rng.choice([0.0, 0.1, 0.3]), rng.choice([20, 60, 150])
+    given = [
+        f"system.A=[[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, {turn}], [0, 0, {-turn}, 0]]",
+        f"feedback.period_s={period}",
+        f"tracking.R=[{weight},{weight}]",
+        f"system.disturbance_max={rng.choice([0.0, 0.002, 0.01])}",
+        f"timing.jitter_s={period * rng.choice([0.005, 0.02, 0.06])}",
+        "recoverable.recourse=none",
+    ]
+    given += ["thrusters.pulse=centred"] * int(rng.random() < 0.6)
+    if rng.random() < 0.5:
+        given += ["thrusters.impulse_bit_N_s=0.004"]
+        given += ["thrusters.remainder=carried"] * int(rng.random() < 0.6)
+    given += ["thrusters.magnitude_error=0.02"] * int(rng.random() < 0.5)
+    given += [f"timing.delay_s={period * rng.choice([0.5, 1.0, 2.0])}"] * int(rng.random() < 0.6)
+    errors = [0.002, 0.002, 0.0004, 0.0004]
+    if (kind := rng.random()) < 0.35:
+        given += [f"navigation.measurement.matrix={np.eye(4).tolist()}"]
+        given += [f"navigation.measurement.error={errors}"]
+    elif kind < 0.6:
+        given += [f"navigation.state_error={errors}"]
+    return load_scenario(TINY).with_assignments(given), given[4:]
+
+
+def judge_scene(seed, runs=12):
+    """Return what a scene declares and its outcome: None where it is refused or nothing is proven."""
+    try:
+        scenario, given = mixed(seed)
+        schedule = synthesize(scenario)
+    except PolarisError as error:
+        return str(error)[:60], None
+    return given, (schedule, *attacked(schedule, runs, seed))
