@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 EXACT = 1e-8
-"""Instants that are nearer than this are one [s]: Basilisk counts in nanoseconds."""
+"""Instants closer than this count as equal [s]: Basilisk counts in nanoseconds."""
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """A valve that does what it likes, until the flight software has it isolated."""
+    """Valve stuck open or shut until it is isolated."""
 
     kind: str  # "stuck_on" or "stuck_off"
     nozzle: int

@@ -42,9 +42,10 @@ class Allocation:
     """Mixing table of N thrusters ``0 <= f <= limits`` for m inputs ``u = directions' f``.
 
     An input u is made by ``f = sum_i |u_i| mixes[case, sign of u_i, i]``, the case being which thruster has
-    failed. `PAIRS` makes it by twice the positive part of the pseudo-inverse times u, which is no more of any
-    thruster. `PROGRAM` makes it by thrusts within the limits of the least sum, each times the length of its
-    direction, `NEAREST` by those of the least 2-norm: neither is more than that of the mixes.
+    failed. `PAIRS` makes it by twice the positive part of the pseudo-inverse times u: no thruster is asked
+    for more than by the mixes.
+    `PROGRAM` makes it by thrusts within the limits of the least sum, each times the length of its direction,
+    `NEAREST` by those of the least 2-norm: neither is more than that of the mixes.
     """
 
     directions: Array  # (N, m)
@@ -136,7 +137,7 @@ class Allocation:
 
     @cached_property
     def sizes(self) -> Array:
-        """Return what a program makes least, of the mixes of units of the inputs, (2, m)."""
+        """Return the objective of the program at the mix of each unit input, (2, m)."""
         each = self.mixes @ self.lengths if self.kind == PROGRAM else np.linalg.norm(self.mixes, axis=-1)
         return np.asarray(each.max(axis=0) * (1 + 1e-12))
 
@@ -221,7 +222,7 @@ def _of_program(made: Allocation, each: Array, ways: Array, sizes: Array) -> Arr
     """Return lambda (m,) with the least bound of `each` (N,) at the corner of the box with signs `ways`."""
     m, lasts = len(ways), np.append(np.zeros(len(ways)), made.u_max @ sizes)
     cost = lasts + np.append(ways * made.u_max, 0.0)
-    least = np.hstack([-np.diag(ways), -sizes[:, None]])  # the bound falls in no input
+    least = np.hstack([-np.diag(ways), -sizes[:, None]])  # no entry of the bound is negative
     solved = linprog(
         cost / cost[-1],
         A_ub=np.vstack([-np.hstack([made.directions, made.lengths[:, None]]), least]),

@@ -139,12 +139,12 @@ class LinearSystem:
 
     @property
     def biases(self) -> Array:
-        """Rates of the states by that constant at its bounds, as generators (n, k), those that are not 0."""
+        """Columns of D times the bounds of the constant, those that are not 0, shape (n, k)."""
         return np.asarray((self.D * self.bias)[:, self.bias > 0])
 
     @property
     def unbiased(self) -> Self:
-        """System whose arbitrary disturbance holds that constant, too: its bounds hold of this one."""
+        """Return the system with the constant counted in the arbitrary disturbance."""
         more = float(np.linalg.norm(self.bias))
         return replace(self, w_max=self.w_max + more, bias_max=None) if more else self
 

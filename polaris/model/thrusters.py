@@ -56,7 +56,7 @@ class Thrusters:
         return 2 * float(np.max(self.bit)) / (1 + self.along + self.across * float(np.sqrt(m - 1)))
 
     def raised(self, bit: float) -> "Thrusters":
-        """Return the errors with more of every input, whatever its command [N]."""
+        """Return the errors with `bit` [N] added to every input."""
         each = tuple(x + bit for x in self.bit) if isinstance(self.bit, tuple) else self.bit + bit
         return replace(self, bit=each)
 
@@ -136,7 +136,7 @@ class Nozzles:
 
     @cached_property
     def largest(self) -> Array:
-        """The most that a unit of thrust makes in each input, errors included, (N, m)."""
+        """Bound the force in each input by a unit of thrust, errors included, (N, m)."""
         return np.asarray((np.abs(self.allocation.directions) + self.error) / (1 - self.mass))
 
     def errors(self, period: float) -> Thrusters:
@@ -166,7 +166,7 @@ class Nozzles:
 
     @property
     def left(self) -> float:
-        """Most of an input's impulse that may be left in all thrusters [N s]."""
+        """Bound the impulse of an input that all thrusters carry [N s]."""
         d = self.allocation.directions
         return self.bit * self.carried * max(float(np.maximum(s * d, 0).sum(axis=0).max()) for s in (1, -1))
 

@@ -87,7 +87,7 @@ class Observer:
     constant: Array | None = None  # part of `noise` that is one value for the whole flight, (r,)
 
     def errors(self, signs: Array, first: Array) -> Array:
-        """Return errors of what is measured, at their bounds: by signs, of what is constant by first ones."""
+        """Return measurement errors at their bounds: by `signs`, the constant part by `first`."""
         constant = 0 * self.noise if self.constant is None else self.constant
         return (self.noise - constant) * signs + constant * first
 

@@ -60,7 +60,7 @@ class Integrator(Firing):
                 self.own[number] = controller.own.fine(self.steps_per_cell)
 
     def split(self, w: Array, first: Array) -> list[Array]:
-        """Split what disturbs into its `columns`, the constant of the `first` step, if any, added to w."""
+        """Split disturbances into their `columns`; the constant, of the `first` step, is added to w."""
         own, *errors = (w[..., part] for part in self.columns)
         bias = first[..., self.constant]
         return [own + bias if bias.shape[-1] else own, *errors]

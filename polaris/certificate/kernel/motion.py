@@ -73,9 +73,9 @@ class Plant:
     h: arb  # length of a period [s]
     q: int = 1  # periods per step
     along: arb | float = 0.0  # error of an input as a share of its own command; of a layout in `shares`
-    across: arb | float = 0.0  # and of the 2-norm of the commands of the others
-    shares: Sequence[Sequence[arb]] = ()  # and of each command, rows are errors; none without a layout
-    bits: Sequence[float] = ()  # and of each input, whatever is commanded; none are 0
+    across: arb | float = 0.0  # error as a share of the 2-norm of the other commands
+    shares: Sequence[Sequence[arb]] = ()  # errors (rows) as shares of each command, of a layout
+    bits: Sequence[float] = ()  # error of each input whatever is commanded [N]; empty: all zero
     on_time: Plant | None = None  # with errors of inputs without jitter and pulses
     jitter: float = 0.0  # by which a command may take effect too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]

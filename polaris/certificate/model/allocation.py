@@ -103,7 +103,7 @@ def _check_pairs(directions: list[list[float]], mixes: list[list[list[float]]], 
         once &= each[0] == each[1] and len(each[0]) == min(sum(alive[j] for j in side) for side in pair)
         kept += [j for side in pair for j in side if any(map(any, rows[j]))]
     if not once:
-        raise Rejected("system", "the pseudo-inverse does not ask opposite thrusters for opposite thrusts")
+        raise Rejected("system", "mixes of opposite thrusters differ")
     for j in kept:
         push = [arb(x) - y for x, y in zip(*rows[j], strict=True)]
         made = [arb(0)] * len(push)
@@ -112,7 +112,11 @@ def _check_pairs(directions: list[list[float]], mixes: list[list[list[float]]], 
             made = [x + part * d for x, d in zip(made, directions[other], strict=True)]
         for x, d in zip(made, directions[j], strict=True):
             near = INVERSE * arb(max(map(abs, directions[j])))
-            require("system", near - abs(x - 2 * arb(d)), f"thruster {j} has not the pseudo-inverse's part")
+            require(
+                "system",
+                near - abs(x - 2 * arb(d)),
+                f"mixes of thruster {j} are not those of the pseudo-inverse",
+            )
 
 
 def _norm(x: list[arb]) -> arb:
@@ -183,7 +187,7 @@ class Nozzles:
         """Return the length of each thruster's direction, (N)."""
         return [root(dot(d, d)) for d in self.ways]
 
-    def most(self, each: list[arb], multipliers: list[list[float]]) -> list[arb]:
+    def weighted_thrust(self, each: list[arb], multipliers: list[list[float]]) -> list[arb]:
         """Return the largest sum of thrusts times `each` (N) per unit of every input, (m).
 
         Of a program it is ``sum_t f_t each_t <= lambda u + rest size(f)``, whatever lambda is for inputs of
@@ -217,9 +221,12 @@ class Nozzles:
         columns = [*(list(column) for column in zip(*self.error, strict=True)), self.lengths]
         m, factors = len(self.error[0]), self.allocation.get("multipliers", [])
         if len(factors) != (2**m if self.solves else 0):
-            raise Rejected("system", "a program, and it alone, needs multipliers for all signs of the inputs")
+            raise Rejected(
+                "system",
+                "linear_program and nearest, no other kind, need multipliers for all signs of the inputs",
+            )
         each = map(list, zip(*factors, strict=True)) if factors else [[]] * (m + 1)
-        return [self.most(*pair) for pair in zip(columns, each, strict=True)]
+        return [self.weighted_thrust(*pair) for pair in zip(columns, each, strict=True)]
 
     @property
     def weights(self) -> tuple[arb, ...]:
@@ -234,7 +241,7 @@ class Nozzles:
         return [[x / (1 - arb(self.mass)) for x in row] for row in own]
 
     def dropped(self, bit: arb, period: arb, carried: bool) -> list[arb]:
-        """Return errors of the inputs by impulses [N s] of which thrusters make multiples, (m)."""
+        """Bound the error of each input by rounding to impulse bits [N s], (m)."""
         ways = zip(self.largest, self.allocation["directions"], strict=True)
         if carried:
             wrong = [[x - abs(d) for x, d in zip(*rows, strict=True)] for rows in ways]

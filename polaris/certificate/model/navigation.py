@@ -19,7 +19,7 @@ PARTS = 4  # parts of a period over each of which integrals are bounded by the t
 
 INSTANT = 1e-9  # share of a step by which instants may differ and count as one
 
-TOLD = 1e-8  # share by which bounds may be larger than the scenario's: what a program adds for rounding
+ROUNDED_UP = 1e-8  # share by which bounds may be larger than the scenario's: what a program adds for rounding
 
 FORGOTTEN, LONGEST = 1e-9, 4096
 """What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
@@ -63,7 +63,7 @@ def _declared(document: Document, spec: dict[str, Any]) -> list[float]:
 
 
 def turned_by(document: Document, spec: dict[str, Any]) -> list[arb]:
-    """Bounds by axis on what errors of range and bearing make of a position in the box where they hold.
+    """Bound the position error by axis that errors of range and bearing cause in their box.
 
     The line of sight may have any direction that it has in the box.
     """
@@ -78,9 +78,9 @@ def turned_by(document: Document, spec: dict[str, Any]) -> list[arb]:
 
 
 def same_bounds(stored: list[float], needed: list[float]) -> bool:
-    """Whether bounds are those that are needed, up to rounding."""
+    """Return True if bounds are those needed, up to rounding."""
     pairs = zip(stored, needed, strict=True)
-    return len(stored) == len(needed) and all(x <= y <= x * (1 + TOLD) for y, x in pairs)
+    return len(stored) == len(needed) and all(x <= y <= x * (1 + ROUNDED_UP) for y, x in pairs)
 
 
 def _per_axis(parts: list[Any]) -> list[float]:

@@ -195,18 +195,18 @@ def _check_within(
     d, begins = len(document.C), spec["from_s"]
     half = per_axis(spec["within_m"], d)
     if begins >= document.steps * document.delta or len(half) != d:
-        raise Rejected("unsafe_sets", f"within_m of {name} does not fit the scenario")
+        raise Rejected("unsafe_sets", f"within_m of {name}: from {begins:g} s on, with {len(half)} sides")
     for f, item in enumerate(facets):
         outward = [(-1.0 if f < d else 1.0) * (j == f % d) for j in range(d)]
         if item.name != f"{name}[{f}]" or not item.keep_in or item.normals != [outward]:
-            raise Rejected("unsafe_sets", f"{item.name} is not what {name} of the navigation needs")
+            raise Rejected("unsafe_sets", f"{item.name} is no side of the box within_m of {name}")
         most = half[f % d] - size
         for k in range(len(item.start)):
             if holding(document, begins, ends, min(k, document.steps)):
                 for offset in (item.start[k][0], item.end[k][0]):
                     require("unsafe_sets", most + offset + half[f % d] * ROUNDED, f"{item.name}, step {k}")
     if len(facets) != 2 * d:
-        raise Rejected("unsafe_sets", f"where {name} of the navigation holds is not all kept")
+        raise Rejected("unsafe_sets", f"sides of the box within_m of {name} are missing")
 
 
 def _check_cone(rows: list[list[float]], offsets: list[float], spec: dict[str, Any]) -> None:

@@ -49,7 +49,7 @@ def drifted(
 
 
 def _pushes(system: LinearSystem, normals: Array, position: Array, ahead: Array) -> Array:
-    """How far disturbance and constant take the position against each normal by each instant, (F, J, d)."""
+    """Return the largest displacement against each normal by disturbance and constant, (F, J, d)."""
     kicks = position @ system.D
     ways = np.einsum("fd,jdp->fjp", normals, kicks)
     ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), 1e-300)

@@ -221,7 +221,7 @@ class Tail(Nearness):
 
     def estimate(self, nodes: int) -> Array:
         """Bound the errors of estimates at every node from so many after T on, by state, shape (n,)."""
-        tracking, rows = self.safety.tracking, self.safety.tracking.misjudged
+        tracking, rows = self.safety.tracking, self.safety.tracking.estimate_error_rows
         both = PathRows(self.safety.clearance, np.vstack([rows, -rows]), self.failing, between=False)
         each = [both.needs(handed, self.T + nodes - 1, self.T + nodes)[1, -1] for handed in self.held]
         return np.asarray(

@@ -186,7 +186,7 @@ class Schedule:
 
     @property
     def _tail(self) -> Tail:
-        """What S flies after T: made anew, as its tubes take more memory than all that is asked of it."""
+        """Build S's flight after T; not cached, as its tubes take too much memory."""
         last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
         handed = self.steps[last - 1].tube.end if last else self.safety.start
         T = len(self.steps) * q
@@ -211,7 +211,7 @@ class Schedule:
         tracking = self.safety.tracking
         if tracking.system.observer is None:
             return None
-        rows, beside = tracking.misjudged, tracking.unremembered(tracking.system.u_max)
+        rows, beside = tracking.estimate_error_rows, tracking.unremembered(tracking.system.u_max)
         flown = [tracking.whole_state(step.tube.states) for step in self.steps if step.mode]
         most = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
         least = tracking.system.navigation + tracking.system.displaced_at_nodes  # whatever is commanded

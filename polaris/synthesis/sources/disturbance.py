@@ -27,7 +27,7 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """Constant in a flight: a sum of rates of the states, columns of `rates` (n, k), each times a share."""
+    """Constant rate of the states: columns of `rates` (n, k), each times an unknown share of at most one."""
 
     rates: Array
 

@@ -50,12 +50,12 @@ class Tracking(Contraction):
         return np.vstack([self.tightening.closed.K, -self.tightening.closed.K])
 
     @property
-    def misjudged(self) -> Array:
+    def estimate_error_rows(self) -> Array:
         """Rows of the loop state that are errors of the estimate a law acts on, shape (n, N)."""
         return np.asarray(self.loop.known - self.whole(np.eye(self.system.n)))
 
     def unremembered(self, most: Array) -> Array:
-        """Bound on errors of estimates beside these rows, under commands within a bound (m,), shape (n,)."""
+        """Bound estimate errors that no loop state holds, under commands within a bound (m,), shape (n,)."""
         system = self.system
         limits = self.tightening
         total = self.step_errors.max(axis=0) + system.displaced_at_nodes
