@@ -112,6 +112,12 @@ ROWS = (
         ("timing.missed_periods=2",),
     ),
     Row("Pulses", "thrusters.pulse", ('thrusters.pulse="centred"',)),
+    Row(
+        "Rise and fall of pulses",
+        "thrusters.rise_s",
+        ("thrusters.rise_s=0.02",),
+        ('thrusters.pulse="centred"',),
+    ),
     Row("Delay", "timing.delay_s", ("timing.delay_s=2.0",)),
     Row("Missed periods", "timing.missed_periods", ("timing.missed_periods=2",)),
     Row("Jitter of commands", "timing.jitter_s", ("timing.jitter_s=0.01",)),

@@ -69,6 +69,7 @@ class Premises:
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
     thrusters: Iterable[float] = ()  # shares of the command, of the 2-norm of others, of the mass; at all [N]
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
+    edge: float = 0.0  # in which their thrust comes up or goes down [s]
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point
     allocated: bool = False  # whether inputs are made by thrusters of which one may have failed
@@ -147,6 +148,7 @@ class Premises:
             if self.layout:
                 made = "one pulse of each thruster per period, in the middle of it, of which those at once "
                 made += f"make at most [{fired}] N"
+            made += f", up and down within {self.edge:g} s with its impulse kept" * (self.edge > 0)
             made += ", of its impulse whenever it begins, never over another of its thruster" * (jitter > 0)
             yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"
         late = ", ".join(f"{name} after {lasts:g} s" for name, lasts in self.late)

@@ -113,18 +113,18 @@ class Craft(LinearSystem):
 
     @property
     def shifted(self) -> Array:
-        """Bounds on the impulses that jitter brings forward or puts off, of inputs [N s], shape (m,)."""
-        timing = self.timing
-        if not timing.jitter > 0:
+        """Bounds on the impulses that jitter and edges bring forward or put off, of inputs [N s], (m,)."""
+        timing, moved = self.timing, self.timing.jitter + self.timing.edge
+        if not moved > 0:
             return np.zeros(self.m)
         held = self.u_max + (2 * timing.carried / timing.period if timing.carried else 0.0)
         top = 2 * np.array(timing.fired) if timing.fired else held
-        return np.asarray(timing.jitter * (top + self.on_time.error(top)) * (1 + 1e-9))
+        return np.asarray(moved * (top + self.on_time.error(top)) * (1 + 1e-9))
 
     @property
     def shifting(self) -> Array:
-        """Rates of the states by `shifted` impulses, as generators (n, m); (n, 0) without jitter."""
-        return np.asarray((self.A @ self.B * self.shifted)[:, : self.m * (self.timing.jitter > 0)])
+        """Rates of the states by `shifted` impulses, as generators (n, m); (n, 0) without any."""
+        return np.asarray((self.A @ self.B * self.shifted)[:, : self.m * bool(np.any(self.shifted))])
 
     @cached_property
     def unknown(self) -> Array:
@@ -205,7 +205,7 @@ class Craft(LinearSystem):
     @property
     def longest(self) -> float:
         """Longest time for which a command may be in force, as a share of its period."""
-        jitter, h = self.timing.jitter, self.timing.period
+        jitter, h = self.timing.jitter + self.timing.edge, self.timing.period
         return 1 + 2 * jitter / h * (1 + WHOLE) if jitter else 1.0
 
     def error_map(self, error: Array) -> Array | None:

@@ -52,6 +52,7 @@ class Timing:
     displaced: tuple[float, ...] = ()  # how far jitter, pulses, and what is carried displace states, (n,)
     fired: tuple[float, ...] = ()  # thrust of the pulses of every input, each in the middle of its period [N]
     pulsed: tuple[float, ...] = ()  # their part of what is displaced, nothing at nodes, (n,)
+    edge: float = 0.0  # time in which the thrust of a pulse comes up or goes down, at most [s]
     carried: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
     period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[float, ...], ...] = ()

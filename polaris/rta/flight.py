@@ -161,7 +161,7 @@ def fly(
 class Engine(Integrator):
     """Integration from node to node, every run under its own mode; inputs that stand for jitter are held."""
 
-    jitter = 0.0
+    jitter, edges = 0.0, np.zeros(1)
 
     def __init__(self, grid: DecisionGrid) -> None:
         self.grid = grid

@@ -9,6 +9,8 @@ from ..model.thrusters import Thrusters
 from .allocating import thrusts_of
 from .failing import Failing
 
+STAIRS = 4  # steps in which the thrust of a pulse comes up and goes down
+
 
 class Firing:
     """Thrusters over steps of an integration, R runs at once.
@@ -87,12 +89,18 @@ class Firing:
             self.parts = [(held - self.made, np.eye(self.system.m), 0 * late, late)]
         if not len(self.fired):
             return
-        on = np.abs(self.asked) / self.fired
+        on, kept = np.abs(self.asked) / self.fired, int(self.jitter + self.edges[-1] > 0)
         begin = (1 - on) / 2 + late
-        last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[: self.jitter > 0]]
+        last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[:kept]]
         for *_, over in last:  # what is not over yet
             begin = np.maximum(begin, over)
         self.parts = [(np.sign(self.asked) * self.fired, self.ways, begin, begin + on), *last]
+
+    @cached_property
+    def edges(self) -> Array:
+        """Shares of a period after which equal parts of the thrust of a pulse come up and go down."""
+        edge = self.system.timing.edge / (self.dt * self.substeps)
+        return edge * (np.arange(STAIRS) + 0.5) / STAIRS if edge else np.zeros(1)
 
     @cached_property
     def jitter(self) -> float:
@@ -115,8 +123,9 @@ class Firing:
         power += 1
         moment = -self.asked @ self.ways * (end - start) ** power if len(self.fired) else 0.0
         for force, ways, begin, over in self.parts:
-            left, right = (end - np.clip(each, start, end) for each in (begin, over))
-            moment = moment + force * (left**power - right**power) @ ways
+            for edge in self.edges if len(self.fired) else (0.0,):
+                left, right = (end - np.clip(each + edge, start, end) for each in (begin, over))
+                moment = moment + force * (left**power - right**power) @ ways / len(self.edges)
         return np.asarray(moment)
 
     def pulsed(self, start: Array | float, end: Array | float) -> Array:

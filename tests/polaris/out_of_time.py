@@ -98,7 +98,9 @@ class OutOfTime(Loop):
             if np.all(np.isfinite(top)):
                 on = np.abs(u) / top * self.h
                 begins = np.maximum(i * self.dt + (self.h - on) / 2 + late, until)
-                until = ends = begins + on
+                until = begins + on
+                begins = begins + system.timing.edge * (way > 0)  # all that comes up or goes down is late
+                ends = begins + on
                 gain = np.divide(u + more, u, out=np.ones_like(u), where=u != 0)
                 bursts.append((np.sign(u) * top * gain, begins, ends))
             else:
@@ -170,7 +172,9 @@ def mixed(seed):
         f"timing.jitter_s={period * rng.choice([0.005, 0.02, 0.06])}",
         "recoverable.recourse=none",
     ]
-    given += ["thrusters.pulse=centred"] * int(rng.random() < 0.6)
+    if rng.random() < 0.6:
+        edges = rng.choice([0.0, 0.01, 0.05], 2) * period
+        given += ["thrusters.pulse=centred", f"thrusters.rise_s={edges[0]}", f"thrusters.fall_s={edges[1]}"]
     if rng.random() < 0.5:
         given += ["thrusters.impulse_bit_N_s=0.004"]
         given += ["thrusters.remainder=carried"] * int(rng.random() < 0.6)

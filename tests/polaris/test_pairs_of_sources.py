@@ -34,6 +34,7 @@ SOURCES = {
     "bit": ["thrusters.impulse_bit_N_s=0.005"],
     "carried bit": ["thrusters.impulse_bit_N_s=0.005", 'thrusters.remainder="carried"'],
     "pulses": ['thrusters.pulse="centred"'],
+    "rise and fall": ['thrusters.pulse="centred"', "thrusters.rise_s=0.02", "thrusters.fall_s=0.03"],
     "layout": [f"thrusters.directions={CANTED}", "thrusters.thrust_max_N=0.15"],
     "chaser": ["chaser.radius_m=0.5"],
     "weak thruster": ['faults=[{kind="loss",share=0.2}]'],

@@ -145,7 +145,14 @@ def test_a_nonlinear_flight_switches_where_pulses_begin_and_end(substeps):
     assert np.allclose(x[:, 3:6], y[:, 3:6], atol=2e-6) and np.allclose(x[:, :3], y[:, :3], atol=3e-5)
 
 
-@pytest.mark.parametrize(("assignments", "field"), [([*SAMPLED, "thrusters.pulse=first"], "thrusters.pulse")])
+@pytest.mark.parametrize(
+    ("assignments", "field"),
+    [
+        ([*SAMPLED, "thrusters.pulse=first"], "thrusters.pulse"),
+        ([*SAMPLED, "thrusters.rise_s=0.01"], "thrusters.rise_s"),
+        ([*PULSED, "thrusters.fall_s=0.1", "timing.jitter_s=0.03"], "timing.jitter_s"),
+    ],
+)
 def test_what_is_not_covered_is_refused_by_name(assignments, field):
     with pytest.raises(ScenarioError) as error:
         load_scenario(TINY).with_assignments(assignments).system()
@@ -204,6 +211,7 @@ def test_forged_pulses_are_refused(tmp_path):
 def test_forged_jitter_is_refused(pulse, tmp_path):
     """Neither less of it, nor less than what it adds, with pulses or without."""
     given = [*PULSED, f"thrusters.pulse={pulse}", *ERRORS[:2], "timing.jitter_s=0.004"]
+    given += ["thrusters.rise_s=0.003", "thrusters.fall_s=0.005"] * (pulse != "held")
     forger = Forger(make(given, tmp_path), tmp_path)
     assert forger.judge({}).outcome == "VERIFIED"
     data = forger.tree(CERTIFICATE)
@@ -225,7 +233,8 @@ def test_forged_jitter_is_refused(pulse, tmp_path):
             errors = thrusters | {key: (0.99 * float.fromhex(thrusters[key])).hex()}
             verdicts += [judged(errors=errors)]
     else:
-        verdicts += [judged(pulsed=times(1.01, timing["pulsed"]))]
+        sooner = [x.replace("within 0.005 s", "within 0.003 s") for x in data["assumptions"]]
+        verdicts += [judged(pulsed=times(1.01, timing["pulsed"])), judged(sooner, edge=(0.003).hex())]
     for verdict in verdicts:
         assert verdict.outcome == "REJECTED" and verdict.claim in ("system", "assumptions"), verdict
     scenario = forger.tree("scenario.toml")
@@ -234,7 +243,9 @@ def test_forged_jitter_is_refused(pulse, tmp_path):
 
 
 def test_flights_with_pulses_that_come_early_or_late_keep_what_is_proven():
-    scenario = load_scenario(TINY).with_assignments([*PULSED, *ERRORS, "timing.jitter_s=0.02"])
+    scenario = load_scenario(TINY).with_assignments(
+        [*PULSED, *ERRORS, "timing.jitter_s=0.02", "thrusters.rise_s=0.004"]
+    )
     schedule = kept("pulsed, out of time", lambda: synthesize(scenario))
     assert schedule.share() > 0
     runs, off = fly_delayed(schedule, 20, 3, substeps=5)
@@ -445,7 +456,7 @@ def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
     assert scenes >= len(seeds) / 5
 
 
-@pytest.mark.parametrize("seed", [2, 5])
+@pytest.mark.parametrize("seed", [101, 117])
 def test_nothing_that_flies_early_or_late_breaks_what_is_proven(seed):
     """Attack a random scene with jitter, pulses and others by an integrator of their own."""
     given, found = judge_scene(seed)
@@ -456,7 +467,7 @@ def test_nothing_that_flies_early_or_late_breaks_what_is_proven(seed):
 
 @pytest.mark.slow
 def test_no_random_scene_is_broken_by_what_flies_early_or_late():
-    found = [judge_scene(seed)[1] for seed in range(1, fewer(41, 12))]
+    found = [judge_scene(seed)[1] for seed in range(100, fewer(141, 112))]
     scenes = [each for each in found if each is not None]
     assert len(scenes) >= len(found) / 2
     assert all(least > 0 and 0 < most <= 1 for _, least, most in scenes)

@@ -120,7 +120,7 @@ class Pilot:
             [*free, *plant.push(error)],
             answer.bounds,
         )
-        errors = (noise, error) if answer.linear and not plant.jitter else ()
+        errors = (noise, error) if answer.linear and not plant.jitter > 0 else ()
         return period, Spell(plant.spent(answer.bounds), base.u + answer.c + answer.K * z.c, errors)
 
     def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:

@@ -101,6 +101,7 @@ class Document:
         self.measured: Vector = self.timing.get("measured") or self.estimate
         self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
         self.fired: Vector = self.timing.get("fired") or []  # thrust of pulses; empty where inputs are held
+        self.edge: float = self.timing.get("edge", 0.0)  # in which the thrust of pulses comes or goes [s]
         self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
         self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
         self.carried: float = self.timing.get("carried", 0.0)  # impulse that is left to the next period
@@ -227,6 +228,7 @@ class Document:
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
             thrusters=(*self.shares, max(self.prompt_bits)),
             pulses=self.fired,
+            edge=self.edge,
             carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,

@@ -77,7 +77,7 @@ class Plant:
     shares: Sequence[Sequence[arb]] = ()  # errors (rows) as shares of each command, of a layout
     bits: Sequence[float] = ()  # error of each input whatever is commanded [N]; empty: all zero
     on_time: Plant | None = None  # with errors of inputs without jitter and pulses
-    jitter: float = 0.0  # by which a command may take effect too early or late [s]
+    jitter: float | arb = 0.0  # by which what is made may come too early or late [s]
     carried: float = 0.0  # impulse of an input that may be left to the next period [N s]
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]

@@ -31,7 +31,7 @@ def plant_of(document: Document) -> Plant:
     h = arb(document.delta) / document.q
     u_max = [arb(x) for x in document.u_max]
     C, w_max = matrix(document.C), arb(document.w_max)
-    jitter = document.timing.get("jitter", 0.0)
+    jitter = arb(document.timing.get("jitter", 0.0)) + document.timing.get("edge", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = 0 if document.transients else ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried)

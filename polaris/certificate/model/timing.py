@@ -32,13 +32,20 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     delay, jitter, missed = (spec.get(keys[key], 0) for key in ("delay", "jitter", "missed"))
     plant, nothing = plant_of(document), [arb(0)] * len(document.u_max)
     stored = document.estimate or [0.0] * len(document.A)
-    if not 2 * arb(jitter) <= plant.h:
-        raise Rejected("system", "the control period must be at least twice the jitter")
+    edges = [thrusters.get(name, 0.0) for name in ("rise_s", "fall_s")]
+    if not 2 * (arb(jitter) + sum(map(arb, edges))) <= plant.h:
+        raise Rejected(
+            "system", "the control period must be at least twice the jitter, rise and fall included"
+        )
     pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
     top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
     fired = list(map(arb, per_axis(top, len(document.u_max)))) if pulsed else []
     if pulsed and (layout := Nozzles.of(document)) is not None:
         fired = layout.fired()
+    if document.edge != max(edges) or (document.edge and not pulsed):
+        raise Rejected(
+            "system", f"thrust of pulses comes or goes in {document.edge} s, not as in the scenario"
+        )
     if len(document.fired) != len(fired):
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
     for most, needed in zip(document.fired, fired, strict=True):

@@ -46,6 +46,10 @@ class Thrusters(ScenarioPart):
     """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
     the full `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long
     as it takes. Errors of the thrusters are constant in a period then."""
+    rise_s: f.NonNegative = unit("s", default=0.0)
+    """Longest time in which the thrust of a pulse comes up, in any way. Impulses are as commanded."""
+    fall_s: f.NonNegative = unit("s", default=0.0)
+    """Longest time in which it goes down."""
     directions: f.Matrix | None = unit("-", default=None)
     """Which way each thruster pushes: for each one number per input (in Hill's frame the direction of its
     thrust). Without it there is one either way along every input."""
@@ -99,10 +103,13 @@ def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | N
     carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
     if layout is not None:
         fired, carried = layout.fired, layout.left
-    if timing.jitter > period / 2:
-        rule = f"must be at most half of the period of {period:g} s"
-        raise ScenarioError("timing.jitter_s", timing.jitter, rule)
-    timing = replace(timing, fired=fired, carried=carried)
+    edges = made.rise_s + made.fall_s
+    if edges and not fired:
+        raise ScenarioError("thrusters.rise_s, fall_s", edges, "need thrusters.pulse = 'centred'")
+    if timing.jitter + edges > period / 2:
+        rule = f"must be at most half of the period of {period:g} s, times of rise and fall included"
+        raise ScenarioError("timing.jitter_s", timing.jitter + edges, rule)
+    timing = replace(timing, fired=fired, carried=carried, edge=max(made.rise_s, made.fall_s))
     return system if timing == Delays() else predicting(system, timing, period)
 
 

@@ -204,7 +204,8 @@ class _TrueMotion(Integrator):
         """Shares of a period, over one of its steps, between which nothing switches, (., R, 1)."""
         start, end = (np.arange(2) + sub) / self.substeps
         ends = np.broadcast_to([start, end], (len(self.asked), 2))
-        every = np.hstack([ends, *(each for _, _, *part in self.parts for each in part)])
+        parts = (each + edge for _, _, *part in self.parts for each in part for edge in self.edges)
+        every = np.hstack([ends, *parts])
         return np.sort(np.clip(every, start, end), axis=1).T[:, :, None]
 
 

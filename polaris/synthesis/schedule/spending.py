@@ -55,7 +55,7 @@ class Spell:
             top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
             told[i] = np.minimum(top, system.u_max)
         middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(told)
-        alone = tube.slopes is None and not system.timing.jitter
+        alone = tube.slopes is None and system.longest == 1
         errors = (known[:-1], system.thrusters.error(told[:-1])) if alone else ()
         return cls(law, tube, middle[:-1], most[:-1], errors)
 

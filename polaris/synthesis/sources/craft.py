@@ -51,6 +51,7 @@ def assumed(system: Craft, h: float) -> Premises:
         timing=astuple(system.timing)[:4],
         thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(system.on_time.bit))),
         pulses=system.timing.fired,
+        edge=system.timing.edge,
         carried=system.timing.carried,
         layout="" if system.nozzles is None else system.nozzles.allocation.kind,
         late=[(fault.name, fault.lasts) for fault in system.transients],
