@@ -104,6 +104,12 @@ ROWS = (
         ("thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"),
     ),
     Row("Impulse bit, the rest dropped", "thrusters.impulse_bit_N_s", (BIT,)),
+    Row(
+        "Impulse bit, more in any size",
+        "thrusters.resolution",
+        ('thrusters.resolution="continuous"',),
+        (BIT,),
+    ),
     Row("Impulse bit, the rest carried", "thrusters.remainder", (BIT, 'thrusters.remainder="carried"')),
     Row(
         "The same with missed periods",

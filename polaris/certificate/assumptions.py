@@ -69,6 +69,7 @@ class Premises:
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
     thrusters: Iterable[float] = ()  # shares of the command, of the 2-norm of others, of the mass; at all [N]
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
+    fine: bool = False  # whether impulses above that are of any size instead
     edge: float = 0.0  # in which their thrust comes up or goes down [s]
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
     chaser: float = 0.0  # its radius [m]; 0 for a point
@@ -141,7 +142,8 @@ class Premises:
             left = f"at first nothing, of an input at most {self.carried:g} N s in all"
             yield f"impulses: what thrusters leave of what they are asked for, {left}, is carried to the next"
         elif self.carried:
-            made = f"a period makes a multiple of {self.carried:g} N s, or all that its limit allows"
+            made = "what it is asked for unless that is below" if self.fine else "a multiple of"
+            made = f"a period makes {made} {self.carried:g} N s, or all that its limit allows"
             yield f"impulses: of each input {made}; what is left, at first nothing, is carried to the next"
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
             made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"

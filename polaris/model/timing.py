@@ -54,6 +54,7 @@ class Timing:
     pulsed: tuple[float, ...] = ()  # their part of what is displaced, nothing at nodes, (n,)
     edge: float = 0.0  # time in which the thrust of a pulse comes up or goes down, at most [s]
     carried: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
+    fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[float, ...], ...] = ()
     """What a unit of errors of the inputs may add to those of predictions until it is measured, (n, m)."""

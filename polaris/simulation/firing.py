@@ -64,6 +64,7 @@ class Firing:
             h = self.dt * self.substeps
             due = f * h + self.left
             whole = bit * np.floor(np.abs(due) / bit * (1 + 1e-12))  # of impulses; not less by rounding
+            whole = np.where(whole > 0, np.abs(due), 0.0) if timing.fine else whole
             f = np.sign(due) * np.minimum(whole / h, most)
             self.left = due - f * h
         self.asked, made = f, f @ self.ways

@@ -41,14 +41,16 @@ class OutOfTime(Loop):
 
     def made(self, told, rest, off):
         """Return the impulses that thrusters make of commands (R, m), over h, and what they leave."""
-        bit, carried = self.bit, self.system.timing.carried
+        bit, carried, fine = self.bit, self.system.timing.carried, self.system.timing.fine
         if carried:
             asked = told * self.h + rest
             full = self.system.u_max * self.h
-            size = np.minimum(np.floor(np.abs(asked) / carried * (1 + 1e-12)) * carried, full)
+            size = np.floor(np.abs(asked) / carried * (1 + 1e-12)) * carried
+            size = np.minimum(np.where(size > 0, np.abs(asked), 0.0) if fine else size, full)
             u = size * np.sign(asked) / self.h
             return u, asked - u * self.h, off * self.errors.along * u
         u = np.round(told / bit) * bit if bit else told
+        u = np.where(np.abs(told) >= bit, told, u) if fine else u
         u = np.clip(u, -self.system.u_max, self.system.u_max)
         return u, rest, off * self.errors.along * u
 
@@ -186,6 +188,8 @@ def mixed(seed):
         given += [f"navigation.measurement.error={errors}"]
     elif kind < 0.6:
         given += [f"navigation.state_error={errors}"]
+    if any("impulse_bit" in each for each in given):
+        given += ["thrusters.resolution=continuous"] * int(rng.random() < 0.5)
     return load_scenario(TINY).with_assignments(given), given[4:]
 
 

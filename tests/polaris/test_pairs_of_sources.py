@@ -33,6 +33,7 @@ SOURCES = {
     "mass": ["thrusters.mass_error=0.03"],
     "bit": ["thrusters.impulse_bit_N_s=0.005"],
     "carried bit": ["thrusters.impulse_bit_N_s=0.005", 'thrusters.remainder="carried"'],
+    "least impulse": ["thrusters.impulse_bit_N_s=0.005", 'thrusters.resolution="continuous"'],
     "pulses": ['thrusters.pulse="centred"'],
     "rise and fall": ['thrusters.pulse="centred"', "thrusters.rise_s=0.02", "thrusters.fall_s=0.03"],
     "layout": [f"thrusters.directions={CANTED}", "thrusters.thrust_max_N=0.15"],

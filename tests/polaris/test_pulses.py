@@ -42,7 +42,7 @@ from ..kept import kept
 from ..sizes import fewer
 from .closed_loops import attack
 from .forging import CERTIFICATE, Forger, make
-from .out_of_time import judge_scene
+from .out_of_time import OutOfTime, judge_scene
 from .test_closed_loops import judge
 from .test_error_sources import exact
 from .test_timing import SAMPLED, fly_delayed, systems
@@ -201,6 +201,7 @@ def test_forged_pulses_are_refused(tmp_path):
         {},
         {"pulse": "first"},
         {"pulse": "centred", "remainder": "dropped"},
+        {"pulse": "centred", "remainder": "carried", "resolution": "continuous"},
     ):
         kept_keys = {key: x for key, x in scenario["thrusters"].items() if key != "pulse"}
         forged = scenario | {"thrusters": kept_keys | thrusters}
@@ -240,6 +241,33 @@ def test_forged_jitter_is_refused(pulse, tmp_path):
     scenario = forger.tree("scenario.toml")
     forged = scenario | {"timing": {"jitter_s": 0.008}}
     assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
+
+
+@pytest.mark.parametrize("remainder", ["dropped", "carried"])
+def test_impulses_above_the_least_one_may_be_of_any_size(remainder):
+    """No impulse is smaller than the bit, most are no multiple of it, and what is carried stays below it."""
+    bit, h = 0.004, 0.25
+    given = [f"thrusters.impulse_bit_N_s={bit}", f"thrusters.remainder={remainder}"]
+    scenario = load_scenario(TINY).with_assignments([*SAMPLED, *given, "thrusters.resolution=continuous"])
+    same = load_scenario(TINY).with_assignments([*SAMPLED, *given]).system()
+    assert scenario.system().thrusters == same.thrusters and scenario.system().timing.fine
+    loop = SimpleNamespace(system=scenario.system(), h=h, errors=scenario.system().on_time)
+    loop.bit = 0.0 if remainder == "carried" else bit / h
+    rng, rest, sizes = np.random.default_rng(1), np.zeros((1, 2)), []
+    firing = Firing()
+    firing.system, firing.dt, firing.substeps = scenario.system(), h, 1
+    firing.thrusters = firing.system.on_time
+    firing.begin(1)
+    for _ in range(300):
+        told = rng.uniform(-1, 1, (1, 2)) * rng.choice([0.5, 1.5, 40]) * bit / h
+        u, left, _ = OutOfTime.made(loop, told, rest, 0.0)
+        assert np.all(np.abs(left) <= bit) and np.all(np.abs(u - told) * h <= bit * (0.5 if loop.bit else 2))
+        if remainder == "carried":
+            assert np.allclose(firing.applied(told, 0), u, atol=1e-12)
+        rest = left
+        sizes += np.abs(u[u != 0]).tolist()
+    sizes = np.array(sizes) * h / bit
+    assert sizes.min() >= 1 - 1e-9 and np.mean(np.abs(sizes - np.round(sizes)) > 1e-6) > 0.3
 
 
 def test_flights_with_pulses_that_come_early_or_late_keep_what_is_proven():

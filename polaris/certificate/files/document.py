@@ -229,6 +229,7 @@ class Document:
             thrusters=(*self.shares, max(self.prompt_bits)),
             pulses=self.fired,
             edge=self.edge,
+            fine=self.timing.get("fine", False),
             carried=self.carried,
             chaser=self.chaser_radius,
             allocated=self.allocation is not None,

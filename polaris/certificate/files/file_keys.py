@@ -70,7 +70,7 @@ CERTIFICATE = {
         "thrusters?": {**every(AT_LEAST_0, "along across"), "mass?": _PART, "bit": _BITS},
         "timing?": {**every(HEX, "delay jitter clock"), "missed": Whole(), "bit": _BITS,
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"),
-                    **every(HEX, "carried? edge?")},
+                    **every(HEX, "carried? edge?"), "fine?": bool},
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
                       "after?": grid("missed n measured"), "constant?": grid("measured", AT_LEAST_0),

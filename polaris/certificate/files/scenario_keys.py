@@ -88,7 +88,7 @@ SCENARIO = {
         **every(NOT_NEGATIVE, "impulse_bit_N_s? rise_s? fall_s?"),
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
         "pulse?": Text(("held", "centred")), "remainder?": Text(("dropped", "carried")),
-        "allocation?": Text(tuple(ALLOCATIONS)),
+        "allocation?": Text(tuple(ALLOCATIONS)), "resolution?": Text(("bit", "continuous")),
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),

@@ -42,6 +42,9 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     fired = list(map(arb, per_axis(top, len(document.u_max)))) if pulsed else []
     if pulsed and (layout := Nozzles.of(document)) is not None:
         fired = layout.fired()
+    fine = thrusters.get("resolution", "bit") != "bit" and thrusters.get("impulse_bit_N_s", 0.0) > 0
+    if document.timing.get("fine", False) != fine:
+        raise Rejected("system", "sizes of impulses are not those of the scenario")
     if document.edge != max(edges) or (document.edge and not pulsed):
         raise Rejected(
             "system", f"thrust of pulses comes or goes in {document.edge} s, not as in the scenario"

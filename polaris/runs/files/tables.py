@@ -132,7 +132,7 @@ def read_reference(path: Path, system: LinearSystem, delta: float) -> Reference:
 
 def errors_of(system: Craft) -> dict[str, Any]:
     """Errors of estimates, thrusters and timing, if any."""
-    timing, added = asdict(system.timing), ("fired", "pulsed", "carried", "edge")  # where there are any
+    timing, added = asdict(system.timing), ("fired", "pulsed", "carried", "edge", "fine")  # if any
     unsaid = "period", "unseen"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     timing["bit"] = timing.pop("on_time")["bit"]

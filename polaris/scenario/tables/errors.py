@@ -42,6 +42,8 @@ class Thrusters(ScenarioPart):
     """What becomes of the rest that is no multiple of the bit: dropped, the nearest multiple being made; or
     carried to the next period, from none at the start: what is commanded and left from before is rounded
     towards zero, and never exceeds the limits."""
+    resolution: Literal["bit", "continuous"] = unit("-", default="bit")
+    """Which impulses are made: multiples of the bit, or any that is not smaller than the bit."""
     pulse: Literal["held", "centred"] = unit("-", default="held")
     """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
     the full `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long
@@ -109,7 +111,8 @@ def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | N
     if timing.jitter + edges > period / 2:
         rule = f"must be at most half of the period of {period:g} s, times of rise and fall included"
         raise ScenarioError("timing.jitter_s", timing.jitter + edges, rule)
-    timing = replace(timing, fired=fired, carried=carried, edge=max(made.rise_s, made.fall_s))
+    fine = made.resolution == "continuous" and made.impulse_bit_N_s > 0
+    timing = replace(timing, fine=fine, fired=fired, carried=carried, edge=max(made.rise_s, made.fall_s))
     return system if timing == Delays() else predicting(system, timing, period)
 
 

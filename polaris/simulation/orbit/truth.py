@@ -160,7 +160,9 @@ class _TrueMotion(Integrator):
         told, bit = self.asked[built], errors.rounding(self.system.m)
         if layout is not None:
             bit = layout.bit / (self.dt * self.substeps)
-        told = np.round(told / bit) * bit if bit > 0 and self.left is None else told
+        if bit > 0 and self.left is None:
+            near = np.round(told / bit) * bit
+            told = np.where(np.abs(told) >= bit, told, near) if self.system.timing.fine else near
         if len(self.fired):  # no pulse is longer than a period
             self.asked = self.asked.copy()
             self.asked[built] = told = np.clip(told, -self.fired, self.fired)

@@ -52,6 +52,7 @@ def assumed(system: Craft, h: float) -> Premises:
         thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(system.on_time.bit))),
         pulses=system.timing.fired,
         edge=system.timing.edge,
+        fine=system.timing.fine,
         carried=system.timing.carried,
         layout="" if system.nozzles is None else system.nozzles.allocation.kind,
         late=[(fault.name, fault.lasts) for fault in system.transients],
