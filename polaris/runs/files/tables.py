@@ -135,7 +135,7 @@ def errors_of(system: Craft) -> dict[str, Any]:
     timing, added = asdict(system.timing), ("fired", "pulsed", "carried", "edge", "fine")  # if any
     unsaid = "period", "unseen"  # nothing is derived from them
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
-    timing["bit"] = timing.pop("on_time")["bit"]
+    timing = {"bit" if k == "on_time" else k: x["bit"] if k == "on_time" else x for k, x in timing.items()}
     observer = {} if system.observer is None else asdict(system.observer)
     hidden = {"fading"} if observer.get("after") else {"fading", "after"}
     observer = {key: x for key, x in observer.items() if x is not None and key not in hidden}
