@@ -294,7 +294,7 @@ def test_forged_upkeep_is_refused(forger, change):
 def test_a_rate_in_the_mean_is_confirmed_to_a_few_per_cent(forger):
     """It is claimed already, so hardly less is accepted; more is."""
     assert upkeep_judged(forger, {"rate_m_s2": 1.06, "lasts_s": 0.9}).outcome == "VERIFIED"
-    assert upkeep_judged(forger, {"rate_m_s2": 0.97}).outcome == "REJECTED"
+    assert upkeep_judged(forger, {"rate_m_s2": 0.98}).outcome == "REJECTED"
 
 
 def test_a_mean_rate_is_confirmed_where_estimates_remember_commands(tmp_path):

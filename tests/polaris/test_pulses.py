@@ -316,10 +316,8 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s", "lasts_s", "tank_m_s")
     claim = dict.fromkeys(names, 0.0) | {"tank_m_s": None, "lasts_s": None}
-    _check(
-        arrival, claim, None, [arb(0.5)], ([arb(0.5)], [arb(8)])
-    )  # sums of commands exceed the mean's by 8
-    assert told["velocity change until it is settled"] == 7 + ahead + 1.5 * 8
+    _check(arrival, claim, None, [arb(0.5)], (arb(0.5), arb(12)))  # thrust is 12 N more once
+    assert told["velocity change until it is settled"] == 7 + ahead + 12
     check_upkeep(arrival, claim, None)
     assert told["velocity change per second"] == 0.25
     assert told["velocity change until it is settled"] == 7 + ahead

@@ -242,19 +242,14 @@ class Arrival:
         most = maxima(*map(self.tops, range(node - craft.lag - 1, last + 1)))
         return [smallest(pair) for pair in zip(most, craft.plant.u_max, strict=True)]
 
-    def states(self, node: int) -> list[arb]:
-        """Bounds on sizes of the loop state at a node long after T, from boxes of what S took over."""
-        return self.flight.need(self._states, self.boxes, self._first + node, around=True)  # not displaced
+    def states(self, needs: Needs, node: int) -> list[arb]:
+        """Bounds along rows of the loop state at a node long after T, from boxes of what S took over."""
+        return self.flight.need(needs, self.boxes, self._first + node, around=True)  # not displaced
 
     @cached_property
     def boxes(self) -> tuple[HandOver, ...]:
         """Boxes of what S took over, at the last hand-over and at T."""
         return tuple(HandOver.within(each.errors.size(), each.first, each.last) for each in self.held)
-
-    @cached_property
-    def _states(self) -> Needs:
-        craft = self.flight.tracker.craft
-        return Needs(craft, self.flight.tracker.memory, diagonal([1.0] * craft.F.nrows()))
 
     @cached_property
     def _commands(self) -> Needs:

@@ -1,83 +1,207 @@
-"""Mean of what S commands over any number of periods, by root mean squares (Proposition 14 (d))."""
+"""What S spends on average over any number of periods, by a storage function (Proposition 14 (d))."""
 
 from __future__ import annotations
 
-from flint import arb, arb_mat
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, pi, sin
 
-from ..kernel.balls import above, column, diagonal, magnitude, matrix, norms, smallest, sums
-from ..kernel.motion import Plant, Push
+from flint import acb, acb_mat, arb, arb_mat
+
+from ..kernel.balls import beside, diagonal, matrix, scaled, sums
+from ..kernel.motion import Push
 from ..model.craft.craft import Craft
-from ..model.craft.memory import Memory
-from .spending import LONGEST, peak
 
-ROUNDS = 100  # times that errors of thrusters are bounded anew by the mean they lead to; each is a bound
+FREQUENCIES = 100  # among which the worst of every input is; weights are those of a sine of it
+SLOW, STEADY, FLOOR = 3e-4, 0.1, 1e-6
+"""Least frequency per period. Least errors of thrusters, by which weights are chosen, as a share of their
+largest; and of other weights."""
+LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
+"""By how much weights rise until a storage lasts, how often at most, in how many periods it is there, and how
+often the worst sine is looked for anew with the errors of thrusters that it leads to."""
+LARGEST = 1e18  # beyond this a storage runs away
+STRICT, SETTLED = 1e-5, 1e-7  # shares of a storage by which it grows every period, and has settled
 
 
-def summed_errors(plant: Plant, most: list[arb]) -> list[arb]:
-    """Bound sums over periods of what thrusters are off in proportion, by sums of commands."""
-    if plant.shares:
-        return plant.thruster_part(most)
-    return [plant.along * x + plant.across * (sum(most, arb(0)) - x) for x in most]
+@dataclass(frozen=True, eq=False)
+class Lasting:
+    """Storage that lasts: rows whose sum of squares is twice as large, and what a period costs [N]."""
+
+    rows: arb_mat
+    cost: arb
 
 
 class MeanCommands:
-    """Commands about a reference that coasts, from a node on, by what has entered in each period since.
+    """Commands of a loop about their middle, of which every period spends what it costs at most.
 
-    `box` bounds loop states at all nodes from then on, (N, 1): alone it counts of what is older than the
-    periods looked at, or than the node. Estimates are off by some `more` than errors of the loop, (n).
+    Estimates are off by some `more` than errors of the loop, (n), errors of thrusters are up to `error` (m).
     """
 
-    def __init__(self, craft: Craft, memory: Memory, box: arb_mat, more: list[arb]) -> None:
-        *rows, last = (craft.commands * power for power in memory.powers[: min(memory.periods, LONGEST) + 1])
-        self.craft, self.more, self.stacked, self.m = craft, more, above(*rows), last.nrows()
-        self.size = sum(map(magnitude, rows[1:]), magnitude(rows[0]))
-        self.begun, self.older = (list((size * box).entries()) for size in (self.size, magnitude(last)))
+    def __init__(self, craft: Craft, error: Sequence[arb], more: list[arb]) -> None:
+        plant, spans = craft.plant, craft.spans
+        noise = craft.gain * craft.carry * diagonal(craft.missed(more))
+        enter, groups = [craft.held * noise], [[i] for i in range(noise.ncols())]
+        for each in craft.samples:
+            enter.append(each.adds * diagonal(each.size))
+            groups += [[len(groups) + i] for i in range(len(each.size))]
+        place = len(groups)
+        for enters, motion in spans:
+            for push in craft.steady:
+                radius = push.radius
+                cover = push.cover if radius is None else diagonal([radius] * push.V.ncols())
+                enter.append(enters * motion.gamma * push.V * cover)
+                held = list(range(place, place + cover.ncols()))
+                groups += [[i] for i in held] if radius is None else [held]
+                place += cover.ncols()
+            box = motion.uneven(*craft.steady, Push.in_box(plant.B, list(error)))
+            enter.append(enters * diagonal(box.entries()))
+            groups += [[place + i] for i in range(box.nrows())]
+            place += box.nrows()
+        self.held, self.groups, self.m, self.plant = place, groups, plant.B.ncols(), plant
+        enter += [enters * motion.gamma * plant.B for enters, motion in (*spans, *spans)]
+        self.enter, self.parts = beside(*enter), len(spans)
+        rest = self.enter.ncols() - noise.ncols()
+        self.own = beside(noise, arb_mat(self.m, rest))
+        self.F, self.K = craft.F, craft.commands
 
-    def answering(self, adds: arb_mat, joint: bool = False, own: arb_mat | None = None) -> list[arb]:
-        """Bound the root mean square of commands that answer to values of each period, (m).
+    @cached_property
+    def spends(self) -> list[arb]:
+        """What a unit of each command spends, errors of thrusters included."""
+        weights = list(map(arb, self.plant.weights or [1.0] * self.m))
+        return sums(weights, (matrix([weights]) * self.plant.prompt.alone).entries())
 
-        Values with root mean squares up to one, or if `joint` their 2-norm, enter the next loop state by
-        `adds` (N, k), and the command of their own period by `own`.
-        """
-        answers, found = self.stacked * adds, []
-        table = (answers if own is None else above(-own, answers)).tolist()
-        for axis in range(self.m):
-            each = list(zip(*table[axis :: self.m], strict=True))
-            groups = [each] if joint else [[response] for response in each]
-            norm = (sum(norms(matrix(list(zip(*group, strict=True)))), arb(0)) for group in groups)
-            pairs = zip(norm, (peak(*group) for group in groups), strict=True)
-            found.append(sum(map(smallest, pairs), arb(0)))
-        return found
+    @cached_property
+    def squares(self) -> arb_mat:
+        """Bound on squares of errors of thrusters per squares of commands, (m, m)."""
+        plant = self.plant
+        total = [sum(row, arb(0)) for row in plant.shares] or [arb(plant.along) + plant.across] * self.m
+        return scaled(total, plant.alone)
 
-    def pushed(self, push: Push) -> list[arb]:
-        """Bound the root mean square of commands by a push: its mean in each part of a period, and a rest."""
-        total, radius = [arb(0)] * self.m, push.radius
-        cover = push.cover if radius is None else diagonal([radius] * push.V.ncols())
-        for enters, motion in self.craft.spans:
-            held = self.answering(enters * motion.gamma * push.V * cover, radius is not None)
-            total = sums(total, held, (self.size * (magnitude(enters) * motion.uneven(push))).entries())
-        return total
+    @cached_property
+    def sine(self) -> tuple[list[float], list[float]]:
+        """Weights of commands and of values, which are those of the worst sine: any are as good."""
+        number, tops = len(self.groups), list(map(float, self.plant.u_max))
+        each = [self._gains(SLOW * (pi / SLOW) ** (i / (FREQUENCIES - 1))) for i in range(FREQUENCIES)]
+        squares = [[float(x.mid()) for x in row] for row in self.squares.tolist()]
+        bits = list(self.plant.bits or [0.0] * self.m)
+        size, r, most = [bits, bits], tops, list[list[float]]()
+        for _ in range(SINES):
+            errors = [x for part in size for _ in range(self.parts) for x in part]
+            most = [[_dot(g[number:], errors, sum(g[:number])) for g in at] for at in each]
+            r = [max(*x, FLOOR * top) for x, top in zip(zip(*most, strict=True), tops, strict=True)]
+            size = [size[0], [_dot(row, [x * x for x in r]) ** 0.5 for row in squares]]
+        worst = [max(range(FREQUENCIES), key=lambda i: most[i][a]) for a in range(self.m)]
+        peaks = [each[i][a] for a, i in enumerate(worst)]
+        spends = [float(x.mid()) for x in self.spends]
+        b = [_dot(spends, column_of) for column_of in zip(*peaks, strict=True)]
+        b = [max(x, FLOOR * max(b)) for x in b]
+        usual = [
+            max(x, STEADY * max(pair)) + FLOOR * y
+            for part in size
+            for x, pair, y in zip(part, zip(*size, strict=True), r, strict=True)
+        ]
+        made = [usual[k * self.m + a] for k in range(2) for _ in range(self.parts) for a in range(self.m)]
+        known = [b[k] for k, group in enumerate(self.groups) for _ in group]
+        return r, [*known, *(x / y for x, y in zip(b[number:], made, strict=True))]
 
-    def bounds(self, tops: list[arb]) -> tuple[list[arb], list[arb]]:
-        """Return U and L such that ``|u|`` of every input sums up to ``n U + L`` in any n periods at most.
+    def _gains(self, frequency: float) -> list[list[float]]:
+        """Sizes of commands that answer to a sine, by input: to each group, then to errors of thrusters."""
+        z, N = acb(cos(frequency), sin(frequency)), self.F.nrows()
+        loop = acb_mat(N, N, [z if i == j else 0 for i in range(N) for j in range(N)]) - acb_mat(self.F)
+        answers = acb_mat(self.own) - acb_mat(self.K) * loop.mid().solve(acb_mat(self.enter).mid())
+        rows = [[float(abs(x).mid()) for x in row] for row in answers.tolist()]
+        return [
+            [*(sum(row[i] ** 2 for i in group) ** 0.5 for group in self.groups), *row[self.held :]]
+            for row in rows
+        ]
 
-        `tops` bound it in every period. In each round commands are a part whose root mean square is at most
-        U, and one that sums up to L; so are errors of thrusters, and the commands that answer to them.
-        """
-        craft, plant, m = self.craft, self.craft.plant, self.m
-        noise = craft.gain * craft.carry * diagonal(craft.missed(self.more))
-        sampled = (self.answering(each.adds * diagonal(each.size)) for each in craft.samples)
-        pushed = map(self.pushed, [*craft.steady, *craft.bits])
-        given = sums(self.answering(craft.held * noise, own=noise), *sampled, *pushed, self.older)
-        units = [Push.in_box(column(each), [arb(1)]) for each in plant.B.transpose().tolist()]
-        fed = matrix([self.pushed(unit) for unit in units]).transpose()
-        gains = craft.thrust_gains(self.stacked).tolist()
-        once = matrix([[sum(each, arb(0)) for each in zip(*gains[a::m], strict=True)] for a in range(m)])
-        means, rest = list(tops), [arb(0)] * m
-        for _ in range(ROUNDS):
-            mean = sums(given, (fed * column(plant.thruster_part(means))).entries())
-            more = sums(self.begun, (once * column(summed_errors(plant, rest))).entries())
-            for a, top in enumerate(tops):
-                less = mean[a] < top
-                means[a], rest[a] = (mean[a].upper(), more[a].upper()) if less else (top, arb(0))
-        return means, rest
+    def lasting(self) -> Lasting | None:
+        """Return a storage that lasts, if one is there."""
+        r, b = self.sine
+        for attempt in range(ATTEMPTS):
+            more = LOOSER**attempt
+            scaled_b = [x * more if i < self.held else x for i, x in enumerate(b)]
+            period = _Period(self, [x * more for x in r], scaled_b)
+            P = period.found()
+            if P is None or _pivots(period.spare(P)) is None:
+                continue
+            try:
+                less, rows = P - period.before(P), _pivots(P)
+            except ZeroDivisionError:
+                continue
+            if rows is not None and _pivots((less + less.transpose()) * 0.5) is not None:
+                return Lasting(matrix(rows), period.cost)
+        return None
+
+
+class _Period:
+    """One period under weights of commands and values: storage before it by storage after it."""
+
+    def __init__(self, loop: MeanCommands, r: list[float], b: list[float]) -> None:
+        steady, made = (
+            [sum(map(arb, part[a :: loop.m]), arb(0)) for a in range(loop.m)]
+            for part in (b[loop.held : (loop.held + len(b)) // 2], b[(loop.held + len(b)) // 2 :])
+        )
+        more = (matrix([made]) * loop.squares).entries()
+        C = [s / x + y for s, x, y in zip(loop.spends, r, more, strict=True)]
+        self.F, self.enter, self.b = loop.F, loop.enter, diagonal(b)
+        self.known, self.turned = loop.own.transpose() * scaled(C, loop.own), loop.K.transpose()
+        self.met = loop.own.transpose() * scaled(C, loop.K)
+        self.fed = self.turned * scaled(C, loop.K)
+        bits = [x * arb(bit) ** 2 for x, bit in zip(steady, loop.plant.bits or [0.0] * loop.m, strict=True)]
+        paid = [arb(b[group[0]]) for group in loop.groups]
+        spent = [s * x for s, x in zip(loop.spends, r, strict=True)]
+        self.cost = sum([*bits, *paid, *spent], arb(0)) / 2
+
+    def spare(self, P: arb_mat) -> arb_mat:
+        """What weights of values exceed what values count by."""
+        S = self.b - self.enter.transpose() * P * self.enter - self.known
+        return (S + S.transpose()) * 0.5
+
+    def before(self, P: arb_mat) -> arb_mat:
+        """Return the storage before the period."""
+        crossed = self.enter.transpose() * P * self.F - self.met
+        stored = self.F.transpose() * P * self.F + self.fed
+        return stored + crossed.transpose() * self.spare(P).solve(crossed)
+
+    def found(self) -> arb_mat | None:
+        """A storage that lasts as far as is known, in exact numbers."""
+        N = self.F.nrows()
+        P = arb_mat(N, N)
+        for _ in range(PERIODS):
+            try:
+                later = self.before(P)
+            except ZeroDivisionError:
+                return None
+            size = [float(later[i, i].mid()) for i in range(N)]
+            last = [float(P[i, i].mid()) for i in range(N)]
+            if not all(y * (1 - 2 * STRICT) <= x < LARGEST for x, y in zip(size, last, strict=True)):
+                return None
+            grown = (later + later.transpose()) * 0.5
+            grown = (grown + diagonal([STRICT * (x + FLOOR * max(size)) for x in size])).mid()
+            change, size = (grown - P).tolist(), [float(grown[i, i]) ** 0.5 for i in range(N)]
+            if all(abs(change[i][j]) <= SETTLED * size[i] * size[j] for i in range(N) for j in range(N)):
+                return P
+            P = grown
+        return None
+
+
+def _pivots(M: arb_mat) -> list[list[arb]] | None:
+    """Rows L with ``M = L' L`` if a symmetric matrix is certainly positive definite."""
+    rows, n = M.tolist(), M.nrows()
+    for i, row in enumerate(rows):
+        if not row[i] > 0:
+            return None
+        for j in range(i + 1, n):
+            share = row[j] / row[i]
+            later = rows[j]
+            for k in range(j, n):
+                later[k] -= share * row[k]
+        size = row[i].sqrt()
+        rows[i] = [arb(0)] * i + [x / size for x in row[i:]]
+    return rows
+
+
+def _dot(a: Sequence[float], b: Sequence[float], more: float = 0.0) -> float:
+    return sum((x * y for x, y in zip(a, b, strict=True)), more)

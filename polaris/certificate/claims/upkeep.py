@@ -13,7 +13,7 @@ from ..model.craft.needs import Needs
 from ..model.timing import owed
 from .arrival import Arrival
 from .flights import Flown
-from .mean_commands import MeanCommands, summed_errors
+from .mean_commands import MeanCommands
 
 
 def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) -> str:
@@ -29,10 +29,11 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
     most = list(map(largest, zip(*map(arrival.tops, later), strict=True)))
     for top, x in zip(plant.u_max, most, strict=True):
         require("upkeep", top - x, "S may ask for more thrust than there is")
+    thrust = plant.spent(most) / plant.h, arb(0)
     try:
-        _check(arrival, claim, tank, most, (most, [arb(0)] * len(most)))
+        _check(arrival, claim, tank, most, thrust)
     except (Rejected, Undecided):
-        _check(arrival, claim, tank, most, _means(arrival, later, most))
+        _check(arrival, claim, tank, most, _mean(arrival, later, most) or thrust)
     return f"at most {claim['rate_m_s2']:.4g} m/s per second from {claim['settled_s']:.6g} s on"
 
 
@@ -63,28 +64,33 @@ def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> 
     return ", ".join(when for when, *_ in checked) or "nothing claimed"
 
 
-def _means(arrival: Arrival, later: range, most: list[arb]) -> tuple[list[arb], list[arb]]:
-    """Bound sums of commands from the first of some nodes on, of which the last stands for all later ones."""
-    craft, memory = arrival.flight.tracker.craft, arrival.flight.tracker.memory
-    box = column(list(map(largest, zip(*map(arrival.states, later), strict=True))))
-    lagged = craft.lagged(arrival.tops_before(later.start))
-    off = sums(craft.extra(arrival.document, arrival.document.steps), lagged)
-    return MeanCommands(craft, memory, box, off).bounds(most)
+def _mean(arrival: Arrival, later: range, most: list[arb]) -> tuple[arb, arb] | None:
+    """Bound what is spent from the first of some nodes on: in a period, and once besides, times 1/h [N].
+
+    The last of the nodes stands for all later ones.
+    """
+    doc, craft = arrival.document, arrival.flight.tracker.craft
+    plant = craft.plant
+    off = sums(craft.extra(doc, doc.steps), craft.lagged(arrival.tops_before(later.start)))
+    lasting = MeanCommands(craft, plant.thruster_error(most), off).lasting()
+    if lasting is None:
+        return None
+    needs = Needs(craft, arrival.flight.tracker.memory, lasting.rows)
+    sizes = zip(*(arrival.states(needs, node) for node in later), strict=True)
+    once = sum((x * x for x in map(largest, sizes)), arb(0)) / 2
+    bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(most))))
+    longest = 1 + 2 * arb(plant.jitter) / plant.h
+    return (lasting.cost + bits) * longest, once * longest
 
 
 def _check(
-    arrival: Arrival,
-    claim: dict[str, Any],
-    tank: float | None,
-    most: list[arb],
-    sums_up: tuple[list[arb], list[arb]],
+    arrival: Arrival, claim: dict[str, Any], tank: float | None, most: list[arb], thrust: tuple[arb, arb]
 ) -> None:
-    """Refuse a claim that does not follow from what commands are at most and what they sum up to."""
-    doc, plant, (means, rest) = arrival.document, arrival.flight.tracker.craft.plant, sums_up
-    rate = plant.spent(means) / plant.h / doc.mass
+    """Refuse a claim that does not follow from what commands are at most and what thrust is on average."""
+    doc, plant = arrival.document, arrival.flight.tracker.craft.plant
+    rate, once = (part / doc.mass for part in thrust)
     arrival.no_less("velocity change per second", claim["rate_m_s2"], rate)
-    once = plant.weighted(sums(rest, summed_errors(plant.prompt, rest))) * (plant.h + 2 * arb(plant.jitter))
-    ahead = once / doc.mass
+    ahead = once * plant.h
     if doc.fired:  # a pulse ends before its period does
         ahead += plant.spent(most) / doc.mass
     until = arrival.spent + arrival.correcting(arrival.node_at(claim["settled_s"])) + ahead

@@ -137,6 +137,12 @@ class Plant:
             return arb_mat([list(row) for row in self.shares])
         return diagonal([arb(self.along)] * m) + arb_mat(m, m, [arb(self.across)] * m * m)
 
+    @property
+    def alone(self) -> arb_mat:
+        """Error of each input, rows, by a unit of one command alone, shape (m, m)."""
+        m = self.B.ncols()
+        return self.table if self.shares else self.table - diagonal([arb(self.across)] * m)
+
     def spent(self, most: Sequence[arb]) -> arb:
         """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""
         applied = sums(most, self.prompt.thruster_error(most))

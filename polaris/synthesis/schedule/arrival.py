@@ -12,7 +12,7 @@ from ..safety.continuation import HandOver, PathRows
 from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows, velocity_times
-from ..tracker.long_flight import LongFlight
+from ..tracker.long_flight import Inputs
 from ..tracker.tracking import Tracking
 from .rules import CHECKED
 from .spending import Spell, commanded, spent, tracked
@@ -194,20 +194,22 @@ class Tail(Nearness):
             velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
         )
 
-    def long_flight(self, nodes: int, most: Array) -> tuple[Array, Array]:
-        """Bound S's thrust from so many nodes after T on, on average and once besides [N], (m,) each."""
-        tracking, system = self.safety.tracking, self.safety.problem.system
-        every = np.vstack([np.eye(tracking.loop.N), -np.eye(tracking.loop.N)])
-        states = PathRows(self.safety.clearance, every, self.failing)
-        needs = [states.needs(each, self.T + nodes - 1, self.T + nodes)[1, -1] for each in self.held]
-        start = np.min(needs, axis=0).reshape(2, -1).max(axis=0)
-        more = self.safety.clearance.round_off(tracking.gain)
-        flight = LongFlight(tracking, start, most, more, self.commanded_before(nodes))
-        each, once = flight.mean(), flight.once()
-        if each is None or once is None or system.spent(each).sum() >= system.spent(most).sum():
-            return system.spent(most), 0 * most
-        more = system.longest * system.weights * (once + system.on_time.summed(once))
-        return system.spent(np.minimum(each, most)), more
+    def long_flight(self, nodes: int, most: Array) -> tuple[float, float]:
+        """Bound S's thrust from so many nodes after T on, on average and once besides [N]."""
+        tracking, system, clearance = self.safety.tracking, self.safety.problem.system, self.safety.clearance
+        alone, moved = float(system.spent(most).sum()), self.safety.reference.rounding.max(axis=0)
+        within = most, self.commanded_before(nodes)
+        closed = tracking.tightening.closed
+        lasting = Inputs.of(closed, system, within, tracking.step_errors[-1], moved).lasting()
+        if lasting is None:
+            return alone, 0.0
+        rows, each = lasting
+        states = PathRows(clearance, np.vstack([rows, -rows]), self.failing)
+        needs = [states.needs(held, self.T + nodes - 1, self.T + nodes)[1, -1] for held in self.held]
+        size = np.min(needs, axis=0).reshape(2, -1).max(axis=0)
+        mean = each + float(np.sum(system.weights * system.on_time.bit))
+        mean, once = (system.longest * bound for bound in (mean, float(size @ size) / 2))
+        return (mean, once) if mean < alone else (alone, 0.0)
 
     def commanded_before(self, nodes: int) -> Array:
         """Bound S's commands from so many nodes after T on, and those before that errors remember, (m,)."""
@@ -242,7 +244,7 @@ class Tail(Nearness):
         if not np.all(most <= system.u_max):
             return None
         thrust = self.long_flight(nodes, most)
-        rate, once = (float(part.sum()) / system.mass * (1 + spare(tracking)) for part in thrust)
+        rate, once = (part / system.mass * (1 + spare(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
         ahead = float(system.spent(most).sum()) / system.mass * h * bool(system.timing.fired)
         ahead = ahead * (1 + spare(tracking)) + once * h  # a pulse ends before its period does

@@ -1,118 +1,185 @@
-"""Bound on what S spends in a long flight, by root mean squares (docs/theory.md, Proposition 14 (d))."""
+"""Bound on what S spends in a long flight, by a storage function (docs/theory.md, Proposition 14 (d))."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
+from ...model.craft import Craft
 from ...model.system import Array
-from ...model.tolerances import ROUNDING
 from ..sources.thrusters import THRUSTERS
-from .loop import Channel
-from .tracking import Tracking
+from .loop import Channel, ClosedLoop
 
+GRID = np.geomspace(3e-4, np.pi, 100)  # frequencies, per period, among which the worst of every input is
+STEADY, FLOOR = 0.1, 1e-6
+"""Least errors of thrusters and least weights, as shares of the largest, where weights are chosen."""
+LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
+"""By how much weights rise until a storage lasts, how often at most, in how many periods it is there, and how
+often the worst sine is looked for anew with the errors of thrusters that it leads to."""
+LARGEST = 1e18  # beyond this a storage runs away
+STRICT, SETTLED = 1e-5, 1e-7  # shares of a storage by which it grows every period, and has settled
 SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
-ROUNDS, RISES = 500, 1e-9
-"""Most rounds until a bound holds that feeds on itself, and by what share each round raises it."""
 
 
 @dataclass(frozen=True, eq=False)
-class LongFlight:
-    """Flight under S of any number of periods, whose commands nothing clips.
+class Inputs:
+    """Values that enter a loop under one law in every period, and what its commands spend.
 
-    Parameters
+    Attributes
     ----------
-    tracking : Tracking
-        S's loop.
-    start : ndarray, shape (N,)
-        Bounds on the loop state at every node.
-    most, more : ndarray, shape (m,)
-        Bounds on all commands, and on what adds to each of them besides the loop.
-    before : ndarray, shape (m,)
-        Bound on the same commands and on those before that some channel remembers.
+    F, K : ndarray, shapes (N, N), (m, N)
+        Transition of the loop state, and the command ``-K z`` beside its middle.
+    enter, own : ndarray, shapes (N, k), (m, k)
+        What values add to the next loop state and to the command. Those of a `group` (k,) have a 2-norm up to
+        one. The last ones are errors of thrusters [N], in the same order for each part of the period: first
+        those that do not grow with the deviation of commands, then those that do.
+    held : int
+        Number of the values before those.
+    craft : Craft
+        Source of the errors of thrusters and of the weights of what is spent.
     """
 
-    tracking: Tracking
-    start: Array
-    most: Array
-    more: Array
-    before: Array
+    F: Array
+    K: Array
+    enter: Array
+    own: Array
+    group: NDArray[np.intp]
+    held: int
+    craft: Craft
+
+    @classmethod
+    def of(
+        cls, closed: ClosedLoop, craft: Craft, most: tuple[Array, Array], off: Array, moved: Array
+    ) -> "Inputs":
+        """Return those of a loop.
+
+        Commands are up to the first of `most` (m,), and up to the second in the periods that errors remember.
+        Estimates are off by some `off` (n,) besides, and rounding moves the error by `moved` (n,) in every
+        period.
+        """
+        error, before = craft.thrusters.error(most[0]), np.minimum(most[1], craft.u_max)
+        loop, enter, own, group = closed.loop, list[Array](), list[Array](), list[int]()
+        rest = [moved + apart @ np.abs(craft.B) @ error for _, _, apart in loop.part_maps]
+
+        def add(columns: Array, answers: Array | None, ball: bool = False) -> None:
+            first, count = len(set(group)), columns.shape[1]
+            group.extend([first] * count if ball else range(first, first + count))
+            enter.append(columns)
+            own.append(np.zeros((loop.m, count)) if answers is None else answers)
+
+        for c in (*loop.channels, Channel("steps", off, noise=np.eye(loop.n))):
+            if c.name == THRUSTERS:
+                continue
+            size = c.size if c.share is None else c.size + c.share(before)
+            if c.rate is not None:
+                along = np.linalg.norm(c.rate * size, axis=1) if c.ball else np.abs(c.rate) @ size
+                for place, (carried, mean, apart) in enumerate(loop.part_maps):
+                    add(carried @ mean @ c.rate * size, None, c.ball)
+                    rest[place] = rest[place] + apart @ along
+            if c.noise is not None or c.sample is not None or c.push is not None:
+                seen = None if c.noise is None else -closed.gain @ c.noise * size
+                add(closed.sampled(c) * size, seen, c.ball)
+        for (carried, _, _), box in zip(loop.part_maps, rest, strict=True):
+            add(carried * box, None)
+        held = len(group)
+        for carried, mean, _ in (*loop.part_maps, *loop.part_maps):
+            add(carried @ mean @ craft.B, None)
+        return cls(closed.F, closed.K, np.hstack(enter), np.hstack(own), np.array(group), held, craft)
 
     @cached_property
-    def rows(self) -> Array:
-        """Commands carried back, ``K F^l`` for l = 0 ... N - 1, shape (N, m, states)."""
-        limits = self.tracking.tightening
-        return limits.carried(limits.closed.K)[: limits.horizon]
+    def spends(self) -> Array:
+        """Return what a unit of each command spends, errors of thrusters included, shape (m,)."""
+        one, weights = np.eye(self.craft.m), self.craft.weights
+        return np.asarray(weights + self.craft.on_time.summed(one) @ weights)
 
-    def mean(self) -> Array | None:
-        """Bound the root mean square of commands, but for what the first state adds, shape (m,).
+    @cached_property
+    def squares(self) -> Array:
+        """Return a bound on squares of errors of thrusters per squares of commands, shape (m, m)."""
+        thrusters, each = self.craft.thrusters, self.craft.thrusters.summed(np.eye(self.craft.m)).T
+        total = each.sum(axis=1, keepdims=True) if thrusters.shares else thrusters.along + thrusters.across
+        return np.asarray(total * each)
 
-        The sum of the sizes of a command over any number of periods is at most that number times it. None if
-        errors of thrusters feed on themselves.
+    @cached_property
+    def bits(self) -> Array:
+        """Return the errors of thrusters that do not grow with the deviation of commands, shape (m,)."""
+        return np.full(self.craft.m, self.craft.thrusters.bit)
+
+    def grouped(self, values: Array) -> Array:
+        """Return root sums of squares of values (k, ...) by group."""
+        total = np.zeros((self.group[-1] + 1, *values.shape[1:]))
+        np.add.at(total, self.group, values**2)
+        return np.sqrt(total)
+
+    def errors(self, b: Array) -> Array:
+        """Return weights of errors of thrusters: of those that are known, and of those that grow, (2, m)."""
+        return np.asarray(b[self.held :].reshape(2, -1, len(self.K)).sum(axis=1))
+
+    @cached_property
+    def worst(self) -> tuple[Array, Array]:
+        """Weights of commands (m,) and values (k,) of the worst sine, which need not be the worst flight."""
+        m, z = len(self.K), np.exp(1j * GRID)[:, None, None]
+        sine = np.linalg.solve(z * np.eye(len(self.F)) - self.F, self.enter + 0j * z)
+        each = self.grouped(np.moveaxis(np.abs(-self.K @ sine + self.own), 2, 0))  # (groups, frequencies, m)
+        number = self.group[self.held - 1] + 1
+        known, made = each[:number].sum(axis=0), each[number:]
+        size, r = np.array([self.bits, self.bits]), self.craft.u_max
+        for _ in range(SINES):
+            most = known + np.tensordot(np.repeat(size, len(made) // 2 // m, axis=0).ravel(), made, 1)
+            r = np.maximum(most.max(axis=0), FLOOR * self.craft.u_max)
+            size[1] = np.sqrt(self.squares @ r**2)
+        b = np.einsum("ka,a->k", each[:, most.argmax(axis=0), np.arange(m)], self.spends)[self.group]
+        b = np.maximum(b, FLOOR * b.max())
+        usual = np.maximum(size, STEADY * size.max(axis=0)) + FLOOR * r
+        b[self.held :] /= np.repeat(usual, len(made) // 2 // m, axis=0).ravel()
+        return r, b
+
+    def before(self, P: Array, r: Array, b: Array) -> tuple[Array, float] | None:
+        """Return the storage at the start of a period, and what the period costs.
+
+        Parameters
+        ----------
+        P : ndarray, shape (N, N)
+            Storage at its end.
+        r, b : ndarray, shapes (m,) and (k,)
+            Weights of commands and values.
+
+        Returns
+        -------
+        tuple or None
+            None if the weights of values are too small, or the storage is too large.
         """
-        limits, system = self.tracking.tightening, self.tracking.system
-        given = self.more + np.abs(limits.carried(limits.closed.K)[limits.horizon]) @ self.start
-        answer, steps = np.zeros((system.m, system.m)), self.tracking.step_errors[-1]
-        for channel in (*limits.closed.loop.channels, Channel("steps", steps, noise=np.eye(system.n))):
-            gains = self._amplified(channel)
-            size = limits.sizes(channel, self.before if channel.lag else self.most)
-            if channel.name == THRUSTERS:
-                answer, size = gains, channel.size
-            given = given + gains @ size
-        return _fed(given, lambda U: answer @ system.thrusters.part(U))
+        (steady, made), N = self.errors(b), len(P)
+        C = self.spends / r + made @ self.squares
+        X, Y = np.hstack([self.F, self.enter]), np.hstack([-self.K, self.own])
+        H = X.T @ P @ X + (Y.T * C) @ Y
+        try:
+            half = np.linalg.solve(np.linalg.cholesky(np.diag(b) - H[N:, N:]), H[N:, :N])
+        except np.linalg.LinAlgError:
+            return None
+        first = np.unique(self.group[: self.held], return_index=True)[1]  # one weight for each group
+        cost = self.spends @ r + b[first].sum() + steady @ self.bits**2
+        P = H[:N, :N] + half.T @ half
+        return ((P + P.T) / 2, float(cost) / 2) if P.max(initial=0.0) < LARGEST else None
 
-    def once(self) -> Array | None:
-        """Bound the sum over all periods of what the first state adds to each command, (m,), as `mean`."""
-        closed, thrusters = self.tracking.tightening.closed, self.tracking.system.thrusters
-        answer = np.zeros((closed.loop.m, closed.loop.m))
-        for channel in closed.loop.channels:
-            if channel.name == THRUSTERS:
-                answer = self._summed(closed.gains(channel, np.eye(closed.loop.N)))
-        return _fed(self._summed(self.start), lambda U: answer @ thrusters.summed(U))
-
-    def _summed(self, states: Array) -> Array:
-        """Bound the sum over all periods of commands from boxes of states (N, ...), shape (m, ...)."""
-        limits, each = self.tracking.tightening, np.abs(self.rows).sum(axis=0)
-        size = (states.T / limits.v).max(axis=-1)
-        later = np.multiply.outer(each @ limits.v, size) * limits.factor / (1 - limits.factor)
-        return np.asarray(each @ states + later)
-
-    def _amplified(self, channel: Channel) -> Array:
-        """Bound the root mean square of commands per unit of the values of a channel, (m, k) or (m, 1)."""
-        closed, gains = self.tracking.tightening.closed, np.zeros((self.rows.shape[1], 1))
-        if channel.rate is not None:
-            rest, size = np.abs(self.rows).sum(axis=0), np.abs(channel.rate)
-            size = np.linalg.norm(size, axis=1, keepdims=True) if channel.ball else size
-            for carried, mean, apart in closed.loop.part_maps:
-                gains = gains + _gains(-self.rows @ carried @ mean @ channel.rate, channel.ball)
-                gains = gains + rest @ np.abs(carried) @ apart @ size
-        if channel.noise is not None or channel.sample is not None or channel.push is not None:
-            own = np.zeros((len(gains), len(channel.size)))
-            if channel.noise is not None:
-                own = -closed.gain @ channel.noise
-            gains = gains + _gains(
-                np.concatenate([own[None], -self.rows @ closed.sampled(channel)]), channel.ball
-            )
-        return gains
-
-
-def _gains(response: Array, ball: bool) -> Array:
-    """Bound the peak of the spectra of responses (periods, m, k): by column, or jointly, (m, 1)."""
-    each = response.transpose(1, 2, 0)
-    return np.array([[peak(row)] if ball else [peak(column[None]) for column in row] for row in each])
-
-
-def _fed(given: Array, answer: Callable[[Array], Array]) -> Array | None:
-    """Return U with ``U >= given + answer(U)``, shape (m,), or None."""
-    U = given
-    for _ in range(ROUNDS):
-        more = given + answer(U)
-        if np.all(more <= U):
-            return np.asarray(U * (1 + ROUNDING))
-        U = more * (1 + RISES)
-    return None
+    def lasting(self) -> tuple[Array, float] | None:
+        """Return rows whose sum of squares is twice a storage that lasts, and what a period costs [N]."""
+        r, b = self.worst
+        for attempt in range(ATTEMPTS):
+            scale, P = np.where(np.arange(len(b)) < self.held, LOOSER**attempt, 1.0), np.zeros_like(self.F)
+            for _ in range(PERIODS):
+                found = self.before(P, r * LOOSER**attempt, b * scale)
+                if found is None:
+                    break
+                earlier, cost = found
+                grown = earlier + STRICT * np.diag(np.diagonal(earlier) + FLOOR * earlier.max())
+                size = np.sqrt(np.diagonal(grown))
+                if np.all(np.abs(grown - P) <= SETTLED * np.outer(size, size)):
+                    rows = np.linalg.cholesky(grown).T
+                    return np.asarray(rows), cost * LOOSER  # a checker may need one more
+                P = grown
+        return None
 
 
 def peak(responses: Array) -> float:
