@@ -7,6 +7,7 @@ from ..model.system import LinearSystem
 from .base import Scenario
 from .schedule import ScheduleScenario
 
+WEAK = 0.5  # largest ratio of what the disturbance and full thrust move the position by
 FAR = 1.0  # largest ratio of the distance covered in one step at full thrust to the size of the scene
 
 MANY_STEPS = 2000  # steps above which a run takes hours rather than minutes
@@ -38,8 +39,8 @@ def scenario_warnings(scenario: Scenario) -> list[str]:
         " forgotten, or D left at zero?": system.unbiased.w_max == 0 or not np.any(system.D),
         f"thrust: full thrust moves the chaser {push:.3g} m in one step of {step:g} s, and the scene is"
         f" {size:.3g} m wide: another unit (mN, not N; m, not km), or shorter steps?": push > FAR * size > 0,
-        f"disturbance: it moves the chaser up to {shove:.3g} m in one step, and full thrust no more than"
-        f" {push:.3g} m: another unit?": shove > push > 0,
+        f"disturbance: it moves the chaser up to {shove:.3g} m in one step, and full thrust"
+        f" {push:.3g} m: another unit?": shove > WEAK * push > 0,
     }
     return [*(note for note, holds in notes.items() if holds), *_scales(scenario, system, size)]
 

@@ -69,7 +69,7 @@ class ScheduleScenario(Scenario):
         parts = () if given is None else (given, *given.phases, given.measurement or given)
         drifts = abort is not None and abort.build(system) is not None and abort.keep_in
         if drifts and any(part.within_m is not None for part in parts):
-            rule = "must be false where phases of navigation have within_m, of which a drift needs nothing"
+            rule = "must be false where bounds of navigation hold within_m: a drift needs no navigation"
             raise ScenarioError("abort.keep_in", True, rule)
         if model.abort is not None:
             model.abort.check(system, self.step)

@@ -431,7 +431,10 @@ def test_every_error_source_can_be_swept():
         "navigation.measurement": (Measurement, ["matrix", "error", "initial"]),
         "navigation.measurement.initial": (Estimate, ["state_error"]),
         "navigation.phases[0]": (Phase, ["state_error"]),
-        "thrusters": (Thrusters, ["remainder", "pulse", "directions", "thrust_max_N"]),
+        "thrusters": (
+            Thrusters,
+            ["remainder", "pulse", "resolution", "directions", "thrust_max_N", "allocation"],
+        ),
         "timing": (Timing, []),
         "chaser": (Chaser, []),
         "faults[0]": (Loss, ["kind"]),

@@ -200,8 +200,8 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
         k, axis = np.unravel_index(int(np.argmin(limit)), limit.shape)
         errors = errors_alone(tracking, int(axis), system.as_ideal())
         share = f", {errors:.4g} of it for errors of navigation and thrusters" if errors else ""
-        if not system.timing.instant:
-            late = errors_alone(tracking, int(axis), system.prompt)
+        late = 0.0 if system.timing.instant else errors_alone(tracking, int(axis), system.prompt)
+        if late > 0:
             share += f" ({late:.4g} of that for delay, missed periods and jitter)"
         if system.transients:
             late = errors_alone(tracking, int(axis), replace(system, transients=()))
