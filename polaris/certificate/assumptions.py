@@ -115,12 +115,12 @@ class Premises:
         yield f"sampling: commands are renewed every {self.period:g} s and held, in time and with {seen}"
         if measured := list(self.observer):
             of = " in each period that is not missed" if missed else " in each period"
-            told = f"what is measured{of} is within [{_listed(measured)}] of what it should be"
+            known = f"what is measured{of} is within [{_listed(measured)}] of what it should be"
             if constant := list(self.constant):
-                told += f", of which [{_listed(constant)}] is a constant of the flight"
+                known += f", of which [{_listed(constant)}] is a constant of the flight"
             first = list(self.initial)
             made = f"its first estimate is within [{_listed(first)}]" if first else "has long been at work"
-            yield f"observer: {told}, the filter has the gain that is stated, and {made}"
+            yield f"observer: {known}, the filter has the gain that is stated, and {made}"
         elif any(errors):
             near = f"no state is further from its estimate than [{_listed(errors)}], one by one"
             apart = ", nor in any step than is stated for it" if self.by_step else ""
@@ -130,14 +130,14 @@ class Premises:
                 applied[3] = 0.0
             if self.layout:
                 units = "of it along it", "of it to its side", "of the mass", "N of an input by rounding"
-                told = "the impulse that it makes" if self.carried else "what it is asked for"
+                asked = "the impulse that it makes" if self.carried else "what it is asked for"
                 off = ", ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
-                yield f"thrusters: each is off {told} by at most {off}"
+                yield f"thrusters: each is off {asked} by at most {off}"
             else:
                 units = "|u_i|", "norm(u_other, 2)", "", "N"
                 off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
-                told = "what is made of its command, u_i" if self.carried else "its command u_i"
-                yield f"thrusters: what is applied to an input is within {off} of {told}"
+                asked = "what is made of its command, u_i" if self.carried else "its command u_i"
+                yield f"thrusters: what is applied to an input is within {off} of {asked}"
         if self.carried and self.layout:
             left = f"at first nothing, of an input at most {self.carried:g} N s in all"
             yield f"impulses: what thrusters leave of what they are asked for, {left}, is carried to the next"

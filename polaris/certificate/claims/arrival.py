@@ -239,8 +239,8 @@ class Arrival:
         if not craft.lag < node:
             return craft.plant.u_max
         last = max(node, self.flight.tracker.memory.periods + 1)
-        most = maxima(*map(self.tops, range(node - craft.lag - 1, last + 1)))
-        return [smallest(pair) for pair in zip(most, craft.plant.u_max, strict=True)]
+        tops = maxima(*map(self.tops, range(node - craft.lag - 1, last + 1)))
+        return [smallest(pair) for pair in zip(tops, craft.plant.u_max, strict=True)]
 
     def states(self, needs: Needs, node: int) -> list[arb]:
         """Bounds along rows of the loop state at a node long after T, from boxes of what S took over."""

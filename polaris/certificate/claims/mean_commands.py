@@ -1,4 +1,4 @@
-"""What S spends on average over any number of periods, by a storage function (Proposition 14 (d))."""
+"""Bound what S spends on average over any number of periods, by a storage function (Proposition 14 (d))."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class MeanCommands:
 
     @cached_property
     def spends(self) -> list[arb]:
-        """What a unit of each command spends, errors of thrusters included."""
+        """Return the thrust that a unit of each command spends, errors of thrusters included."""
         weights = list(map(arb, self.plant.weights or [1.0] * self.m))
         return sums(weights, (matrix([weights]) * self.plant.prompt.alone).entries())
 
@@ -85,13 +85,13 @@ class MeanCommands:
         each = [self._gains(SLOW * (pi / SLOW) ** (i / (FREQUENCIES - 1))) for i in range(FREQUENCIES)]
         squares = [[float(x.mid()) for x in row] for row in self.squares.tolist()]
         bits = list(self.plant.bits or [0.0] * self.m)
-        size, r, most = [bits, bits], tops, list[list[float]]()
+        size, r, responses = [bits, bits], tops, list[list[float]]()
         for _ in range(SINES):
             errors = [x for part in size for _ in range(self.parts) for x in part]
-            most = [[_dot(g[number:], errors, sum(g[:number])) for g in at] for at in each]
-            r = [max(*x, FLOOR * top) for x, top in zip(zip(*most, strict=True), tops, strict=True)]
+            responses = [[_dot(g[number:], errors, sum(g[:number])) for g in at] for at in each]
+            r = [max(*x, FLOOR * top) for x, top in zip(zip(*responses, strict=True), tops, strict=True)]
             size = [size[0], [_dot(row, [x * x for x in r]) ** 0.5 for row in squares]]
-        worst = [max(range(FREQUENCIES), key=lambda i: most[i][a]) for a in range(self.m)]
+        worst = [max(range(FREQUENCIES), key=lambda i: responses[i][a]) for a in range(self.m)]
         peaks = [each[i][a] for a, i in enumerate(worst)]
         spends = [float(x.mid()) for x in self.spends]
         b = [_dot(spends, column_of) for column_of in zip(*peaks, strict=True)]

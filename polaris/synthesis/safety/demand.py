@@ -7,7 +7,7 @@ import numpy as np
 from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
-from ..tracker.loop import Channel
+from ..tracker.channel import Channel
 from ..tracker.profile import SETTLED, SPARE
 from ..tracker.tightening import Response
 from ..tracker.tracking import Tracking

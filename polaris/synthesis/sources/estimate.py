@@ -7,7 +7,8 @@ import numpy as np
 from ...model.craft import Craft
 from ...model.prediction import when_measured
 from ...model.thrusters import Thrusters
-from ..tracker.loop import Array, Channel, Loop
+from ..tracker.channel import Channel
+from ..tracker.loop import Array, Loop
 from .source import remembers
 
 

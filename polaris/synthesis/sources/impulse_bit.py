@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...model.craft import Craft
-from ..tracker.loop import Array, Channel, Loop
+from ..tracker.channel import Channel
+from ..tracker.loop import Array, Loop
 from .source import remembers
 
 

@@ -9,7 +9,8 @@ from reach.numerics.linear import discretize, growth, powers
 from ...model.craft import Array, Craft
 from ...model.timing import WHOLE, Transient
 from ...model.tolerances import ROUNDING
-from ..tracker.loop import Loop, along
+from ..tracker.channel import along
+from ..tracker.loop import Loop
 from .source import remembers
 
 

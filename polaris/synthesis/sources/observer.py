@@ -7,7 +7,8 @@ from scipy.linalg import expm
 
 from ...model.craft import Craft
 from ...model.timing import Observer
-from ..tracker.loop import Array, Channel, Loop
+from ..tracker.channel import Channel
+from ..tracker.loop import Array, Loop
 from .estimate import displaced
 from .source import remembers
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from ...model.craft import Craft
 from ...model.thrusters import Thrusters
-from ..tracker.loop import Channel, Loop
+from ..tracker.channel import Channel
+from ..tracker.loop import Loop
 
 THRUSTERS = "thrusters"  # name of the channel
 

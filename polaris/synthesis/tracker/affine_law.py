@@ -14,8 +14,9 @@ from reach.tubes.flow import LinearFlow, merged
 from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
 from ...planning.reference import Reference
+from .channel import Channel
 from .feedback import Feedback
-from .loop import Channel, ClosedLoop
+from .loop import ClosedLoop
 from .period_sets import held_rates, rates_added, sampled_added, within_period
 from .tracking import Tracking
 

@@ -10,7 +10,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 from ...model.craft import Craft
 from ...model.system import Array
 from ..sources.thrusters import THRUSTERS
-from .loop import Channel, ClosedLoop
+from .channel import Channel
+from .loop import ClosedLoop
 
 GRID = np.geomspace(3e-4, np.pi, 100)  # frequencies, per period, among which the worst of every input is
 STEADY, FLOOR = 0.1, 1e-6

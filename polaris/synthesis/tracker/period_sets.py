@@ -8,7 +8,8 @@ import numpy as np
 from reach.numerics.linear import discretize
 from reach.sets.ellipsoid import ball_generators
 
-from .loop import Array, Channel, ClosedLoop, Loop
+from .channel import Channel
+from .loop import Array, ClosedLoop, Loop
 
 Sized = Sequence[tuple[Channel, Array]]
 """Channels, each with the half-widths of its box, or the radius of its ball, in the period."""

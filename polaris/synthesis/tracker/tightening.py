@@ -14,7 +14,8 @@ from reach.numerics.linear import growth, powers, summed
 
 from ...model.errors import ScenarioError
 from ...model.tolerances import ROUNDING
-from .loop import Array, Channel, ClosedLoop
+from .channel import Channel
+from .loop import Array, ClosedLoop
 
 LEFT_OVER = 1e-5  # share of a loop state left after the settling horizon; smaller: more rows, smaller tails
 LONGEST = 6000  # periods of a settling horizon, at most

@@ -19,8 +19,9 @@ from ..sources.estimate import step_errors
 from ..sources.late_faults import moved, touched
 from ..sources.outages import Difference, lost, unmade
 from ..sources.source import remembers
+from .channel import Channel
 from .contraction import Contraction
-from .loop import Channel, Loop
+from .loop import Loop
 from .profile import profile
 from .tightening import Response, Tightening
 
