@@ -17,7 +17,7 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9219, 8400),
-    ("polaris/certificate",): (9015, 4600),
+    ("polaris/certificate",): (9016, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (8315, 5000),
     ("polaris/model", "polaris/simulation"): (7457, 5200),
@@ -26,7 +26,7 @@ LINES = {
     ("polaris/scenario", "polaris/runs"): (8913, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (7460, 6400),
     ("polaris/planning",): (2481, 2200),
-    ("polaris", "reach"): (63175, 48000),
+    ("polaris", "reach"): (63176, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

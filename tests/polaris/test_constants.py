@@ -186,6 +186,12 @@ def test_proofs_under_constants_hold_at_their_worst(seed, tmp_path):
     assert verify(write_run(tmp_path / "run", scenario, schedule).path).outcome == "VERIFIED"
 
 
+def test_upkeep_of_a_loop_whose_states_differ_in_scale_is_confirmed(tmp_path):
+    """Entries of its storage differ by 1e7; the checker used to take its storage for one that runs away."""
+    scenario, schedule = proved(5003)
+    assert verify(write_run(tmp_path / "run", scenario, schedule).path).outcome == "VERIFIED"
+
+
 @pytest.mark.slow
 def test_random_scenes_under_constants_are_confirmed_and_hold(tmp_path):
     """Drift and abort included; falsified, attacked and checked."""

@@ -176,7 +176,8 @@ class _Period:
                 return None
             size = [float(later[i, i].mid()) for i in range(N)]
             last = [float(P[i, i].mid()) for i in range(N)]
-            if not all(y * (1 - 2 * STRICT) <= x < LARGEST for x, y in zip(size, last, strict=True)):
+            least = [y - 2 * STRICT * (y + FLOOR * max(last)) for y in last]
+            if not all(y <= x < LARGEST for x, y in zip(size, least, strict=True)):
                 return None
             grown = (later + later.transpose()) * 0.5
             grown = (grown + diagonal([STRICT * (x + FLOOR * max(size)) for x in size])).mid()
