@@ -1,13 +1,15 @@
 """How much of what is proven worst-case flights use up, for every source of errors alone.
 
     python -m benchmarks.tightness [--seeds 5000 5004 ...] [--write]
+    python -m benchmarks.tightness --sums [--write]
 
 Of every unsafe set, in the period in which the proof leaves it least: the share of what is booked there
 (from the undisturbed flight to the proven margin) that the closed-form worst case of that facet takes. Of
 the velocity change until T: the most that its own worst case spends, over the bound. And what each relaxation
 costs: the same share with errors of thrusters of one sign in every input throughout, and that of the sets at
 the ends of the period, if they kept all generators, and as they are. Random scenes of the tests, commanded
-periodically; `--write` puts the table into docs/guarantees.md.
+periodically; `--write` puts the table into docs/guarantees.md. `--sums` makes the table of velocity changes
+of the bundled scenes with all errors of `benchmarks.tenfold` at once.
 """
 
 from __future__ import annotations
@@ -33,9 +35,12 @@ from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.tracker import affine_law
 from tests.polaris.random_scenarios import random_scenario
 
+from . import tenfold
+
 SEEDS = (5000, 5004, 5008, 5012)
 PLACE = Path(__file__).resolve().parents[1] / "docs" / "guarantees.md"
 BEGIN, END = "<!-- tightness -->\n", "<!-- /tightness -->"
+BEGIN_SUMS, END_SUMS = "<!-- sums -->\n", "<!-- /sums -->"
 ROUNDS = 3
 RUNS = 24
 NOTHING = 1e-6
@@ -164,6 +169,50 @@ def spent(schedule: Schedule, seed: int = 0) -> float:
     return most / schedule.delta_v[1] if schedule.delta_v[1] > 0 else 1.0
 
 
+@dataclass(frozen=True)
+class Sums:
+    """Velocity changes of a schedule [m/s]: proven, and the most that worst cases of them spend."""
+
+    until_goal: tuple[float, float]
+    per_orbit: tuple[float, float]  # once S has settled
+
+    @classmethod
+    def of(cls, schedule: Schedule, seed: int = 0) -> Sums:
+        """Fly worst cases until the end of the coasting tail; the goal is reached and S keeps to it."""
+        system, arrival, upkeep = schedule.safety.problem.system, schedule.arrival, schedule.upkeep
+        assert arrival.by is not None and upkeep is not None and upkeep.per_orbit is not None
+        attacker, h = (
+            Attacker.of(schedule, True, np.random.default_rng(seed)),
+            schedule.safety.tracking.flow.h,
+        )
+        thrust = np.abs(attacker.spending(RUNS).fly(attacker.flight).inputs) @ system.weights
+        spent = np.cumsum(thrust, axis=1) * h / system.mass
+        goal, settled = round(arrival.by / h) - 1, round(upkeep.settled / h) - 1
+        rate = (spent[:, -1] - spent[:, settled]) / ((spent.shape[1] - 1 - settled) * h)
+        orbit = upkeep.per_orbit / upkeep.rate
+        return cls(
+            (arrival.delta_v, float(spent[:, goal].max())), (upkeep.per_orbit, orbit * float(rate.max()))
+        )
+
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """What is proven by what is flown, until the goal and per orbit."""
+        return self.until_goal[0] / self.until_goal[1], self.per_orbit[0] / self.per_orbit[1]
+
+
+def sums(scene: str) -> Sums:
+    """Those of a bundled scene with all errors at once."""
+    return Sums.of(synthesize(load_scenario(scene, [*tenfold.TOGETHER["all"], *tenfold.CHEAP])))
+
+
+def sum_rows(scenes: tuple[str, ...] = tenfold.SCENES) -> Iterator[str]:
+    """Rows of the table of velocity changes, one per scene."""
+    for scene in scenes:
+        one = sums(scene)
+        each = zip((one.until_goal, one.per_orbit), one.ratios, strict=True)
+        yield f"| {scene} | {' | '.join(f'{a:.2f} | {b:.2f} | {c:.2f}' for (a, b), c in each)} |"
+
+
 def rows(seeds: tuple[int, ...]) -> Iterator[str]:
     """Rows of the table, one per source."""
     with tempfile.TemporaryDirectory() as folder:
@@ -192,25 +241,28 @@ def rows(seeds: tuple[int, ...]) -> Iterator[str]:
 
 
 def main() -> None:
-    """Print the table, or write it."""
+    """Print a table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    parser.add_argument("--sums", action="store_true")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
-    head = (
+    heads = (
         "| Errors | scenes | sets | used up, median | sets with 75 % | velocity change, median | least |"
-        " of one sign | unmerged | sets |\n|---|---|---|---|---|---|---|---|---|---|"
+        " of one sign | unmerged | sets |",
+        "| Scene | until the goal, proven [m/s] | flown | ratio | per orbit, proven [m/s] | flown | ratio |",
     )
-    lines = [head]
-    print(head)
-    for row in rows(tuple(given.seeds)):
+    head = heads[given.sums]
+    lines = [head, "|---" * (head.count("|") - 1) + "|"]
+    print(*lines, sep="\n")
+    for row in sum_rows() if given.sums else rows(tuple(given.seeds)):
         lines.append(row)
         print(row, flush=True)
     if given.write:
-        before, rest = PLACE.read_text(encoding="utf-8").split(BEGIN)
-        PLACE.write_text(
-            before + BEGIN + "\n".join(lines) + "\n" + END + rest.split(END)[1], encoding="utf-8"
-        )
+        begin, end = (BEGIN_SUMS, END_SUMS) if given.sums else (BEGIN, END)
+        before, rest = PLACE.read_text(encoding="utf-8").split(begin)
+        page = before + begin + "\n".join(lines) + "\n" + end + rest.split(end)[1]
+        PLACE.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

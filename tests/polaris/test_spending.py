@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import tenfold
 from polaris.model.thrusters import Thrusters
 from polaris.runs.case import replay, write_case
 from polaris.scenario.scenario import load_scenario
@@ -120,3 +121,17 @@ def test_the_table_of_tightness_has_a_row_for_every_source_and_no_share_above_al
     assert np.all(shares <= 100)
     for cells, (used, *_, alike, unmerged, _) in zip(told, shares, strict=True):
         assert alike <= used <= unmerged + 1, cells[0]  # each lets a flight do more
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", tenfold.SCENES)
+def test_sums_with_all_errors_are_near_to_what_worst_cases_spend(scene):
+    """Until the goal and per orbit: the figures of docs/guarantees.md."""
+    from benchmarks import tightness
+
+    found = tightness.sums(scene)
+    assert all(1 <= ratio <= most for ratio, most in zip(found.ratios, (1.8, 3.0), strict=True)), found
+    page = tightness.PLACE.read_text(encoding="utf-8").split(tightness.BEGIN_SUMS)[1]
+    row = next(row for row in page.splitlines() if row.startswith(f"| {scene} |"))
+    known = [float(cell) for cell in row.split("|")[2:-1]]
+    assert [*found.until_goal, *found.per_orbit] == pytest.approx([known[i] for i in (0, 1, 3, 4)], abs=0.02)
