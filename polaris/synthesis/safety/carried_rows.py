@@ -12,6 +12,8 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..tracker.tracking import Tracking
 
+BLOCK = 768  # rows that are multiplied at once; more: products leave the cache
+
 
 @dataclass(frozen=True, eq=False)
 class CarriedRows:
@@ -111,7 +113,7 @@ class CarriedRows:
         """Return the needs from a set at ages within the memory, shape (ages, r)."""
         start, (radius, others) = self.tracking.whole_state(start), self.sizes_of(start)
         carried, between = self.carried[ages], self.handed[1, :-1][ages] @ others
-        spread = np.abs(carried.reshape(-1, start.dim) @ start.G).sum(axis=-1).reshape(carried.shape[:-1])
+        spread = _spread(carried.reshape(-1, start.dim), start.G).reshape(carried.shape[:-1])
         support = _rounded(carried @ start.c, spread)
         return np.asarray(support + self.bend[ages] * radius + between + self.disturbance[:-1][ages])
 
@@ -135,13 +137,22 @@ class CarriedRows:
         """
         exact, n = self.carried[lag, row], self.tracking.system.n
         centre = sets.c @ exact.T
-        spread = [np.abs(exact @ G).sum(axis=-1) for G in sets.G] if sets.G.size else 0 * centre
-        support = _rounded(centre, np.asarray(spread))
+        support = _rounded(centre, np.stack([_spread(exact, G) for G in sets.G]))
         if np.any(bow > 0):
             # More than is needed: only U's own claim between two nodes is left, at lag 0 (Proposition 11).
             before = self.carried[np.maximum(lag - 1, 0), row]
             support += np.maximum(bow @ np.abs(exact[:, :n]).T, bow @ np.abs(before[:, :n]).T)
         return support
+
+
+def _spread(rows: Array, G: Array) -> Array:
+    """Return ``sum |rows G|``, shape (rows,), block by block: large arrays anew would cost more than sums."""
+    sums, block = np.empty(len(rows)), np.empty((min(BLOCK, len(rows)), G.shape[1]))
+    for first in range(0, len(rows), BLOCK):
+        some = rows[first : first + BLOCK]
+        products = np.matmul(some, G, out=block[: len(some)])
+        np.abs(products, out=products).sum(axis=1, out=sums[first : first + BLOCK])
+    return sums
 
 
 def _rounded(centre: Array, spread: Array) -> Array:

@@ -1,5 +1,6 @@
 """Continuation of a flight by S: from which errors it keeps every limit to the end, and by which margin."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -17,6 +18,7 @@ from .clearance import Clearance, by_ends
 from .recoverable import Margin, RecoverableSet, left
 
 COARSE = 0.5  # limits that a bound by the norm shows to need no more of the room are looked at only if needed
+FIRST = 64  # limits of the least share by the norm, whose exact needs show which others matter
 
 Where = tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]
 """Indices into `Limits.room`: end of the period (entries,), period (sets, entries) and row (entries,)."""
@@ -70,6 +72,59 @@ class PathRows:
         return np.stack([found[:-1], found[1:]]) + self.path[:, period]
 
 
+@dataclass(eq=False)
+class Ahead:
+    """Needs and room of a stack of sets along the limits ahead, shape (sets, entries).
+
+    A need along the first entries, twice as many as `near` has, is the bound by the norm until it is worked
+    out; what is pushed by disturbances is apart. The last entries, `beyond`, stand for all times beyond the
+    memory.
+    """
+
+    near: Array  # (sets, entries of the table)
+    pushed: Array  # (entries of the table,)
+    beyond: Array  # (sets, rows)
+    taken: Array
+    room: Array
+    where: Where
+    exact: Callable[[NDArray[np.int_]], Array]
+    """Exact needs of the table's entries with some indices, before what is pushed."""
+
+    def __post_init__(self) -> None:
+        self._worked_out = np.zeros(self.near.shape[1], dtype=bool)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Return True for the entries whose need is final, shape (entries,)."""
+        return np.concatenate([self._worked_out] * 2 + [np.ones(self.beyond.shape[1], dtype=bool)])
+
+    @property
+    def need(self) -> Array:
+        """Return the needs, rounded up."""
+        near = self.near + self.pushed
+        need = np.hstack([near, near, self.beyond])
+        return np.asarray(need * (1 + ROUNDING * np.sign(need)) + self.taken)
+
+    def met(self) -> NDArray[np.bool_]:
+        """Return True where needs are less than the room, or nothing limits them."""
+        room = self.room
+        return (room > 0) & (self.need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
+
+    def work_out(self, entries: NDArray[np.bool_]) -> None:
+        """Replace bounds by the norm by exact needs, where these are less, of entries (entries,)."""
+        count = len(self.pushed)
+        some = np.flatnonzero((entries[:count] | entries[count : 2 * count]) & ~self._worked_out)
+        self._worked_out[some] = True
+        self.near[:, some] = np.minimum(self.exact(some), self.near[:, some])
+
+
+def _least(values: Array, count: int) -> NDArray[np.bool_]:
+    """Return True for the least values, so many or all."""
+    least = np.zeros(len(values), dtype=bool)
+    least[np.argpartition(values, count - 1)[:count] if len(values) > count else slice(None)] = True
+    return least
+
+
 @dataclass(frozen=True, eq=False)
 class Continuation(RecoverableSet):
     """All facets and thrust limits, carried back exactly through the closed loop (the default).
@@ -118,10 +173,10 @@ class Continuation(RecoverableSet):
         spare = self.clearance.limits.ahead[self._later(node)] - self.beside_errors[-1]
         return float(np.min(spare / self.table.beyond, initial=np.inf))
 
-    def _needs(
+    def _ahead(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array], spare: float
-    ) -> tuple[Array, Array, Where]:
-        """Return need and room of all limits that may need more than a share `spare` of their room.
+    ) -> "Ahead":
+        """Return all limits that may need more than a share `spare` of their room.
 
         Of a stack of sets of the loop state at the nodes `at`, the first one least, or at the only one, with
         bounds on ``norm(W e)`` and on the other states of each. The entries are those of the table, where a
@@ -136,33 +191,48 @@ class Continuation(RecoverableSet):
         most = (self._per_size * radius.max() + beside[:-1] + self.disturbance[:-1]) * (1 + ROUNDING)
         lag, row = np.nonzero(most > least)
         size, bend, pushed = (part[lag, row] for part in (self._per_size, table.bend, self.disturbance))
-        exact = table.supports(lag, row, sets, bow) + np.multiply.outer(radius, bend)
-        exact = exact + others @ between[lag, row].T
-        near = np.minimum(exact, np.multiply.outer(radius, size) + others @ handed[lag, row].T) + pushed
+        near = np.multiply.outer(radius, size) + others @ handed[lag, row].T
+
+        def exact(some: NDArray[np.int_]) -> Array:
+            found = table.supports(lag[some], row[some], sets, bow) + np.multiply.outer(radius, bend[some])
+            return np.asarray(found + others @ between[lag[some], row[some]].T)
+
         node, start = at[:, None] + lag, self._later(int(at[0]))
-        end, row = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
+        end, rows = np.repeat([0, 1, 0], [len(lag), len(lag), r]), np.concatenate([row, row, np.arange(r)])
         period = np.hstack([node, node - 1, np.full((len(at), r), start)])
-        where = end, np.clip(period, 0, last), row
+        where = end, np.clip(period, 0, last), rows
         room, taken = limits.room[where], limits.taken[where]
         room[(period < at[0]) | (period > last)] = np.inf
         room[:, -r:], taken[:, -r:] = limits.ahead[start], limits.most_taken
         beyond = np.multiply.outer(radius, table.beyond) + others @ handed[-1].T + self.disturbance[-1]
-        need = np.hstack([near, near, beyond])
-        return need * (1 + ROUNDING * np.sign(need)) + taken, room + taken, (end, period, row)
+        return Ahead(near, pushed, beyond, taken, room + taken, (end, period, rows), exact)
 
     def _shares(self, *tube: Any) -> tuple[Array, Array, Array, Where]:
-        """Return the share of the room left, and `_needs`; a booked limit that is met is no tightest one."""
-        need, room, where = self._needs(*tube)
-        share = left(need, room)
-        share[np.isinf(room) | ((where[2] >= self.clearance.limits.booked) & (share >= 0))] = np.inf
-        return share, need, room, where
+        """Return the share of the room left, the need, the room and the places of limits ahead.
+
+        They are exact wherever the least share may be; elsewhere the need is a larger one, by the norm.
+        """
+        ahead = self._ahead(*tube)
+        ahead.work_out(_least(self._left(ahead).min(axis=0), FIRST))
+        share = self._left(ahead).min(axis=0)
+        ahead.work_out(share <= share[ahead.known].min(initial=np.inf))
+        return self._left(ahead), ahead.need, ahead.room, ahead.where
+
+    def _left(self, ahead: "Ahead") -> Array:
+        """Return the shares of the room left; a booked limit that is met is no tightest one."""
+        share, rows = left(ahead.need, ahead.room), ahead.where[2]
+        share[np.isinf(ahead.room) | ((rows >= self.clearance.limits.booked) & (share >= 0))] = np.inf
+        return share
 
     def _met(
         self, at: NDArray[np.int_], sets: Zonotope, bow: Array, sizes: tuple[Array, Array]
     ) -> NDArray[np.bool_]:
         """Return True where a share of 0 or more is left of every limit, without working out how much."""
-        need, room, _ = self._needs(at, sets, bow, sizes, 1.0)
-        met = (room > 0) & (need / np.where(room > 0, room, 1) < 1) | np.isinf(room)
+        ahead = self._ahead(at, sets, bow, sizes, 1.0)
+        met = ahead.met()
+        if not met.all():
+            ahead.work_out(~met.all(axis=0))
+            met = ahead.met()
         return np.asarray(np.all(met, axis=1))
 
     def _sizes(self, sets: Zonotope, bow: Array) -> tuple[Array, Array]:
