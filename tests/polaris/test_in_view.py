@@ -237,7 +237,7 @@ def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
     search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v
     for share, best in ((0.93, 0.9), (0.97, 0.97)):  # for as much more as S spends alone: 6 % of the time
         module = import_module("polaris.synthesis.schedule.synthesize")
-        monkeypatch.setattr(module, "find_safety", lambda problem: safety)
+        monkeypatch.setattr(module, "find_safety", lambda problem, like: safety)
         monkeypatch.setattr(module, "most_worthy", lambda *_, share=share: found(share, 4 * unit))
         assert module.best_share(search, found(0.9, 3 * unit), True).share() == best
 

@@ -27,6 +27,11 @@ LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
 ORDER, WIDE, WHOLE, FILTERED = 25.0, 200.0, 100.0, 80.0
 """Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop states
 without an observer, and with one, of whose fresh noise a checker merges more."""
+LOOP_ALONE = {
+    *("closed", "flow", "error", "powers", "noise", "disturbance", "disturbance_if_cut"),
+    *("held_rates", "within_period", "added_clipped"),
+}
+"""Properties of an affine law that rest on its loop, not on its references."""
 
 
 @brief
@@ -179,9 +184,13 @@ class AffineController(AffineLaw):
         return replace(self, name="idle", gain=0 * self.gain, _levels={})
 
     def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
-        """The same law beside another safe reference; one that shares the safe reference shares that one."""
+        """Return the law beside another safe reference; one that shares the safe reference shares that one."""
         own = reference if self.own is self.reference else self.own
-        return replace(self, reference=reference, own=own, tracking=tracking, _levels={})
+        law = replace(self, reference=reference, own=own, tracking=tracking, _levels={})
+        if tracking is self.tracking:
+            law._levels.update({key: each.along(reference, tracking) for key, each in self._levels.items()})
+            vars(law).update({name: vars(self)[name] for name in LOOP_ALONE & vars(self).keys()})
+        return law
 
     def commanded(self, nodes: Zonotope, bow: Array, k: int) -> tuple[Array, Array]:
         """Command before clipping in step k, `noise` apart, its middle and spread, shapes (q+1, m) [N].

@@ -40,6 +40,14 @@ class CarriedRows:
     failing: bool = True
     between: bool = True
 
+    @classmethod
+    def of(
+        cls, tracking: Tracking, rows: Array, failing: bool = True, between: bool = True
+    ) -> "CarriedRows":
+        """Return the table of some rows, made once for every tracker."""
+        key = rows.shape[1], rows.tobytes(), failing, between
+        return tracking.tables.get(key) or tracking.tables.setdefault(key, cls(tracking, rows, failing, between))
+
     @property
     def plant(self) -> Array:
         """Part of the rows along the tracking error, shape (r, n)."""
@@ -184,4 +192,4 @@ class Tube:
 
 def error_tube(tracking: Tracking, start: Zonotope, rows: Array, failing: bool = True) -> Tube:
     """Return a tight bound on ``row e(t)`` under S from a set at time 0 (see `CarriedRows`)."""
-    return CarriedRows(tracking, rows, failing).tube(start)
+    return CarriedRows.of(tracking, rows, failing).tube(start)

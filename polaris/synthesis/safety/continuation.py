@@ -48,7 +48,7 @@ class PathRows:
     @cached_property
     def table(self) -> CarriedRows:
         """Rows, carried back through S's loop."""
-        return CarriedRows(self.clearance.tracking, self.rows, self.failing, self.between)
+        return CarriedRows.of(self.clearance.tracking, self.rows, self.failing, self.between)
 
     @cached_property
     def path(self) -> Array:
@@ -139,7 +139,7 @@ class Continuation(RecoverableSet):
     @cached_property
     def table(self) -> CarriedRows:
         """Rows of the limits, carried back."""
-        return CarriedRows(self.clearance.tracking, self.clearance.limits.rows)
+        return CarriedRows.of(self.clearance.tracking, self.clearance.limits.rows)
 
     @cached_property
     def disturbance(self) -> Array:

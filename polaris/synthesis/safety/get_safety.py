@@ -146,10 +146,14 @@ def get_safety(
         raise _naming_faults(error, problem) from error
 
 
-def find_safety(problem: Problem, along: Plan | None = None) -> Safety:
-    """`get_safety`, which of the faults that are isolated late cannot be survived left open."""
+def find_safety(problem: Problem, along: Plan | None = None, like: Safety | None = None) -> Safety:
+    """`get_safety`, which of the faults that are isolated late cannot be survived left open.
+
+    A safety `like` it is of a problem that differs in what the planner is asked alone: its tracker serves
+    again.
+    """
     try:
-        return _of_share(problem, along)
+        return _of_share(problem, along, like)
     except SynthesisInfeasible:
         if along is not None or problem.thrust_share is not None or not problem.system.thrusters.proportional:
             raise
@@ -159,13 +163,15 @@ def find_safety(problem: Problem, along: Plan | None = None) -> Safety:
         raise
 
 
-def _of_share(problem: Problem, along: Plan | None) -> Safety:
-    """The same with the share of the thrust limits that is given for S's feedback, or the first."""
+def _of_share(problem: Problem, along: Plan | None, like: Safety | None = None) -> Safety:
+    """Return `find_safety` with the share of the thrust limits given for S's feedback, or the first."""
     clock, share = Clock(), problem.thrust_share or SHARES[0]
+    if like is not None and like.tracking.level == share:
+        return _proven(problem, like.bounds, Attempts(problem, like.tracking, clock, along), like.controller)
     # Lines 1 and 2: solveARE, Lambda.
     tracking = Tracking(problem.system, problem.gain, problem.feedback, problem.delta, share)
     bounds = get_err_bounds(tracking, problem.bound, problem.weight)  # line 3: getErrBounds
-    return _proven(problem, tracking, bounds, Attempts(problem, tracking, clock, along))
+    return _proven(problem, bounds, Attempts(problem, tracking, clock, along))
 
 
 def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInfeasible:
@@ -195,11 +201,16 @@ def _naming_faults(error: SynthesisInfeasible, problem: Problem) -> SynthesisInf
     return SynthesisInfeasible(told, error.shortfall, f"{error.relax} Or isolate faults sooner.")
 
 
-def _proven(problem: Problem, tracking: Tracking, bounds: ErrorBounds, attempts: Attempts) -> Safety:
-    """Lines 4 to 10: the first reference along which enough is proven, or the last."""
-    clock = attempts.clock
+def _proven(
+    problem: Problem, bounds: ErrorBounds, attempts: Attempts, s: AffineController | None = None
+) -> Safety:
+    """Prove lines 4 to 10: for the first reference along which enough is proven, or the last.
+
+    A safety controller `s` along another reference is turned.
+    """
+    clock, tracking = attempts.clock, attempts.tracking
     for reference, jump in attempts:  # line 4: safeConstraints; lines 5 and 6: D2C of states and inputs
-        s = construct_s(tracking, reference)  # line 7: constructS
+        s = s.along(reference, tracking) if s else construct_s(tracking, reference)  # line 7: constructS
         # Line 8: not one r_min over all time, but the room along a facet of every set at every time.
         facets = best_facets(tracking, reference, attempts.unsafe, attempts.start)
         clearance = Clearance(tracking, reference, attempts.unsafe, facets, problem.K, jump)

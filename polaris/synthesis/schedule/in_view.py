@@ -25,7 +25,7 @@ from ...planning.recheck import certified
 from ...planning.reference import Reference
 from ...planning.rows import Key, Rows
 from ...planning.search import Candidate, Seen
-from ..controllers.controllers import AffineController, Controller, construct_s, fly_states
+from ..controllers.controllers import AffineController, Controller, fly_states
 from ..controllers.neural import NeuralController
 from ..safety.attempts import plan_problem
 from ..safety.carried_rows import error_tube
@@ -244,7 +244,7 @@ class Windows:
         if schedule is None:
             start, problem = safety.problem.initial_set.c, safety.problem
             reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
-            laws = construct_s(tracking, reference), self.law.along(reference, tracking)
+            laws = safety.controller.along(reference, tracking), self.law.along(reference, tracking)
         else:
             reference = schedule.safety.reference
             laws = schedule.controllers[0], schedule.controllers[self.mode]

@@ -182,7 +182,7 @@ def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail:
     chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]
 
     def needed(rows: Array) -> Array:
-        table, parts = CarriedRows(tracking, rows), []
+        table, parts = CarriedRows.of(tracking, rows), []
         for each in taken:
             for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
                 one = Zonotope(each.sets.c[i], each.sets.G[i])

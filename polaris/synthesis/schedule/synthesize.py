@@ -103,7 +103,7 @@ def best_share(search: Search, first: Schedule, recourse: bool) -> Schedule:
     worth = Worth.beside(first, search.rules, search.safety)  # `first` may fly another reference
     for share in shares if turns(search) else ():
         with suppress(SynthesisInfeasible, NotCertified):
-            safety = find_safety(replace(problem, thrust_share=share))
+            safety = find_safety(replace(problem, thrust_share=share), like=search.safety)
             search.clock.lap("thrust shares")
             other = most_worthy(along(search, safety), recourse)
             best = max(best, other, key=lambda schedule: worth.alone(schedule, recourse))
@@ -138,7 +138,8 @@ def arriving(search: Search, first: Schedule) -> tuple[Search, Schedule]:
         return search, first
     for length in (arrival.distance, lack):
         with suppress(SynthesisInfeasible, NotCertified):
-            other = along(search, find_safety(replace(safety.problem, goal_inset=length)))
+            deeper = replace(safety.problem, goal_inset=length)
+            other = along(search, find_safety(deeper, like=safety))
             again = switching_logic(other)
             if again.arrival.reached is True and again.share() >= first.share():
                 return other, again
@@ -171,7 +172,7 @@ def with_recourse(search: Search, printed: Schedule) -> Schedule:
 
     def prove(plan: Plan, intended: tuple[int, ...]) -> Schedule | None:
         try:
-            safety = find_safety(problem, plan)
+            safety = find_safety(problem, plan, printed.safety)
         except SynthesisInfeasible:
             return None
         return switching_logic(replace(along(search, safety), intended=intended))
@@ -247,8 +248,8 @@ def with_clearance(search: Search, first: Schedule) -> Iterator[Schedule]:
     if lack > 0:
         extra = problem.extra_margin + lack
         with suppress(SynthesisInfeasible, NotCertified):
-            other = find_safety(replace(problem, objective="margin_then_fuel", extra_margin=extra))
-            yield switching_logic(along(search, other))
+            wider = replace(problem, objective="margin_then_fuel", extra_margin=extra)
+            yield switching_logic(along(search, find_safety(wider, like=first.safety)))
 
 
 def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,11 @@ class Tracking(Contraction):
         """Bounds on the loop under S."""
         scale = np.resize(np.linalg.norm(self.W_inverse, axis=1), self.loop.N)
         return Tightening(self.loop.under(self.gain), self.system.u_max, scale)
+
+    @cached_property
+    def tables(self) -> dict[Any, Any]:
+        """Tables of rows carried back through the loop, by what they are of (`CarriedRows.of`)."""
+        return {}
 
     @property
     def commands(self) -> Array:
