@@ -18,17 +18,17 @@ from reach.tubes.flow import LinearFlow
 from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
-from ..tracker.affine_law import AffineLaw, clipped_step
+from ..tracker.affine_law import AffineLaw, raised, clipped_step
 from ..tracker.intersample import affine_bow, at_nodes, clipped_bow
 from ..tracker.tracking import Tracking
 
-LEVELS = tuple(1.03**-i for i in range(200, -1, -1))
+LEVELS = np.array([1.03**-i for i in range(200, -1, -1)])
 """Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
 ORDER, WIDE, WHOLE, FILTERED = 25.0, 200.0, 100.0, 80.0
 """Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop states
 without an observer, and with one, of whose fresh noise a checker merges more."""
 LOOP_ALONE = {
-    *("closed", "flow", "error", "powers", "noise", "disturbance", "disturbance_if_cut"),
+    *("closed", "flow", "error", "powers", "answers", "noise", "disturbance", "disturbance_if_cut"),
     *("held_rates", "within_period", "added_clipped"),
 }
 """Properties of an affine law that rest on its loop, not on its references."""
@@ -125,13 +125,12 @@ class AffineController(AffineLaw):
         here, start = self.in_step(k), self.tracking.whole_state(start)
         if not self.system.thrusters.proportional:
             return here._flown(start, k)[0]
-        most = LEVELS[0] * self.system.u_max
+        most = here.foreseen(start - self.whole_offset(k)[0], k, LEVELS)
         while True:
             tube, commanded = here._like(most, here.off)._flown(start, k)
             if np.all(commanded <= most):
                 return tube
-            above = np.searchsorted(LEVELS, np.minimum(commanded / self.system.u_max, 1.0))
-            most = np.maximum(most, np.array(LEVELS)[above] * self.system.u_max)
+            most = raised(most, commanded, LEVELS, self.system.u_max)
 
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
@@ -141,8 +140,12 @@ class AffineController(AffineLaw):
     def _like(self, most: Array | None, off: Array | None) -> "AffineController":
         """Return the law, made once, with bounds on commands (m,) and on further estimate errors (n,)."""
         key = tuple(b"" if bound is None else bound.tobytes() for bound in (most, off))
-        law = self._levels.get(key) or replace(self, most=most, off=off, _levels={})
-        self._levels[key] = law
+        law = self._levels.get(key)
+        if law is None:
+            law = self._levels[key] = replace(self, most=most, off=off, _levels={})
+            if off is self.off:
+                vars(law).update(flow=self.flow, closed=self.closed, powers=self.powers)
+                vars(law).update(offset=self.offset, _whole_offsets=self._whole_offsets)
         assert isinstance(law, AffineController)
         return law
 

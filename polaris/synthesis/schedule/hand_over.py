@@ -95,12 +95,14 @@ class HandOvers:
         return found
 
 
-def reached_sets(laws: Sequence[Controller], start: Zonotope, s: AffineController) -> list[Zonotope]:
+def reached_sets(
+    laws: Sequence[Controller], start: Zonotope, s: AffineController, known: Sequence[Zonotope] = ()
+) -> list[Zonotope]:
     """Return the loop states at the start of every step and after the last one, one law flying each.
 
-    `s` is the safety controller.
+    `s` is the safety controller; `known` are the sets after the first steps, if these have been flown.
     """
-    found = [start]
-    for k, law in enumerate(laws):
-        found.append(fly_states(law, found[-1], k, s).end)
-    return found
+    sets = [start, *known]
+    for k in range(len(known), len(laws)):
+        sets.append(fly_states(laws[k], sets[-1], k, s).end)
+    return sets

@@ -16,6 +16,8 @@ from time import perf_counter
 
 import numpy as np
 
+from reach.sets.zonotope import Zonotope
+
 from ...model.errors import NotCertified, PolarisError, ScenarioError
 from ...model.scene.distances import stretches
 from ...model.system import Array
@@ -241,6 +243,7 @@ class Windows:
             return short or (schedule is not None and self._short(schedule, intended))
         tracking, safety = self.hand_overs.tracking, self.safety
         laws: tuple[Controller, ...]
+        known = list[Zonotope]()
         if schedule is None:
             start, problem = safety.problem.initial_set.c, safety.problem
             reference = Reference.propagate(problem.system, problem.delta, start, plan.nu)
@@ -248,7 +251,9 @@ class Windows:
         else:
             reference = schedule.safety.reference
             laws = schedule.controllers[0], schedule.controllers[self.mode]
-        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller)
+            as_meant = np.logical_and.accumulate(schedule.modes == intended)
+            known = [step.tube.end for step in schedule.steps[: int(as_meant.sum())]]
+        sets = reached_sets([laws[mode > 0] for mode in intended], safety.start, safety.controller, known)
         ends = {0}.union(*({k, k + 1} for k, mode in enumerate(intended) if mode)) - {self.K}
         parts = self.hand_overs.along(reference, {k: sets[k] for k in sorted(ends)})
         for i, (need, lack) in enumerate(parts):

@@ -115,7 +115,7 @@ class Loop:
         """Number of states of the loop."""
         return len(self.free)
 
-    @property
+    @cached_property
     def made(self) -> Array:
         """Map into the next loop state of inputs that the flight computer does not know of, shape (N, m)."""
         each = (
@@ -135,7 +135,7 @@ class Loop:
             found.append((E @ last, mean, (b - a) ** 2 / 3 * np.abs(self.A) @ growth(self.A, b - a)))
         return tuple(found)
 
-    @property
+    @cached_property
     def uneven(self) -> Array:
         """Bound on the effect of errors of inputs about their means, per unit of their rms, shape (N, m).
 
