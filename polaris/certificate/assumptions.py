@@ -1,4 +1,4 @@
-"""What a certificate rests on and no checker can confirm, in words: one list for runs and certificates."""
+"""Assumptions of a certificate that no checker can confirm, in words: one list for runs and certificates."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -49,7 +49,7 @@ ARITHMETIC = {
 
 @dataclass(frozen=True)
 class Premises:
-    """What a certificate rests on and no checker can confirm: one account, for runs and certificates.
+    """Assumptions of a certificate that no checker can confirm: one account, for runs and certificates.
 
     Bounds are empty where there is nothing to bound.
     """
@@ -106,7 +106,7 @@ class Premises:
         ]
 
     def _of_hardware(self) -> Iterator[str]:
-        """How well the state is known, how late, and what is made of commands."""
+        """Yield the errors and the delay of the state that is known, and the errors of commands."""
         errors, applied = list(self.estimate), list(self.thrusters)
         delay, jitter, missed, clock = list(self.timing) or (0.0, 0.0, 0, 0.0)
         predicted = delay > 0 or missed > 0
@@ -198,7 +198,7 @@ def _listed(bounds: Iterable[float]) -> str:
 def _of_samples(
     probability: float, confidence: float, flights: int, outside: int, seed: int, attempts: int
 ) -> list[str]:
-    """What a statement about black boxes is conditional on."""
+    """Return the conditions of a statement about black boxes."""
     most = f"{math.ceil(probability * 1e6) / 1e6:g}"
     doubt = f"{float(f'{1 - confidence:.12g}'):g}"
     return [

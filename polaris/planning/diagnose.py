@@ -1,5 +1,6 @@
 """Why there is no plan: relaxations of the problem, each naming what to relax and by how much."""
 
+import re
 from dataclasses import replace
 from time import perf_counter
 from typing import Any, NoReturn
@@ -8,6 +9,7 @@ import numpy as np
 
 from ..model.checks import counted
 from ..model.errors import SynthesisInfeasible
+from ..model.scene.timed_polytope import TimedPolytope
 from ..model.system import Array
 from .lp import GrowingLP
 from .problem import PlanProblem
@@ -16,6 +18,7 @@ from .search import Candidate, PathSearch
 from .tree import branch
 
 FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
+WITHIN = re.compile(r"within(?:-(\d+))?\[\d+\]")  # sides of boxes in which bounds of navigation hold
 EFFORT = 1000  # most linear programs solved to find by how much margins must give way
 
 
@@ -74,12 +77,31 @@ def _start(problem: PlanProblem) -> None:
         clear, required = body.normals @ p - problem.offsets(i)[0, 0], problem.required(i)[0]
         best = int(np.argmax(clear - required))
         if (short := float(required[best] - clear[best])) > 0:
+            if body.keep_in:
+                raise _outside(body, float(required[best]), float(clear[best]))
             raise SynthesisInfeasible(
                 f"The start is {short:.3g} m too close to {body.name}: a margin of {required[best]:.3g} m is "
                 f"required, the clearance is {clear[best]:.3g} m.",
                 short,
                 f"start further away, or at least {short:.3g} m less margin.",
             )
+
+
+def _outside(body: TimedPolytope, required: float, inside: float) -> SynthesisInfeasible:
+    """Return the error of a start that is outside a set to stay inside, or too near one of its sides."""
+    called, box = f"{body.name}, a side of a set to stay inside", WITHIN.fullmatch(body.name)
+    if box is not None:
+        axis = int(np.argmax(np.abs(body.normals[0])))
+        way = "-" if body.normals[0, axis] > 0 else "+"
+        table = "navigation" if box[1] is None else f"navigation.phases[{box[1]}]"
+        called = f"the {way} side, along axis {axis}, of the box to stay inside by within_m of {table}"
+    where, short = "inside" if inside >= 0 else "outside", required - inside
+    return SynthesisInfeasible(
+        f"The start is {abs(inside):.3g} m {where} {called}; it must be {required:.3g} m inside: the"
+        " safety controller may need as much.",
+        short,
+        f"make the set at least {short:.3g} m larger there, or start as much further inside.",
+    )
 
 
 def _shortfall(rows: Rows, stop: float) -> tuple[float | None, bool]:

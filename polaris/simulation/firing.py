@@ -1,4 +1,4 @@
-"""What thrusters make of commands, and what pulses and jitter make of a flight."""
+"""Thrust that thrusters make of commands, and its effect on a flight by pulses and jitter."""
 
 from functools import cached_property
 
@@ -55,7 +55,7 @@ class Firing:
         self.parts, self.before = [], np.zeros((runs, self.system.m))
 
     def applied(self, raw: Array, step: int) -> Array:
-        """What the thrusters make of commands in a step."""
+        """Return the inputs that the thrusters make of commands in a step."""
         told = np.clip(raw, -self.system.u_max, self.system.u_max)
         layout, timing, most = self.system.nozzles, self.system.timing, self.system.u_max
         f = told if layout is None else thrusts_of(layout.allocation, told)
@@ -134,7 +134,7 @@ class Firing:
         return self._beyond(0, start, end) / np.maximum(end - start, 1e-300)
 
     def bow(self, sub: int) -> Array | float:
-        """What pulses and jitter add to the state by the end of a step of a period, (R, n)."""
+        """Return the state offset by pulses and jitter at the end of a step of a period, (R, n)."""
         if not self.parts:
             return 0.0
         start, end = sub / self.substeps, (sub + 1) / self.substeps
@@ -143,7 +143,7 @@ class Firing:
 
     @cached_property
     def _series(self) -> list[Array]:
-        """What a unit of each moment of the inputs adds to the state, (m, n)."""
+        """State offset per unit of each moment of the inputs, (m, n) each."""
         h = self.dt * self.substeps
         terms, least = [self.system.B.T * h], 1e-15 * np.abs(self.system.B).max()
         while np.abs(terms[-1]).max() > least * h:

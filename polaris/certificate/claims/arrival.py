@@ -1,4 +1,4 @@
-"""What a run claims of the goal and of the velocity change, derived again from the sets of the argument."""
+"""Claims of the goal and of the velocity change, derived again from the sets of the argument."""
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
@@ -114,7 +114,7 @@ class Arrival:
         return arb(SOON) * self.document.steps * self.document.delta
 
     def holding(self, needs: Needs) -> arb:
-        """What S needs along rows for ever, the jump into the tail apart, with a fault if `needs` has one."""
+        """Return the need of S along rows for ever, without the jump into the tail, with a fault if any."""
         off = (magnitude(needs.rows) * column(self.document.at_nodes)).entries()
         most = sums(needs.settled, off, *needs.upset[-1:])
         return largest(
@@ -202,7 +202,7 @@ class Arrival:
         return arcs[at].nodes[place] if at < len(arcs) else arcs[-1].nodes[-1]
 
     def distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
-        """How far a flight may be from the goal at a node."""
+        """Return the largest distance of a flight from the goal at a node."""
         return rows.distance(sums(rows.over(self._state(node)), self._at(needs, node)))
 
     def _drift(self, claimed: float | None, node: int) -> None:

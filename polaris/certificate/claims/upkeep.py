@@ -1,4 +1,4 @@
-"""What S spends for as long as it flies on after T, and how long the tank lasts."""
+"""Cost of flying on under S after T, and the life of the tank."""
 
 import math
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def check_upkeep(arrival: Arrival, claim: dict[str, Any], tank: float | None) ->
 
 
 def check_estimate(arrival: Arrival, stated: Stated, flown: Sequence[Flown]) -> str:
-    """Check how far an observer's estimates may be off, by state: while others than S fly, and much later."""
+    """Check bounds on the errors of an observer's estimates, by state: while others than S fly, and later."""
     craft, memory, doc = arrival.flight.tracker.craft, arrival.flight.tracker.memory, arrival.document
     n, claim, checked = len(doc.A), stated.estimate or {}, []
     more = maxima(*(craft.extra(doc, k) for k in range(doc.steps + 1)))

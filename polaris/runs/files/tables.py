@@ -17,7 +17,7 @@ from ...model.system import LinearSystem
 from ...model.timing import Timing
 from ...planning.reference import Reference
 from ...simulation.metrics import finite
-from ...synthesis.safety.recoverable import directed
+from ...synthesis.safety.recoverable import directed, missing
 from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.schedule.synthesize import in_words
 
@@ -168,7 +168,7 @@ def _withheld(claim: Mapping[str, Any]) -> str:
     if not steps:
         return f"along this reference {fault} keeps no step from U."
     worst = max(steps, key=lambda step: step["short"] / max(abs(step["room"]), 1e-300))
-    short, when = directed(worst["short"], ".4g", up=True), f"t = {worst['limit_time_s']:.6g} s"
+    short, when = missing(worst["limit"], worst["short"]), f"t = {worst['limit_time_s']:.6g} s"
     return (
         f"because of {fault} S flies {len(steps)} of the steps ({', '.join(str(x['step']) for x in steps)});"
         f" in step {worst['step']} {worst['controller']} would leave {worst['limit']} {short} short, in step"

@@ -18,20 +18,13 @@ from reach.tubes.flow import LinearFlow
 from ...model.craft import Array, Craft
 from ...model.tolerances import ROUNDING
 from ...planning.reference import Reference
-from ..tracker.affine_law import AffineLaw, raised, clipped_step
+from ..tracker.affine_law import LOOP_ALONE, AffineLaw, clipped_step, raised
 from ..tracker.intersample import affine_bow, at_nodes, clipped_bow
 from ..tracker.tracking import Tracking
 
-LEVELS = np.array([1.03**-i for i in range(200, -1, -1)])
-"""Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
 ORDER, WIDE, WHOLE, FILTERED = 25.0, 200.0, 100.0, 80.0
 """Generators per dimension of the error kept at the end of a step: without errors, with, of whole loop states
 without an observer, and with one, of whose fresh noise a checker merges more."""
-LOOP_ALONE = {
-    *("closed", "flow", "error", "powers", "answers", "noise", "disturbance", "disturbance_if_cut"),
-    *("held_rates", "within_period", "added_clipped"),
-}
-"""Properties of an affine law that rest on its loop, not on its references."""
 
 
 @brief
@@ -125,12 +118,12 @@ class AffineController(AffineLaw):
         here, start = self.in_step(k), self.tracking.whole_state(start)
         if not self.system.thrusters.proportional:
             return here._flown(start, k)[0]
-        most = here.foreseen(start - self.whole_offset(k)[0], k, LEVELS)
+        most = here.foreseen(start - self.whole_offset(k)[0], k)
         while True:
             tube, commanded = here._like(most, here.off)._flown(start, k)
             if np.all(commanded <= most):
                 return tube
-            most = raised(most, commanded, LEVELS, self.system.u_max)
+            most = raised(most, commanded, self.system.u_max)
 
     def in_step(self, k: int) -> "AffineController":
         """Return the law with the errors of estimates that there may be in step k."""
@@ -187,7 +180,7 @@ class AffineController(AffineLaw):
         return replace(self, name="idle", gain=0 * self.gain, _levels={})
 
     def along(self, reference: Reference, tracking: Tracking) -> "AffineController":
-        """Return the law beside another safe reference; one that shares the safe reference shares that one."""
+        """Return the law beside another safe reference, which is its own as well if the first one was."""
         own = reference if self.own is self.reference else self.own
         law = replace(self, reference=reference, own=own, tracking=tracking, _levels={})
         if tracking is self.tracking:

@@ -41,12 +41,12 @@ class CarriedRows:
     between: bool = True
 
     @classmethod
-    def of(
-        cls, tracking: Tracking, rows: Array, failing: bool = True, between: bool = True
-    ) -> "CarriedRows":
+    def of(cls, tracking: Tracking, rows: Array, failing: bool = True, between: bool = True) -> "CarriedRows":
         """Return the table of some rows, made once for every tracker."""
         key = rows.shape[1], rows.tobytes(), failing, between
-        return tracking.tables.get(key) or tracking.tables.setdefault(key, cls(tracking, rows, failing, between))
+        table: CarriedRows = tracking.tables.get(key) or cls(tracking, rows, failing, between)
+        tracking.tables[key] = table
+        return table
 
     @property
     def plant(self) -> Array:

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
-from ...model.system import Array
+from ...model.system import HILL_AXES, Array
 from ..tracker.intersample import at_nodes
 from .clearance import Clearance
+
+THRUSTS = [f"{axis} thrust" for axis in HILL_AXES]  # inputs in newtons, as limits are called
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,15 @@ def directed(value: float, form: str, up: bool = False) -> str:
         context.rounding = ROUND_CEILING if up else ROUND_FLOOR
         text = format(Decimal(value), form)
     return f"{float(text):{form}}" if form.endswith("g") else text  # the other way of writing exponents
+
+
+def missing(margin_limit: str, short: float) -> str:
+    """Text of a proven shortfall of a limit by its name, rounded up: in N of a thrust, in m of an unsafe set.
+
+    Inputs of a system with a unit of its own have none.
+    """
+    unit = "" if margin_limit.startswith("input ") else " N" if margin_limit in THRUSTS else " m"
+    return f"{directed(short, '.4g', up=True)}{unit}"
 
 
 def left(need: Array, room: Array) -> Array:

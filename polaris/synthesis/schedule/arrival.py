@@ -25,7 +25,7 @@ with time, in its own way."""
 
 @dataclass(frozen=True)
 class Arrival:
-    """What is proven of the goal, S flying from T on.
+    """Proof of the goal, S flying from T on.
 
     Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
     (`polaris.planning.goals.GoalConditions`). A velocity counts as the length that it makes in
@@ -38,8 +38,8 @@ class Arrival:
     by: float | None  # when [s]
     distance: float  # bound on how far a flight may be from the goal then, or at its best if not proven [m]
     tolerance: float
-    """What counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or what S needs to hold a
-    goal, if that is more."""
+    """Largest distance that counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or the
+    need of S to hold a goal, if that is more."""
     drift: float | None  # bound on the secular drift per orbit at that time [m]; None outside Hill's frame
     delta_v: float  # velocity change until then, at most [m/s]
     velocity_time: float | None = None
@@ -50,7 +50,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Upkeep:
-    """What S spends for as long as it flies on after T, once it has forgotten what it took over."""
+    """Cost of flying on under S after T, once S has forgotten what it took over."""
 
     settled: float  # from when on [s]
     spent: float  # velocity change until then, at most [m/s]
@@ -60,7 +60,7 @@ class Upkeep:
     lasts: float | None  # until when the tank certainly lasts [s]; None if it is not known, or for ever
 
     def told(self) -> dict[str, float | None]:
-        """What a run claims of it."""
+        """Return the claim of a run, by key."""
         names = "settled_s", "until_settled_m_s", "rate_m_s2", "per_orbit_m_s", "tank_m_s", "lasts_s"
         return dict(zip(names, astuple(self), strict=True))
 

@@ -20,6 +20,13 @@ from .loop import ClosedLoop
 from .period_sets import held_rates, rates_added, sampled_added, within_period
 from .tracking import Tracking
 
+LEVELS = np.array([1.03**-i for i in range(200, -1, -1)])
+"""Shares of the thrust limits by which the commands of a step, and so errors of thrusters, are bounded."""
+LOOP_ALONE = {
+    *("closed", "flow", "error", "powers", "answers", "noise", "disturbance", "disturbance_if_cut"),
+    *("held_rates", "within_period", "added_clipped"),
+}
+"""Properties of an affine law that rest on its loop, not on its references."""
 LESS = 0.9  # share of what channels make that is foreseen of it; more: levels of commands above those needed
 TOGETHER = 5  # periods whose errors are merged in a tube at most; where a step has few, half of them
 ORDER, CLIPPED = 30.0, 6.0
@@ -184,27 +191,27 @@ class AffineLaw:
 
     @cached_property
     def answers(self) -> tuple[Array, list[tuple[Channel, Array]]]:
-        """Rows of the commands by node of a cell, (q+1, m, N), and their growth by each channel until then."""
+        """Rows of the commands by node of a cell, (q+1, m, N), and their growth by each channel by then."""
         rows, found = self.closed.K @ self.powers, []
         for channel in self.closed.loop.channels:
             grown = np.cumsum(self.closed.gains(channel, rows[:-1]), axis=0)
-            found.append((channel, LESS * np.concatenate([0 * grown[:1], grown]) + self.closed.noise(channel)))
+            grown = LESS * np.concatenate([0 * grown[:1], grown])
+            found.append((channel, grown + self.closed.noise(channel)))
         return rows, found
 
-    def foreseen(self, d: Zonotope, k: int, levels: Array) -> Array:
-        """Foresee which levels of commands a cell's tube will need, from below, shape (m,).
+    def foreseen(self, d: Zonotope, k: int) -> Array:
+        """Foresee which level of commands a cell's tube needs at least, shape (m,).
 
-        `d` are loop states about the law's own reference, `levels` shares of the thrust limits that grow.
-        The least level where a command may be clipped.
+        `d` are loop states about the law's own reference. The least level where a command may be clipped.
         """
         (rows, found), u_max = self.answers, self.system.u_max
         size = np.abs(self.own.nu[k] - rows @ d.c) + np.abs(rows @ d.G).sum(axis=-1)
-        most = levels[0] * u_max
+        most = LEVELS[0] * u_max
         while True:
             asked = size + sum(grown @ self.sizes(channel, most) for channel, grown in found)
             if self.clips and np.any(asked > u_max):
-                return np.asarray(levels[0] * u_max)
-            higher = raised(most, asked.max(axis=0), levels, u_max)
+                return np.asarray(LEVELS[0] * u_max)
+            higher = raised(most, asked.max(axis=0), u_max)
             if np.all(higher <= most):
                 return most
             most = higher
@@ -214,10 +221,10 @@ class AffineLaw:
         return np.asarray(self.own.nu[k] + (own - x) @ self.gain.T)
 
 
-def raised(most: Array, commanded: Array, levels: Array, u_max: Array) -> Array:
+def raised(most: Array, commanded: Array, u_max: Array) -> Array:
     """Return the least levels of commands, no less than those given, that hold what is commanded, (m,)."""
-    above = np.searchsorted(levels, np.minimum(commanded / u_max, 1.0))
-    return np.asarray(np.maximum(most, levels[above] * u_max))
+    above = np.searchsorted(LEVELS, np.minimum(commanded / u_max, 1.0))
+    return np.asarray(np.maximum(most, LEVELS[above] * u_max))
 
 
 def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Array]:
