@@ -11,6 +11,7 @@ from benchmarks.basilisk.onboard import CraftSoftware, FlightSoftware, held
 from benchmarks.basilisk.valves import Stuck
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
+from polaris.simulation.allocating import thrusts_of
 from polaris.synthesis.schedule.synthesize import synthesize
 
 SAMPLED = [
@@ -131,6 +132,32 @@ def test_the_observer_on_board_forgets_what_it_did_not_know(craft):
         seen = phi @ x + gamma @ u
         x = phi @ seen + gamma @ u
     assert off[0] > 0.09 and off[-1] < 0.1 * off[0]
+
+
+@pytest.mark.parametrize("kind", ["pseudo_inverse", "linear_program", "nearest"])
+def test_the_declared_allocation_is_flown_or_refused(craft, tmp_path, kind):
+    """Commands are made without a fault as the allocation says, and by others with a valve isolated."""
+    system, folder = craft
+    declared = load_scenario("cubesat", [f"thrusters.allocation={kind}"]).problem().allocation
+    shutil.copytree(folder, tmp_path / "run")
+    gains = json.loads((folder / "gains.json").read_text())
+    names = "directions", "limits", "mixes"
+    gains["system"]["allocation"] = {x: getattr(declared, x).tolist() for x in names} | {"kind": kind}
+    gains["system"]["input_max"] = declared.u_max.tolist()
+    (tmp_path / "run" / "gains.json").write_text(json.dumps(gains))
+    if kind == "nearest":
+        with pytest.raises(ValueError, match="allocation is nearest"):
+            CraftSoftware(tmp_path / "run")
+        return
+    whole, broken = CraftSoftware(tmp_path / "run"), CraftSoftware(tmp_path / "run")
+    broken.isolate("stuck_off", 4)
+    mixed = CraftSoftware(folder)
+    commands = np.random.default_rng(5).uniform(-1, 1, (100, 3)) * declared.u_max
+    for u, f in zip(commands, thrusts_of(declared, commands), strict=True):
+        assert np.allclose(whole.thrusts(u), f, atol=1e-9)
+        assert np.allclose(broken.thrusts(u) @ declared.directions, u, atol=1e-9)
+        assert broken.thrusts(u)[4] == 0 and np.all(broken.thrusts(u) <= declared.limits + 1e-9)
+    assert any(not np.allclose(whole.thrusts(u), mixed.thrusts(u), atol=1e-4) for u in commands)
 
 
 def test_nozzles_make_what_is_commanded_in_whole_bits_and_with_a_valve_isolated(craft):

@@ -6,7 +6,7 @@ command takes effect; the software then carries it forward by the linear model a
 What thrusters are to make of a command is an impulse, a multiple of the declared bit.
 
 `CraftSoftware` flies a craft with a camera and a layout of nozzles: an observer estimates the state from
-positions, a table of mixes shares commands out among the nozzles, another one if a valve is isolated.
+positions, and the allocation that the run declares shares commands out among the nozzles that work.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.optimize import linprog
+
+MIXES, PAIRS, PROGRAM = "least_thrust_mixes", "pseudo_inverse", "linear_program"  # allocations that are flown
 
 
 def held(A: np.ndarray, B: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -63,6 +66,11 @@ class FlightSoftware:
         self.late = round(self.delay / self.period)
         self.since = 0.0  # of a period [s], when navigation is asked
         self.nozzles = np.kron(np.diag(self.limit), [[1.0], [-1.0]])  # thrust of each, open, (6, 3) [N]
+        if "directions" in thrusters and "observer" not in self.system:
+            raise ValueError(
+                f"{folder}: this software flies layouts of nozzles (thrusters.directions) with an"
+                " observer alone (navigation.measurement)"
+            )
         self._check_delay(folder)
 
     def _check_delay(self, folder: Path) -> None:
@@ -140,7 +148,13 @@ class CraftSoftware(FlightSoftware):
         super().__init__(folder)
         layout, observer = self.system["allocation"], self.system["observer"]
         self.mixes, self.tops = np.array(layout["mixes"]), np.array(layout["limits"])
-        self.nozzles = np.array(layout["directions"]) * self.tops[:, None]
+        self.directions, self.kind = np.array(layout["directions"]), layout.get("kind", MIXES)
+        if self.kind not in (MIXES, PAIRS, PROGRAM):
+            known = ", ".join((MIXES, PAIRS, PROGRAM))
+            raise ValueError(
+                f"{folder}: thrusters.allocation is {self.kind}, but this software flies {known} alone"
+            )
+        self.nozzles = self.directions * self.tops[:, None]
         self.measures, self.gain = np.array(observer["measures"]), np.array(observer["gain"])
         self.settled, self.noise = (
             np.array(each) for each in (self.system["timing"]["measured"], observer["noise"])
@@ -180,13 +194,37 @@ class CraftSoftware(FlightSoftware):
         self.estimate, self.before, self.last = x, self.last, u
         return u
 
+    def thrusts(self, u: np.ndarray) -> np.ndarray:
+        """Return the thrust [N] asked of each nozzle, (N,), by the declared allocation for commands u."""
+        D, f = self.directions, np.zeros(len(self.tops))
+        if self.kind == MIXES:
+            forth, back = self.mixes[self.case]
+            return np.asarray(np.maximum(u, 0) @ forth + np.maximum(-u, 0) @ back)
+        if self.kind == PAIRS:
+            some = self.paired()
+            f[some] = 2 * np.maximum(u @ np.linalg.pinv(D[some]), 0.0)
+            return f
+        tops = np.where(self.isolated, 0.0, self.tops)
+        bounds, scaled = np.column_stack([0 * tops, tops]), D.T / self.limit[:, None]
+        lengths = np.linalg.norm(D, axis=1)
+        return np.asarray(linprog(lengths, A_eq=scaled, b_eq=u / self.limit, bounds=bounds).x)
+
+    def paired(self) -> list[int]:
+        """Return the nozzles that work and have an opposite one that works, as many either way of a line."""
+        left: list[int] = []
+        working = np.flatnonzero(~self.isolated).tolist()
+        for j in working:
+            same = [i for i in working if np.array_equal(self.directions[i], self.directions[j])]
+            other = [i for i in working if np.array_equal(self.directions[i], -self.directions[j])]
+            left += [j] * (same.index(j) < len(other))
+        return left
+
     def on_times(self, u: np.ndarray) -> np.ndarray:
         """Times [s] for which the nozzles are to be open, (N,), for a command u [N] in the axes of the craft.
 
         Every nozzle makes whole bits of what it owes, and carries the rest to its next pulse.
         """
-        forth, back = self.mixes[self.case]
-        owed = self.period * (np.maximum(u, 0) @ forth + np.maximum(-u, 0) @ back) + self.left
+        owed = self.period * self.thrusts(u) + self.left
         whole = self.bit * np.floor(owed / self.bit * (1 + 1e-12)) if self.bit > 0 else owed
         made = np.minimum(whole, self.period * self.tops)
         self.left = np.where(self.isolated | (not self.carries), 0.0, owed - made)
