@@ -184,7 +184,6 @@ class AffineController(AffineLaw):
         own = reference if self.own is self.reference else self.own
         law = replace(self, reference=reference, own=own, tracking=tracking, _levels={})
         if tracking is self.tracking:
-            law._levels.update({key: each.along(reference, tracking) for key, each in self._levels.items()})
             vars(law).update({name: vars(self)[name] for name in LOOP_ALONE & vars(self).keys()})
         return law
 
