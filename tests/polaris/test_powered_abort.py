@@ -27,6 +27,7 @@ from polaris.simulation.failing import Failing
 from polaris.simulation.falsification.aborting import aborted, exceeded
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
+from polaris.synthesis.safety.corrections import Corrections
 from polaris.synthesis.safety.demand import command_errors
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.safety.goal_rows import distance
@@ -178,7 +179,8 @@ def test_long_after_a_takeover_a_fault_still_keeps_an_abort_from_its_orbit():
     """It may come at any time, however much S has settled by then."""
     given = [LATE, "feedback.period_s=0.25"]
     safety = get_safety(load_scenario(TINY).with_assignments(given).problem())
-    branch, tracking, reference = Branch(0, safety), safety.tracking, safety.reference
+    tracking, reference = safety.tracking, safety.reference
+    branch = Branch(0, safety, Corrections(tracking))
     rows, sides = branch.goal.rows
     one = Zonotope(safety.start.c[None], safety.start.G[None])
     off = branch._reached(Takeover(0, -100_000, one, np.zeros((1, 4)), 0.0), None)[1]

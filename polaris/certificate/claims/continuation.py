@@ -44,12 +44,13 @@ class Tracker:
         if of not in self._known:
             doc, needs = self.document, Needs(self.craft, self.memory, rows)
             if doc.transients:
-                needs = replace(needs, upset=upset(needs, [*self.upsets], self._outages))
+                needs = replace(needs, upset=upset(needs, [*self.upsets], self.outages))
             self._known[of] = needs
         return self._known[of]
 
     @cached_property
-    def _outages(self) -> list[Differences]:
+    def outages(self) -> list[Differences]:
+        """Differences that losses of navigation make of the loop state."""
         return lost(self.document, self.craft, self.memory)
 
     @property

@@ -14,7 +14,7 @@ from flint import arb
 from ..files.artefacts import Stated
 from ..files.document import Document
 from ..files.parts import Branch, Way
-from ..kernel.balls import largest, magnitude, plain, require
+from ..kernel.balls import largest, magnitude, plain, require, smallest
 from ..kernel.verdict import Rejected
 from ..kernel.zonotopes import Zonotope, widest
 from ..model.craft.needs import Needs
@@ -23,6 +23,7 @@ from ..model.timing import owed
 from .arrival import Arrival
 from .coasting import JUMP_SLACK, check_end, flown_path
 from .continuation import Continuation, HandOver, Tracker
+from .corrections import Corrections
 from .flights import Flown
 from .goal_rows import Weighted
 from .recovery import TOLD_SLACK
@@ -48,10 +49,11 @@ def check_aborts(tracker: Tracker, sets: list[Zonotope], flown: list[Flown], sta
         before += step
         since = k + 1 if mode else since
     facets = [row for branch in powered.branches for row in branch.facets]
+    corrections = Corrections(tracker)
     for place, branch in enumerate(powered.branches):
         served = [taken for taken in takeovers if taken.way.branch == place]
         if served:
-            along = Along.of(branched(document, branch), branch, tracker, facets, stated)
+            along = Along.of(branched(document, branch), branch, corrections, facets, stated)
             along.flight.keeps(
                 {taken.handed.first + i: z for taken in served for i, z in enumerate(taken.sets)}
             )
@@ -78,20 +80,22 @@ class Along:
 
     flight: Continuation
     branch: Branch
+    corrections: Corrections
     orbit: dict[str, Any] | None
 
     @classmethod
     def of(
-        cls, doc: Document, branch: Branch, tracker: Tracker, facets: list[list[int]], stated: Stated
+        cls, doc: Document, branch: Branch, corrections: Corrections, facets: list[list[int]], stated: Stated
     ) -> "Along":
         """The exact motion under the inputs, which are within the limits, and it may coast."""
+        tracker = corrections.tracker
         path = flown_path(doc, tracker.craft.plant, branch.tail)
         size = [float(largest(abs(x) for x in start.entries())) for start in path.starts]
         off = largest(magnitude(path.jump).entries())
         require(CLAIM, JUMP_SLACK * max(1.0, *size) - off, "the tail of a branch starts elsewhere")
         within_limits(doc, doc.inputs, CLAIM, "a branch")
         check_end(doc, path)
-        return cls(Continuation(doc, path, tracker, facets), branch, stated.orbit)
+        return cls(Continuation(doc, path, tracker, facets), branch, corrections, stated.orbit)
 
     @cached_property
     def _orbit(self) -> tuple[Weighted, Needs]:
@@ -131,16 +135,39 @@ class Along:
         )
 
     def spent(self, taken: Takeover, cell: int) -> arb:
-        """Bound on S's velocity change from the abort until the start of a cell [m/s]."""
+        """Bound on S's velocity change from the abort until the start of a cell [m/s].
+
+        The lesser of the sum of its periods' bounds and of that of all periods at once.
+        """
         doc, tracker = self.flight.document, self.flight.tracker
         plant, needs = tracker.craft.plant, tracker.needs("commands", tracker.commands)
-        periods, unasked = range(taken.k * doc.q, cell * doc.q), [arb(0)]
-        total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), owed(plant))
+        together, unasked = self._together(taken, cell), [arb(0)]
+        periods = range(taken.k * doc.q, cell * doc.q)
+        total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
             wrong = [sum(push, arb(0)) + sum(plant.thruster_part(push), arb(0)) for push in pushes]
             unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
-        return (total + largest(unasked)) / doc.mass
+        total += largest(unasked)
+        total = total if together is None else smallest([total, together])
+        return (total + owed(plant)) / doc.mass
+
+    def _together(self, taken: Takeover, cell: int) -> arb | None:
+        """Bound the same by all periods at once since S may have taken over, what is owed apart [N s]."""
+        corrections, doc = self.corrections, self.flight.document
+        if corrections.mean is None:
+            return None
+        plant, first = corrections.tracker.craft.plant, min(taken.handed.first, taken.k * doc.q)
+        count, inputs = cell * doc.q - first, doc.inputs[first // doc.q : cell]
+        parts = (
+            count * corrections.mean,
+            corrections.once(taken.sets, count),
+            corrections.planned(inputs, doc.q),
+            corrections.moved(self.flight.jump, count),
+            corrections.late(count),
+        )
+        longest = 1 + 2 * arb(plant.jitter) / plant.h
+        return longest * sum(parts, arb(0)) * plant.h
 
 
 def branched(document: Document, branch: Branch) -> Document:

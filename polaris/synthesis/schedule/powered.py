@@ -5,7 +5,8 @@ was planned beforehand; one branch serves the steps before it for as long as all
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,9 @@ from ...planning.reference import Reference
 from ...planning.solve import plan
 from ..controllers.controllers import TubeSegment
 from ..safety.attempts import perceive_unsafe, plan_problem
-from ..safety.carried_rows import CarriedRows
+from ..safety.carried_rows import CarriedRows, Tube
 from ..safety.clearance import Clearance
+from ..safety.corrections import Corrections
 from ..safety.end_condition import coast, judge_end, tail_length
 from ..safety.get_safety import Safety, get_recover
 from ..safety.problem import PoweredAbort, Problem
@@ -32,6 +34,9 @@ from .takeover import Branch, Takeover, Way
 
 LATEST = 0.25
 """Share of the time that an abort may take after which, at the latest, its branch leaves the reference."""
+ARRIVES = 1.0, 0.8
+"""Shares of that time after which the plan of a branch ends: a shorter flight spends less on corrections, and
+the errors of its last commands fade before the orbit is due."""
 PROGRAMS = 300  # most linear programs that the plan of one branch takes
 TOLD = "leaves_s", "by_s", "delta_v_m_s", "safe_until_s"  # of an abort in a step, as in `PoweredSafety.told`
 
@@ -93,12 +98,13 @@ def powered(
     if asked is None:
         return None
     taken = Takeover.each(safety, flown, spent)
+    search = BranchSearch(safety, asked, taken)
     if asked.goal is None:
-        own = Branch(safety.problem.K, safety)
+        own = Branch(safety.problem.K, safety, search.corrections)
         return PoweredSafety(asked, delta, (own,), tuple(own.serve(each, asked, 0) for each in taken))
     if known is not None:
         parts = zip(known.steps, known.inputs, known.facets, strict=True)
-        made = tuple(_branch(safety, asked, *part) for part in parts)
+        made = tuple(search.branch(*part) for part in parts)
         found = (
             Way(None, why=why) if place is None else made[place].serve(each, asked, place)
             for each, place, why in zip(taken, known.serve, known.why, strict=True)
@@ -106,10 +112,10 @@ def powered(
         return PoweredSafety(asked, delta, made, tuple(found))
     branches, ways = list[Branch](), list[Way]()
     while len(ways) < len(taken):
-        served, lost = list[Way](), Way(None, why="there is no time for a branch")
-        for branch in _branches(safety, asked, taken, len(ways)):
+        served, lost = list[Way](), list[Way]()
+        for branch in search.branches(len(ways)):
             if isinstance(branch, str):
-                lost = Way(None, why=branch)
+                lost.append(Way(None, why=branch))
                 continue
             for each in taken[len(ways) : branch.step]:
                 way = branch.serve(each, asked, len(branches))
@@ -119,86 +125,109 @@ def powered(
             if served:
                 branches.append(branch)
                 break
-            lost = way
-        ways += served or [lost]
+            lost.append(way)
+        ways += served or [
+            min(lost, key=lambda way: way.lacks, default=Way(None, why="there is no time for a branch"))
+        ]
     return PoweredSafety(asked, delta, tuple(branches), tuple(ways))
 
 
-def _branches(
-    safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], k: int
-) -> Iterator[Branch | str]:
-    """Branches for aborts from step k on, those first that leave late; or why there is none."""
-    assert asked.within is not None
-    time = int(asked.within / safety.problem.delta * (1 + ROUNDING))
-    stride = max(1, round(LATEST * time))
-    for ahead in dict.fromkeys((stride, max(1, stride // 2), 1)):
-        b = min(k + ahead, len(taken))
-        if b < k + time:
-            yield _leave(safety, asked, taken[k:b], k + time - b)
+@dataclass(frozen=True, eq=False)
+class BranchSearch:
+    """Search for branches that serve steps from the sets which S may take over in them."""
 
+    safety: Safety
+    asked: PoweredAbort
+    taken: Sequence[Takeover]
+    _tubes: dict[tuple[bytes, int], list[tuple[int, Tube]]] = field(default_factory=dict, repr=False)
 
-def _leave(safety: Safety, asked: PoweredAbort, taken: Sequence[Takeover], n: int) -> Branch | str:
-    """A branch of n steps towards the orbit, after the last of some steps; or why there is none."""
-    b, tracking = taken[-1].k + 1, safety.tracking
-    problem, tail = _aborted(safety, asked, b + n), tail_length(tracking)
-    unsafe = perceive_unsafe(problem, problem.K + tail)
-    most = min(problem.planner.max_linear_programs, PROGRAMS)
-    try:
-        wanted = _wanted(plan_problem(problem, tracking, unsafe), safety, taken, tail)
-        found = plan(wanted, replace(problem.planner, max_linear_programs=most, progress=None))
-    except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
-        return f"no branch is found: {error}"
-    facets = np.vstack([safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
-    return _branch(safety, asked, b, found.nu, facets)
+    @cached_property
+    def corrections(self) -> Corrections:
+        """Bounds on S's corrections, along whatever branch."""
+        return Corrections(self.safety.tracking)
 
+    def branches(self, k: int) -> Iterator[Branch | str]:
+        """Yield branches for aborts from step k on, late ones first; or why there is none."""
+        assert self.asked.within is not None
+        time, steps = int(self.asked.within / self.safety.problem.delta * (1 + ROUNDING)), len(self.taken)
+        stride = max(1, round(LATEST * time))
+        for b in dict.fromkeys(min(k + ahead, steps) for ahead in (stride, max(1, stride // 2), 1)):
+            for arrives in dict.fromkeys(k + round(share * time) for share in ARRIVES):
+                if b < arrives:
+                    yield (branch := self._leave(k, b, arrives - b))
+                    if isinstance(branch, str):
+                        break  # less time will not do
 
-def _aborted(safety: Safety, asked: PoweredAbort, K: int) -> Problem:
-    """Return the problem of a flight that is aborted and reaches the orbit after K steps."""
-    near, slow, goal = asked.tolerance, asked.velocity_tolerance, asked.goal or safety.problem.goal
-    aborted = replace(safety.problem, K=K, abort=None, powered=None)
-    return replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
+    def _leave(self, k: int, b: int, n: int) -> Branch | str:
+        """Return a branch of n steps that leaves at the start of step b > k; or why there is none."""
+        tracking = self.safety.tracking
+        problem, tail = self._aborted(b + n), tail_length(tracking)
+        unsafe = perceive_unsafe(problem, problem.K + tail)
+        most = min(problem.planner.max_linear_programs, PROGRAMS)
+        try:
+            wanted = self._wanted(plan_problem(problem, tracking, unsafe), self.taken[k:b], tail)
+            found = plan(wanted, replace(problem.planner, max_linear_programs=most, progress=None))
+        except (SynthesisInfeasible, NotCertified, OutOfTime) as error:
+            return f"no branch is found: {error}"
+        facets = np.vstack([self.safety.clearance.facets[:b], found.facets.T, found.tail_facets.T])
+        return self.branch(b, found.nu, facets)
 
+    def _aborted(self, K: int) -> Problem:
+        """Return the problem of a flight that is aborted and reaches the orbit after K steps."""
+        problem, asked = self.safety.problem, self.asked
+        near, slow, goal = asked.tolerance, asked.velocity_tolerance, asked.goal or problem.goal
+        aborted = replace(problem, K=K, abort=None, powered=None)
+        return replace(aborted, goal=goal, goal_tolerance=near, goal_velocity_tolerance=slow)
 
-def _branch(safety: Safety, asked: PoweredAbort, b: int, inputs: Array, facets: NDArray[np.int_]) -> Branch:
-    """Return the branch that leaves the reference at the start of step b and flies these inputs."""
-    problem, tracking = _aborted(safety, asked, b + len(inputs)), safety.tracking
-    tail = tail_length(tracking)
-    unsafe = perceive_unsafe(problem, problem.K + tail)
-    nu = np.vstack([safety.reference.nu[:b], inputs])
-    path = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, nu)
-    reference, jump = coast(path, tail)
-    clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
-    recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
-    end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
-    start = recoverable.margin_at(0, safety.start)
-    proven = replace(safety, clearance=clearance, recoverable=recoverable, start_margin=start, end=end)
-    found = known_plan(path, problem.K, facets)
-    return Branch(b, replace(proven, problem=problem, plan=found, reference=reference))
+    def branch(self, b: int, inputs: Array, facets: NDArray[np.int_]) -> Branch:
+        """Return the branch that leaves the reference at the start of step b and flies these inputs."""
+        safety, tracking = self.safety, self.safety.tracking
+        problem, tail = self._aborted(b + len(inputs)), tail_length(tracking)
+        unsafe = perceive_unsafe(problem, problem.K + tail)
+        nu = np.vstack([safety.reference.nu[:b], inputs])
+        path = Reference.propagate(problem.system, problem.delta, problem.initial_set.c, nu)
+        reference, jump = coast(path, tail)
+        clearance = Clearance(tracking, reference, unsafe, facets, problem.K, jump)
+        recoverable = get_recover(problem.recoverable, clearance, safety.bounds)
+        end = judge_end(tracking, reference, problem.K, tail, unsafe, safety.start_margin)
+        start = recoverable.margin_at(0, safety.start)
+        proven = replace(safety, clearance=clearance, recoverable=recoverable, start_margin=start, end=end)
+        proven = replace(
+            proven, problem=problem, plan=known_plan(path, problem.K, facets), reference=reference
+        )
+        return Branch(b, proven, self.corrections)
 
+    def _wanted(self, asked: PlanProblem, taken: Sequence[Takeover], tail: int) -> PlanProblem:
+        """Return the planning problem of a branch, with what S needs where it may take over."""
+        safety, tracking, system = self.safety, self.safety.tracking, asked.system
+        b, q = taken[-1].k + 1, tracking.feedback.nodes_per_cell
+        chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]
 
-def _wanted(asked: PlanProblem, safety: Safety, taken: Sequence[Takeover], tail: int) -> PlanProblem:
-    """The planning problem of a branch: from the reference on, with what S needs where it may take over."""
-    tracking, system, b = safety.tracking, asked.system, taken[-1].k + 1
-    chi = Reference.propagate(system, asked.delta, asked.x0, safety.reference.nu[:b]).chi[-1]
+        def needed(rows: Array) -> Array:
+            tubes = (each for one in taken for each in self._from(one, rows))
+            parts = [tube.over_cells(asked.K, q, node)[b:] for node, tube in tubes]
+            most: Array = np.max(parts, axis=0) * (1 + SPARE)
+            return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 
-    def needed(rows: Array) -> Array:
-        table, parts = CarriedRows.of(tracking, rows), []
-        for each in taken:
-            for i in {0, len(each.sets) // 2, len(each.sets) - 1}:
-                one = Zonotope(each.sets.c[i], each.sets.G[i])
-                one = one.inflate(np.pad(each.bow[i], (0, one.dim - system.n)))
-                q, node = tracking.feedback.nodes_per_cell, each.first + i
-                parts.append(table.tube(one).over_cells(asked.K, q, node)[b:])
-        most: Array = np.max(parts, axis=0) * (1 + SPARE)
-        return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
+        margins = [
+            np.maximum(known[b:], needed(-body.normals @ system.position))
+            for body, known in zip(asked.unsafe, asked.margins, strict=True)
+        ]
+        thrust = needed(tracking.commands).reshape(asked.K - b, 2, -1).max(axis=1)
+        left = system.u_max * (1 - SPARE) - thrust - tracking.worst_noise
+        unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in asked.unsafe)
+        limit = np.maximum(np.minimum(asked.u_limit[b:], left), 0.0)
+        asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
+        return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)
 
-    margins = [
-        np.maximum(known[b:], needed(-body.normals @ system.position))
-        for body, known in zip(asked.unsafe, asked.margins, strict=True)
-    ]
-    thrust = needed(tracking.commands).reshape(asked.K - b, 2, -1).max(axis=1)
-    left = system.u_max * (1 - SPARE) - thrust - tracking.worst_noise
-    unsafe = tuple(replace(body, offsets=body.offsets[b:]) for body in asked.unsafe)
-    limit = np.maximum(np.minimum(asked.u_limit[b:], left), 0.0)
-    asked = replace(asked, x0=chi, K=asked.K - b, unsafe=unsafe, margins=tuple(margins), u_limit=limit)
-    return replace(asked, objective="fuel", extra_margin=0.0, tail_cells=tail)
+    def _from(self, taken: Takeover, rows: Array) -> list[tuple[int, Tube]]:
+        """Needs along rows from some of the sets that S may take over in a step, and at which nodes."""
+        key, n = (rows.tobytes(), taken.k), self.safety.problem.system.n
+        if key not in self._tubes:
+            table = CarriedRows.of(self.safety.tracking, rows)
+            self._tubes[key] = []
+            for i in sorted({0, len(taken.sets) // 2, len(taken.sets) - 1}):
+                one = Zonotope(taken.sets.c[i], taken.sets.G[i])
+                one = one.inflate(np.pad(taken.bow[i], (0, one.dim - n)))
+                self._tubes[key].append((taken.first + i, table.tube(one)))
+        return self._tubes[key]

@@ -12,6 +12,7 @@ from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import TubeSegment
 from ..safety.continuation import HandOver
+from ..safety.corrections import Corrections
 from ..safety.get_safety import Safety
 from ..safety.problem import PoweredAbort
 from ..safety.recoverable import directed
@@ -65,6 +66,11 @@ class Way:
     short: float = 0.0  # by how much, in the unit of what lacks; 0 if no branch is found
     budget: str = ""  # what to raise, if only a budget is in the way
 
+    @property
+    def lacks(self) -> tuple[bool, bool, float]:
+        """Order of reasons, the least first: a budget, anything else that is short, no branch at all."""
+        return not self.budget, not self.short, self.short
+
 
 @dataclass(frozen=True, eq=False)
 class Branch:
@@ -72,6 +78,7 @@ class Branch:
 
     step: int
     safety: Safety
+    corrections: Corrections
 
     @cached_property
     def goal(self) -> Nearness:
@@ -113,10 +120,31 @@ class Branch:
         return (K + int(there[0]) if len(there) else None), float(off.min())
 
     def _spent(self, taken: Takeover, end: int) -> float:
-        """Bound on S's velocity change from an abort in a step until the start of a cell [m/s]."""
+        """Bound on S's velocity change from an abort in a step until the start of a cell [m/s].
+
+        The lesser of the sum of its periods' bounds and of that of all periods at once.
+        """
         system, q = self.safety.problem.system, self.safety.clearance.q
         spent = tracked(self.goal.commands, [taken.handed], taken.k * q, end * q)
         wrong = (fault.wrong(system.thrusters).sum(axis=1) * fault.lasts for fault in system.transients)
         more = float(np.max(np.concatenate([np.zeros(1), *wrong])))  # [N s], until a fault is isolated
-        more += system.owed
-        return (spent + more / system.mass) * (1 + SPARE)
+        spent = min(spent + more / system.mass, self._together(taken, end))
+        return (spent + system.owed / system.mass) * (1 + SPARE)
+
+    def _together(self, taken: Takeover, end: int) -> float:
+        """Bound the same by all periods at once since S may have taken over, what is owed apart [m/s]."""
+        mean, system = self.corrections.mean, self.safety.problem.system
+        if mean is None:
+            return np.inf
+        reference, clearance = self.safety.reference, self.safety.clearance
+        first, last = min(taken.first, taken.k * clearance.q), end * clearance.q
+        inputs, count = np.repeat(reference.nu, clearance.q, axis=0)[first:last], last - first
+        moved = clearance.jump + count * reference.rounding.max(axis=0)
+        parts = (
+            count * mean,
+            self.corrections.once(taken.sets, count),
+            self.corrections.planned(inputs),
+            self.corrections.moved(moved, count),
+            self.corrections.late(count),
+        )
+        return system.longest * sum(parts) * self.safety.tracking.flow.h / system.mass

@@ -1,0 +1,174 @@
+"""Bound on S's corrections over a whole flight along one path (docs/theory.md, Proposition 15 (d)).
+
+A correction is what S commands beside the inputs of its path. One part answers to what disturbs in every
+period: a storage function bounds its mean. The other part answers to what happens once or is known before
+the flight: sums of impulse responses bound it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
+from typing import Any
+
+from flint import arb, arb_mat
+
+from ..kernel.balls import (
+    above,
+    beside,
+    column,
+    diagonal,
+    identity,
+    largest,
+    magnitude,
+    maxima,
+    row_sums,
+    sums,
+    widths,
+)
+from ..kernel.zonotopes import Zonotope, times
+from ..model.craft.needs import Differences, Needs, difference_along
+from ..model.plants import WHOLE
+from .continuation import Tracker
+from .mean_commands import MeanCommands
+
+NEAR = 2
+"""Part of the settling horizon, one over it, in which generators of a set are followed; then its box is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Bounds on sums over periods of S's corrections, along any path."""
+
+    tracker: Tracker
+
+    @cached_property
+    def _loop(self) -> MeanCommands:
+        """Values that enter in every period of whatever step, under any commands."""
+        doc, craft = self.tracker.document, self.tracker.craft
+        steps = (craft.extra(doc, k) for k in range(doc.steps + 1))
+        off = sums(maxima(*steps), craft.lagged(craft.plant.u_max))
+        return MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), off)
+
+    @cached_property
+    def mean(self) -> arb | None:
+        """Bound on the thrust that answers to them on average [N], None if there is no bound."""
+        plant, lasting = self.tracker.craft.plant, self._loop.lasting()
+        if lasting is None or self._amplified is None:
+            return None
+        return lasting.cost + plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(plant.u_max))))
+
+    @cached_property
+    def _needs(self) -> Needs:
+        """Needs of commands."""
+        return Needs(self.tracker.craft, self.tracker.memory, self.tracker.craft.commands)
+
+    @cached_property
+    def _summed(self) -> arb_mat:
+        """Sums over the settling horizon of the sizes of commands by a unit of each loop state, (m, N)."""
+        first, *others = map(magnitude, self._needs.carried[: self.tracker.memory.periods])
+        return sum(others, first)
+
+    @cached_property
+    def _by_error(self) -> arb_mat:
+        """Sum of the answers to a unit error of each input in one period, shape (m, m)."""
+        craft, needs, columns = self.tracker.craft, self._needs, list[arb_mat]()
+        for unit in identity(len(craft.plant.u_max)).tolist():
+            box = craft.thrust_gains(identity(craft.F.nrows())) * column(unit)
+            columns.append(column(sums(needs.thrust.always(unit), needs.late(box))))
+        return beside(*columns)
+
+    @cached_property
+    def _amplified(self) -> arb_mat | None:
+        """Sum of commands by a sum of commands, errors of thrusters that they cause included, (m, m)."""
+        fed = self._by_error * self.tracker.craft.plant.table
+        if not largest(row_sums(fed)) < 1:
+            return None
+        return (identity(fed.nrows()) - fed).inv()
+
+    def _spent(self, answers: Sequence[arb]) -> arb:
+        """Thrust by sums of answers (m,) from which errors of thrusters are left out."""
+        assert self._amplified is not None
+        commands = self._amplified * column([x.upper() for x in answers])
+        return sum((s * x for s, x in zip(self._loop.spends, commands.entries(), strict=True)), arb(0))
+
+    def _later(self, size: arb_mat, count: int) -> list[arb]:
+        """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N, 1), (m,)."""
+        more = max(count - self.tracker.memory.periods, 0)
+        return [x * more for x in self._needs.still(size)]
+
+    def planned(self, inputs: Sequence[Sequence[float]], q: int) -> arb:
+        """Bound the thrust of inputs of a path, and of corrections of their errors [N].
+
+        `inputs` (steps, m) are those of steps of q periods.
+        """
+        plant, m = self.tracker.craft.plant, len(self.tracker.craft.plant.u_max)
+        sizes = [[abs(arb(x)) for x in u] for u in inputs]
+        total = sums([arb(0)] * m, *sizes)
+        errors = sums([arb(0)] * m, *(plant.thruster_part(u) for u in sizes if any(x > 0 for x in u)))
+        own = sum((s * x for s, x in zip(self._loop.spends, total, strict=True)), arb(0))
+        return (own + self._spent((self._by_error * column(errors)).entries())) * q
+
+    @cached_property
+    def _near(self) -> tuple[arb_mat, arb_mat]:
+        """Answers in the first part of the settling horizon, and sums of the sizes of the rest."""
+        carried, count = (
+            self._needs.carried[: self.tracker.memory.periods],
+            self.tracker.memory.periods // NEAR,
+        )
+        first, *others = map(magnitude, carried[count:])
+        return above(*carried[:count]), sum(others, first)
+
+    def once(self, sets: Sequence[Zonotope], count: int) -> arb:
+        """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
+        near, far = self._near
+        m, most = far.nrows(), list[arb]()
+        for z in sets:
+            each = [abs(x).upper() for x in (near * z.c).entries()]
+            for part in z.parts:
+                each = sums(each, widths(times(near, part)))
+            size = z.size()
+            answered = [sum(each[i::m], arb(0)) for i in range(m)]
+            most.append(self._spent(sums(answered, (far * size).entries(), self._later(size, count))))
+        return largest(most)
+
+    def moved(self, size: arb_mat, count: int) -> arb:
+        """Bound the thrust that answers to errors up to some size, shape (n, 1) [N]."""
+        size = self.tracker.craft.lifted(size)
+        return self._spent(sums((self._summed * size).entries(), self._later(size, count)))
+
+    def late(self, count: int) -> arb:
+        """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
+
+        Until then every command answers to no more than what it has moved by then.
+        """
+        needs, plant, most = self._needs, self.tracker.craft.plant, [arb(0)]
+        carried = needs.carried[: self.tracker.memory.periods]
+        for fault, flights, wrong in self._faults():
+            each = [difference_along(rows, flights) for rows in carried]
+            size = column(difference_along(identity(carried[0].ncols()), flights))
+            predicted = not fault.get("pushes") and self.tracker.document.observer is None
+            meanwhile = [] if predicted else [[x * self._until(fault) for x in each[0]]]
+            answers = sums(*each, self._later(magnitude(size), count), *meanwhile)
+            most.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
+        return largest(most)
+
+    def _until(self, fault: dict[str, Any]) -> int:
+        """Number of periods in which commands may answer to a fault before it is isolated."""
+        timing, h = self.tracker.document.timing, self.tracker.craft.plant.h
+        until = fault["lasts"] + timing.get("delay", 0.0) + h * (2 * timing.get("missed", 0) + 1)
+        return ceil(float((until / h).mid()) * (1 - WHOLE))
+
+    def _faults(self) -> Iterator[tuple[dict[str, Any], Differences, arb]]:
+        """Return faults, what each kind of wrong thrust makes of the loop state, and its sum [N]."""
+        tracker = self.tracker
+        plant, boxes, lost = tracker.craft.plant, iter(tracker.upsets), iter(tracker.outages)
+        for fault in tracker.document.transients:
+            if not fault.get("pushes"):
+                yield fault, next(lost), arb(0)
+            for push in fault.get("pushes") or []:
+                box, size = tracker.craft.lifted(next(boxes)), list(map(arb, push))
+                wrong = sum(sums(size, plant.thruster_part(size)), arb(0))
+                yield fault, [(diagonal(box.entries()), arb_mat(box.nrows(), 0))], wrong

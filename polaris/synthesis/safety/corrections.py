@@ -1,0 +1,133 @@
+"""Bound on S's corrections over a whole flight along one path (docs/theory.md, Proposition 15 (d)).
+
+A correction is what S commands beside the inputs of its path. One part answers to what disturbs in every
+period: a storage function bounds its mean. The other part answers to what happens once or is known before
+the flight: sums of impulse responses bound it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from reach.sets.zonotope import Zonotope
+
+from ...model.system import Array
+from ...model.timing import Transient
+from ...model.tolerances import ROUNDING
+from ..sources.late_faults import touched
+from ..sources.outages import Difference
+from ..sources.thrusters import THRUSTERS
+from ..tracker.long_flight import Inputs
+from ..tracker.tracking import Tracking
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Bounds on sums over periods of S's corrections, along any path."""
+
+    tracking: Tracking
+
+    @cached_property
+    def _inputs(self) -> Inputs:
+        """Values that enter in every period of whatever step, under any commands."""
+        tracking, system = self.tracking, self.tracking.system
+        off = tracking.step_errors.max(axis=0)
+        return Inputs.of(tracking.tightening.closed, system, (system.u_max,) * 2, off, np.zeros(system.n))
+
+    @cached_property
+    def mean(self) -> float | None:
+        """Bound on the thrust that answers to them on average [N], None if there is no bound."""
+        lasting, system = self._inputs.lasting(), self.tracking.system
+        if lasting is None or self._amplified is None:
+            return None
+        return lasting[1] + float(np.sum(system.weights * system.on_time.bit))
+
+    @cached_property
+    def _answers(self) -> Array:
+        """Commands by a unit of the loop state l periods before, ``K F^l``, shape (horizon, m, N)."""
+        limits = self.tracking.tightening
+        return limits.carried(limits.closed.K)[: limits.horizon]
+
+    @cached_property
+    def _summed(self) -> Array:
+        """Sums of the sizes of the answers, shape (m, N)."""
+        return np.asarray(np.abs(self._answers).sum(axis=0))
+
+    @cached_property
+    def _by_error(self) -> Array:
+        """Sum of the answers to a unit error of each input in one period, shape (m, m)."""
+        limits, total = self.tracking.tightening, np.zeros((self.tracking.system.m,) * 2)
+        for channel in limits.closed.loop.channels:
+            if channel.name == THRUSTERS:
+                response = self.tracking.response(channel, limits.closed.K)
+                total = response.gains.sum(axis=0) + response.older
+        return np.asarray(total)
+
+    @cached_property
+    def _amplified(self) -> Array | None:
+        """Sum of commands by a sum of commands, errors of thrusters that they cause included, (m, m)."""
+        fed = self._by_error @ self.tracking.system.thrusters.table(self.tracking.system.m)
+        if not fed.sum(axis=1).max() < 1:
+            return None
+        return np.asarray(np.linalg.inv(np.eye(len(fed)) - fed))
+
+    def _spent(self, sums: Array) -> float:
+        """Thrust by sums of answers (m,) from which errors of thrusters are left out."""
+        assert self._amplified is not None
+        return float(self._inputs.spends @ self._amplified @ sums) * (1 + ROUNDING)
+
+    def _later(self, sizes: Array, count: int) -> Array:
+        """Sums of what is left, beyond the settling horizon, of loop states up to some sizes (N,), (m,)."""
+        limits = self.tracking.tightening
+        rest = limits.remainder(limits.closed.K) * np.max(sizes / limits.v)
+        return np.asarray(rest * max(count - limits.horizon, 0))
+
+    def planned(self, inputs: Array) -> float:
+        """Bound the thrust of inputs of a path, and of corrections of their errors [N].
+
+        `inputs` (periods, m) are those of every period.
+        """
+        errors = self.tracking.system.thrusters.part(np.abs(inputs)).sum(axis=0)
+        own = float(self._inputs.spends @ np.abs(inputs).sum(axis=0))
+        return own + self._spent(self._by_error @ errors)
+
+    def once(self, sets: Zonotope, count: int) -> float:
+        """Bound the thrust in so many periods that answers to one loop state in any of the sets [N]."""
+        sets = self.tracking.whole_state(sets)
+        answers, most = self._answers.reshape(-1, sets.dim), 0.0
+        for c, G in zip(sets.c, sets.G, strict=True):
+            each = (np.abs(answers @ c) + np.abs(answers @ G).sum(axis=-1)).reshape(len(self._answers), -1)
+            later = self._later(np.abs(c) + np.abs(G).sum(axis=-1), count)
+            most = max(most, self._spent(each.sum(axis=0) + later))
+        return most
+
+    def moved(self, size: Array, count: int) -> float:
+        """Bound the thrust that answers to errors up to some size, shape (n,) [N]."""
+        size = np.pad(size, (0, self.tracking.loop.N - len(size)))
+        return self._spent(self._summed @ size + self._later(size, count))
+
+    def late(self, count: int) -> float:
+        """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
+
+        Until then every command answers to no more than what it has moved by then.
+        """
+        system, h, most = self.tracking.system, self.tracking.flow.h, 0.0
+        for fault, difference, wrong in self._faults():
+            sums = difference.along(self._answers).sum(axis=0)
+            sums = sums + self._later(difference.along(np.eye(self.tracking.loop.N)), count)
+            until = fault.lasts + system.timing.delay + h * (2 * system.timing.missed + 1)
+            predicted = not len(fault.thrust) and self.tracking.loop.settled is None
+            meanwhile = 0.0 if predicted else touched(until, h)
+            sums = sums + meanwhile * difference.along(self._answers[0])
+            most = max(most, self._spent(sums) + wrong * fault.lasts / h)
+        return most
+
+    def _faults(self) -> Iterator[tuple[Transient, Difference, float]]:
+        """Return faults, what each kind of wrong thrust makes of the loop state, and its sum [N]."""
+        left = iter(self.tracking.upsets)
+        for fault in self.tracking.system.transients:
+            wrong = fault.wrong(self.tracking.system.thrusters).sum(axis=1) if len(fault.thrust) else [0.0]
+            for each in wrong:
+                yield fault, next(left), float(each)
