@@ -42,6 +42,7 @@ def certificate(schedule: Schedule, name: str, files: Iterable[Path] = ()) -> di
         "reference": {"states": safety.reference.chi, "inputs": safety.reference.nu},
         "modes": schedule.modes,
         "slopes": [step.tube.slopes for step in schedule.steps],  # None where nothing clips
+        **_weights(schedule),
         **({} if (profile := safety.tracking.profile) is None else {"profile": profile}),
         "recoverable": safety.recoverable.kind,
         **_drift(schedule),
@@ -73,6 +74,12 @@ def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
         {"name": item.name, "keep_in": item.keep_in, "normals": item.normals, "offsets": item.offsets[:cells]}
         for item in known
     ]
+
+
+def _weights(schedule: Schedule) -> dict[str, Any]:
+    """Return weights by which the velocity change is bounded, step by step; None where it is not linear."""
+    known = [None if each is None else [*each.r, *each.b] for each in schedule.spending.weights]
+    return {"weights": known} if any(known) else {}
 
 
 def _drift(schedule: Schedule) -> dict[str, Any]:

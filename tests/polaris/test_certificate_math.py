@@ -3,6 +3,7 @@
 import math
 from contextlib import nullcontext
 from copy import copy
+from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from itertools import combinations, product
@@ -24,8 +25,9 @@ from polaris.certificate.claims.argument import Argument
 from polaris.certificate.claims.coasting import prolonged
 from polaris.certificate.claims.drift import Departures, Drifts
 from polaris.certificate.claims.flights import fly
+from polaris.certificate.claims.mean_commands import MeanCommands
 from polaris.certificate.claims.recovery import Recovery
-from polaris.certificate.claims.spending import together
+from polaris.certificate.claims.storage import together
 from polaris.certificate.files.document import Document, digest
 from polaris.certificate.files.parts import Departure
 from polaris.certificate.kernel.arcs import Arc
@@ -432,10 +434,15 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
     h, k, e = 2 * math.pi, 0.5, 0.01
     A, one = matrix([[0.0, 1], [-1, 0]]), identity(2)
     plant = Plant(A, matrix([[0.0], [1]]), one, one, [arb(1)], arb(0), arb(h))
-    pilot = SimpleNamespace(craft=loop_of_errors(plant, matrix([[0.0, k]])))
-    flight = SimpleNamespace(pilot=pilot, start=Zonotope(arb_mat(2, 1), arb_mat(2, 0)))
-    spell = Spell(arb(0), arb_mat(1, 1), ([arb(0)], [arb(e)]))
-    most = together(flight, [spell, spell])
+    plant = replace(plant, bits=[e], q=2)
+    craft = loop_of_errors(plant, matrix([[0.0, k]]))
+    spell = Spell(arb(0), arb_mat(1, 1), [arb(0)], -craft.commands, [arb(0)])
+    start, pilot = Zonotope(arb_mat(2, 1), arb_mat(2, 0)), SimpleNamespace(craft=craft, plant=plant)
+    flight = SimpleNamespace(pilot=pilot, start=start, spells=[spell, spell])
+    loop = MeanCommands(craft, [arb(e)], arb_mat(1, 1))
+    answers = [abs(float(x.mid())) + 1e-9 for x in (craft.commands * loop.enter).entries()]
+    each = [1.2 * sum(answers[i] for i in group) for group in loop.groups]
+    most = together([flight], [[sum(answers), *each, 1.0, 1.0]], 2)
     assert float(most) >= (2 * e + k * 4 * e) * h
 
 

@@ -17,7 +17,7 @@ from polaris.simulation.failing import Failing
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.truth import fly_true
 from polaris.simulation.simulate import simulate
-from polaris.synthesis.schedule.spending import Spell, together
+from polaris.synthesis.schedule.spending import FlightSpending, Spell
 from polaris.synthesis.schedule.synthesize import synthesize
 from reach.numerics.linear import discretize
 
@@ -223,12 +223,12 @@ def test_thrusters_spend_all_that_is_commanded_though_errors_take_a_part_of_it_b
         spells.append(Spell.of(law, law.fly(before, k), k))
         before = spells[-1].tube.end
     count = sum(len(spell.most) for spell in spells)
-    off, x, asked = spells[0].errors[1][0], np.zeros(4), 0.0
+    off, x, asked = system.thrusters.error(np.zeros(2)), np.zeros(4), 0.0
     Phi, Gamma = discretize(system.A, system.B, schedule.safety.tracking.flow.h)
     for _ in range(count):
         u = -law.gain @ x
         x, asked = Phi @ x + Gamma @ (u + off), asked + np.abs(u) @ system.weights
-    assert asked <= together(spells, count)
+    assert asked <= FlightSpending(spells, count).until(count)
 
 
 def layout(seed):

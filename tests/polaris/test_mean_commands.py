@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 pytest.importorskip("flint")
-from flint import arb, ctx
+from flint import arb, arb_mat, ctx
 
 from polaris.certificate.claims.mean_commands import MeanCommands
 from polaris.certificate.kernel.balls import (
     PRECISION,
     above,
     column,
+    diagonal,
     identity,
     largest,
     magnitude,
@@ -59,8 +60,11 @@ class Flown:
         """Return 1 if errors of a kind are flown, else 0."""
         return int(self.only in (None, kind))
 
-    def fly(self, ways):
-        """Commands under errors as large as may be, of given directions by period and error."""
+    def fly(self, ways, middle=0.0):
+        """Commands under errors as large as may be, of given directions by period and error.
+
+        Besides a middle (periods, m) that is commanded and flown.
+        """
         system, p, m = self.system, self.p, self.m
         pushes = ways[:, : self.thrusts].reshape(-1, PARTS, p + 2 * m)
         length = np.linalg.norm(pushes[:, :, :p], axis=2, keepdims=True)
@@ -68,7 +72,8 @@ class Flown:
         for k, (way, push) in enumerate(zip(ways, pushes, strict=True)):
             value = np.sign(way[self.thrusts :]) * self.sampled
             commands[k : k + REMEMBERED] += np.einsum("tri,r->ti", self.answers[:, self.thrusts :], value)
-            made = system.thrusters.error(np.abs(commands[k])) * self.has("thrusters")
+            u = commands[k] + np.broadcast_to(middle, ways.shape[:1] + (m,))[k]
+            made = system.thrusters.error(np.abs(u)) * self.has("thrusters")
             shifted = system.shifted * self.has("jitter")
             each = np.sign(push) * np.concatenate([np.zeros(p), made, shifted])
             each[:, :p] = system.w_max * self.has("disturbance") * push[:, :p] / np.maximum(length[k], 1e-12)
@@ -97,7 +102,8 @@ def loop(s, only=None):
             samples=craft.samples if only == "carried" else [],
             off=craft.off if only == "noise" else [arb(0)] * len(craft.off),
         )
-    return MeanCommands(craft, craft.plant.thruster_error(tops), off), needs, tops
+    seen = craft.gain * craft.carry * diagonal(craft.missed(off))
+    return MeanCommands(craft, craft.plant.thruster_error(tops), seen), needs, tops
 
 
 def bounds(s, only=None):
@@ -188,7 +194,7 @@ def test_squares_of_errors_and_what_is_spent_hold_for_layouts_and_without(seed):
     told = {"along": 0.1, "across": 0.05} if seed == 0 else {"shares": matrix(shares.tolist()).tolist()}
     told |= {} if seed == 0 else {"weights": tuple(map(arb, weights.tolist()))}
     craft = replace(craft, plant=replace(craft.plant, on_time=None, **told))
-    commands = MeanCommands(craft, [arb(0)] * 2, [arb(0)] * 4)
+    commands = MeanCommands(craft, [arb(0)] * 2, arb_mat(2, 0))
     u = rng.normal(size=(100, 2))
     error, counted = own.part(np.abs(u)), (np.abs(u) + own.part(np.abs(u))) @ system.weights
     squares = np.array([[float(x) for x in row] for row in commands.squares.tolist()])

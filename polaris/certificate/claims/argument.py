@@ -75,7 +75,8 @@ class Argument:
         if self.stated.goal is not None:
             last = max((k + 1 for k, mode in enumerate(doc.modes) if mode), default=0)
             held = tuple(HandOver(sets[k], k * doc.q, k * doc.q) for k in (last, self.K))
-            arrival = Arrival(flight, held, spent(flown) / doc.mass, self.pilots[0], merging)
+            taken = spent(flown, self.K * doc.q, doc.weights[: self.K]) / doc.mass
+            arrival = Arrival(flight, held, taken, self.pilots[0], merging, flown)
             self.record.holds("goal", arrival.check(*self.stated.goal))
             if self.stated.budget is not None:
                 self.record.holds("schedule", arrival.keeps(self.stated.goal[0], self.stated.budget))

@@ -1,6 +1,7 @@
 """Claims of the goal and of the velocity change, derived again from the sets of the argument."""
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -51,8 +52,10 @@ class Arrival:
     spent: arb
     pilot: Pilot | None = None  # S, where it is flown on
     merging: Merging | None = None  # of the sets that it flies
+    before: Sequence[Flown] = ()  # steps until T
     _flown: list[Flown] = field(default_factory=list, repr=False)
-    _joint: dict[int, arb] = field(default_factory=dict, repr=False)
+    _until: dict[int, arb] = field(default_factory=dict, repr=False)
+    _apart: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
     _summed: list[arb] = field(default_factory=lambda: [arb(0)], repr=False)
 
     @cached_property
@@ -89,7 +92,7 @@ class Arrival:
                     spare = claim["tolerance_m"] - largest((distance, arb(claim["distance_m"])))
                     require("goal", spare, f"{plain(distance)} m off, more than is tolerated")
                 self._drift(claim["drift_m_per_orbit"], node)
-                spent = self.spent + self.correcting(node)
+                spent = self.until(node) if reached else self.spent + self.correcting(node)
                 self.no_less("velocity change", claim["delta_v_max_m_s"], spent)
             except (Rejected, Undecided) as error:
                 refusals.append(error)
@@ -101,7 +104,7 @@ class Arrival:
     def keeps(self, claim: dict[str, Any], budget: float) -> str:
         """Refuse a schedule that may spend more than the scenario allows; returns what was confirmed."""
         if claim["reached"] is True:
-            spent, until = self.spent + self.correcting(self.node_at(claim["by_s"])), "the goal"
+            spent, until = self.until(self.node_at(claim["by_s"])), "the goal"
         else:
             spent, until = self.spent, "T: the goal is not claimed to be reached"
         told = f"{plain(spent)} m/s until {until}; the scenario allows {budget:g} m/s"
@@ -221,13 +224,28 @@ class Arrival:
         return Needs(tracker.craft, tracker.memory, above(matrix([row]), -matrix([row])))
 
     def correcting(self, nodes: int) -> arb:
-        """Bound on S's velocity change over periods after T [m/s]."""
+        """Bound on S's velocity change over periods after T, each for itself [m/s]."""
         for node in range(len(self._summed) - 1, nodes):
             more = self.flight.spent(self._commands, self.held, self._first + node)
             self._summed.append(self._summed[-1] + more)
-        if nodes not in self._joint:
-            self._joint[nodes] = spent(self.after(nodes), nodes)
-        return smallest([self._summed[nodes], self._joint[nodes]]) / self.document.mass
+        flown = self.after(nodes)
+        for node in range(len(self._apart) - 1, nodes):
+            step, place = divmod(node, self.document.q)
+            self._apart.append(self._apart[-1] + flown[step].spells[place].spent)
+        return smallest([self._summed[nodes], self._apart[nodes]]) / self.document.mass
+
+    def until(self, node: int) -> arb:
+        """Bound on the velocity change until a node after T [m/s]."""
+        if node not in self._until:
+            flown, jump = (
+                [*self.before, *self.after(node)],
+                self.flight.tracker.craft.lifted(self.flight.jump),
+            )
+            given = self._first + node, self.document.weights, (self.document.steps, jump)
+            apart = self.spent + self.correcting(node)
+            whole = spent(flown, *given) / self.document.mass if self.document.weights else apart
+            self._until[node] = smallest([apart, whole])
+        return self._until[node]
 
     def tops(self, node: int) -> list[arb]:
         """Bound S's commands in the period after a node [N]."""

@@ -17,6 +17,7 @@ from ..kernel.balls import (
     beside,
     column,
     diagonal,
+    identity,
     largest,
     magnitude,
     matrix,
@@ -46,7 +47,6 @@ class Answer:
     c: arb_mat
     v: list[Push]  # of the inputs
     bounds: list[arb]  # on |u|, at most the thrust limits
-    linear: bool = False  # neither clipped in this step nor enclosed
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ class Pilot:
         craft, plant, more = self.craft, self.plant, self.unseen(k, before)
         answer = self.answer(z, base, k, i, more)
         g = plant.B * answer.c
-        v, noise, error = answer.v, craft.noise(more), plant.thruster_error(answer.bounds)
+        v, error = answer.v, plant.thruster_error(answer.bounds)
         held = [] if self.law.kind == "any_thrust" else v  # that need not be held
         free = [] if held else v
         period = Period(
@@ -120,8 +120,10 @@ class Pilot:
             [*free, *plant.push(error)],
             answer.bounds,
         )
-        errors = (noise, error) if answer.linear and not plant.jitter > 0 else ()
-        return period, Spell(plant.spent(answer.bounds), base.u + answer.c + answer.K * z.c, errors)
+        middle, bands = base.u + answer.c + answer.K * z.c, [arb(0)] * plant.B.ncols()
+        for push in v:
+            bands = sums(bands, push.along(identity(len(bands))))
+        return period, Spell(plant.spent(answer.bounds), middle, answer.bounds, answer.K, bands)
 
     def answer(self, z: Zonotope, base: Arc, k: int, i: int, more: list[arb]) -> Answer:
         """Enclose the command from a set; errors of estimates exceed those of the loop by `more` (n)."""
@@ -153,8 +155,7 @@ class Pilot:
         if inside or (kind != "affine" and all(max(-lo, hi) <= top for (lo, hi), top, _ in sizes)):
             seen = -(craft.gain * spread)
             v = [Push.in_zonotope(plant.B, seen) if inside else Push.in_box(plant.B, noise)]
-            linear = kind == "safety" or self.document.slopes[k] is None
-            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], bounds, linear)
+            return Answer(-craft.commands, 0 * u, v if spread.ncols() else [], bounds)
         if kind == "affine":
             told = f"{self.law.name} may exceed the thrust limits, unclipped, in step {k}"
             raise Rejected("controllers", told)

@@ -35,13 +35,13 @@ class Lasting:
 class MeanCommands:
     """Commands of a loop about their middle, of which every period spends what it costs at most.
 
-    Estimates are off by some `more` than errors of the loop, (n), errors of thrusters are up to `error` (m).
+    Errors of thrusters are up to `error` (m). Columns of `seen` (m, k), each times at most one, are what
+    errors of estimates add to commands. These answer the loop state by `K` (m, N), if not as in the loop.
     """
 
-    def __init__(self, craft: Craft, error: Sequence[arb], more: list[arb]) -> None:
+    def __init__(self, craft: Craft, error: Sequence[arb], seen: arb_mat, K: arb_mat | None = None) -> None:
         plant, spans = craft.plant, craft.spans
-        noise = craft.gain * craft.carry * diagonal(craft.missed(more))
-        enter, groups = [craft.held * noise], [[i] for i in range(noise.ncols())]
+        enter, groups = [craft.held * seen], [[i] for i in range(seen.ncols())]
         for each in craft.samples:
             enter.append(each.adds * diagonal(each.size))
             groups += [[len(groups) + i] for i in range(len(each.size))]
@@ -61,9 +61,9 @@ class MeanCommands:
         self.held, self.groups, self.m, self.plant = place, groups, plant.B.ncols(), plant
         enter += [enters * motion.gamma * plant.B for enters, motion in (*spans, *spans)]
         self.enter, self.parts = beside(*enter), len(spans)
-        rest = self.enter.ncols() - noise.ncols()
-        self.own = beside(noise, arb_mat(self.m, rest))
-        self.F, self.K = craft.F, craft.commands
+        rest = self.enter.ncols() - seen.ncols()
+        self.own = beside(seen, arb_mat(self.m, rest))
+        self.F, self.K = (craft.F, craft.commands) if K is None else (craft.free + craft.held * K, -K)
 
     @cached_property
     def spends(self) -> list[arb]:
@@ -122,20 +122,20 @@ class MeanCommands:
         for attempt in range(ATTEMPTS):
             more = LOOSER**attempt
             scaled_b = [x * more if i < self.held else x for i, x in enumerate(b)]
-            period = _Period(self, [x * more for x in r], scaled_b)
+            period = Period(self, [x * more for x in r], scaled_b)
             P = period.found()
-            if P is None or _pivots(period.spare(P)) is None:
+            if P is None or pivots(period.spare(P)) is None:
                 continue
             try:
-                less, rows = P - period.before(P), _pivots(P)
+                less, rows = P - period.before(P), pivots(P)
             except ZeroDivisionError:
                 continue
-            if rows is not None and _pivots((less + less.transpose()) * 0.5) is not None:
+            if rows is not None and pivots((less + less.transpose()) * 0.5) is not None:
                 return Lasting(matrix(rows), period.cost)
         return None
 
 
-class _Period:
+class Period:
     """One period under weights of commands and values: storage before it by storage after it."""
 
     def __init__(self, loop: MeanCommands, r: list[float], b: list[float]) -> None:
@@ -145,7 +145,8 @@ class _Period:
         )
         more = (matrix([made]) * loop.squares).entries()
         C = [s / x + y for s, x, y in zip(loop.spends, r, more, strict=True)]
-        self.F, self.enter, self.b = loop.F, loop.enter, diagonal(b)
+        self.F, self.enter, self.b, self.C = loop.F, loop.enter, diagonal(b), C
+        self.own, self.K = loop.own, loop.K
         self.known, self.turned = loop.own.transpose() * scaled(C, loop.own), loop.K.transpose()
         self.met = loop.own.transpose() * scaled(C, loop.K)
         self.fed = self.turned * scaled(C, loop.K)
@@ -188,7 +189,7 @@ class _Period:
         return None
 
 
-def _pivots(M: arb_mat) -> list[list[arb]] | None:
+def pivots(M: arb_mat) -> list[list[arb]] | None:
     """Rows L with ``M = L' L`` if a symmetric matrix is certainly positive definite."""
     rows, n = M.tolist(), M.nrows()
     for i, row in enumerate(rows):

@@ -7,7 +7,18 @@ from typing import Any
 from flint import arb
 
 from ..files.artefacts import Stated
-from ..kernel.balls import above, absolute, column, identity, largest, maxima, require, smallest, sums
+from ..kernel.balls import (
+    above,
+    absolute,
+    column,
+    diagonal,
+    identity,
+    largest,
+    maxima,
+    require,
+    smallest,
+    sums,
+)
 from ..kernel.verdict import Rejected, Undecided
 from ..model.craft.needs import Needs
 from ..model.timing import owed
@@ -72,7 +83,8 @@ def _mean(arrival: Arrival, later: range, most: list[arb]) -> tuple[arb, arb] | 
     doc, craft = arrival.document, arrival.flight.tracker.craft
     plant = craft.plant
     off = sums(craft.extra(doc, doc.steps), craft.lagged(arrival.tops_before(later.start)))
-    lasting = MeanCommands(craft, plant.thruster_error(most), off).lasting()
+    seen = craft.gain * craft.carry * diagonal(craft.missed(off))
+    lasting = MeanCommands(craft, plant.thruster_error(most), seen).lasting()
     if lasting is None:
         return None
     needs = Needs(craft, arrival.flight.tracker.memory, lasting.rows)
@@ -93,7 +105,7 @@ def _check(
     ahead = once * plant.h
     if doc.fired:  # a pulse ends before its period does
         ahead += plant.spent(most) / doc.mass
-    until = arrival.spent + arrival.correcting(arrival.node_at(claim["settled_s"])) + ahead
+    until = arrival.until(arrival.node_at(claim["settled_s"])) + ahead
     arrival.no_less("velocity change until it is settled", claim["until_settled_m_s"], until)
     orbit, lasts = claim["per_orbit_m_s"], claim["lasts_s"]
     if orbit is not None:

@@ -202,6 +202,9 @@ class Document:
             raise ValueError("what is commanded after a hand-over must not grow, nor be negative")
         self.recoverable: str = read["recoverable"]
         self.slopes: list[Matrix | None] = read["slopes"]
+        self.weights: list[Vector | None] = read.get("weights") or []  # of what is spent, by step
+        if len(self.weights) > self.cells:
+            raise ValueError("weights are of more steps than the reference has")
         self.horizon: str = read["horizon"]
         self.guarantee: str = read["guarantee"]
         self.scenario: str = read["scenario"]["name"]

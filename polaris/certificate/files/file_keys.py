@@ -100,6 +100,7 @@ CERTIFICATE = {
     }), 1),
     "modes": grid("K", Whole()),
     "slopes": grid("K", Either((None, grid("q m", UP_TO_1)))),
+    "weights?": Items(Either((None, Items(ABOVE_0, 1, 10_000))), 1),
     "profile?": grid("* m"),
     "recoverable": Text(("polytope", "ball")),
     "horizon": HORIZON,

@@ -62,8 +62,9 @@ class Spell:
 
     spent: arb  # bound on its integral over the period, in the 1-norm
     middle: arb_mat  # commanded in the middle of the set, (m, 1)
-    errors: tuple[list[arb], ...] = ()
-    """Bounds on those of estimates and of thrusters, as inputs; none where the law is not linear, or late."""
+    bounds: list[arb]  # on the commands
+    K: arb_mat  # the command is ``middle + K y + v`` at a loop state y from the middle of the set
+    bands: list[arb]  # bounds on v, input by input
 
 
 def command_ranges(u: arb_mat, gain: Directions, d: Zonotope) -> list[tuple[arb, arb]]:

@@ -13,9 +13,10 @@ from ..safety.end_condition import in_hills_frame
 from ..safety.get_safety import Safety
 from ..safety.goal_rows import distance, goal_rows, velocity_times
 from ..tracker.long_flight import Inputs
+from ..tracker.storage import Weights
 from ..tracker.tracking import Tracking
 from .rules import CHECKED
-from .spending import Spell, commanded, spent, tracked
+from .spending import FlightSpending, Spell, commanded, tracked
 
 GOAL_SHARE = 0.05  # share of the goal's size within which it counts as reached, where no length is given
 SPARE = 0.02
@@ -24,8 +25,8 @@ with time, in its own way."""
 
 
 @dataclass(frozen=True)
-class Arrival:
-    """Proof of the goal, S flying from T on.
+class Approach:
+    """Distance from the goal, S flying from T on.
 
     Lengths are the goal's own: each of its conditions is scaled so that what is missing is in metres
     (`polaris.planning.goals.GoalConditions`). A velocity counts as the length that it makes in
@@ -41,11 +42,28 @@ class Arrival:
     """Largest distance that counts as reached [m]: as given, else `GOAL_SHARE` of the goal's size, or the
     need of S to hold a goal, if that is more."""
     drift: float | None  # bound on the secular drift per orbit at that time [m]; None outside Hill's frame
-    delta_v: float  # velocity change until then, at most [m/s]
-    velocity_time: float | None = None
+    velocity_time: float | None
     """Time [s] in which a velocity makes the length that it counts as: tolerance by velocity tolerance, or
     the lesser of the goal's own (1 / rate) and a quarter of the horizon; None if the goal asks nothing of
     velocities alone."""
+    node: int  # number of periods after T until then
+
+
+@dataclass(frozen=True)
+class Arrival(Approach):
+    """What is proven of the goal, and what is spent until then."""
+
+    delta_v: float  # velocity change until then, at most [m/s]
+
+
+@dataclass(frozen=True)
+class Spending:
+    """Bounds on the velocity change of a flight."""
+
+    schedule: float  # until T [m/s]
+    goal: float  # until the node of `Approach` [m/s]
+    settled: float | None  # until S has forgotten what it took over [m/s]; None where nothing is said of it
+    weights: Sequence[Weights | None]  # for each step, those of the tail included
 
 
 @dataclass(frozen=True)
@@ -153,10 +171,31 @@ class Tail(Nearness):
         return np.concatenate([np.minimum(need[:near], flown), need[near:]])
 
     def correcting(self, nodes: int) -> float:
-        """Bound S's velocity change over so many periods after T [m/s]; the reference coasts."""
+        """Bound S's velocity change over so many periods after T, each for itself [m/s]."""
         tracking, system = self.safety.tracking, self.safety.problem.system
-        flown = spent(self.until(nodes), nodes) * tracking.flow.h / system.mass
+        flown = FlightSpending(self.until(nodes), nodes).apart(nodes) if nodes else 0.0
+        flown *= tracking.flow.h / system.mass
         return min(tracked(self.commands, self.held, self.T, self.T + nodes), flown) * (1 + spare(tracking))
+
+    def spending(self, before: Sequence[Spell], approach: Approach) -> Spending:
+        """Bound the velocity change of the whole flight, from its steps `before` T."""
+        tracking, system, T = self.safety.tracking, self.safety.problem.system, self.T
+        nodes = [approach.node] * (approach.reached is True)
+        nodes += [self.settling] * (self.tops is not None)
+        last = max(nodes, default=0)
+        flight = FlightSpending([*before, *self.until(last)], T + last)
+        scale = tracking.flow.h / system.mass
+        until = flight.until(T) * scale * (1 + ROUNDING)
+
+        def at(node: int) -> float:
+            apart = until * (1 + spare(tracking)) + self.correcting(node)
+            if node not in nodes:
+                return apart * (1 + ROUNDING)
+            whole = flight.until(T + node) * scale * (1 + spare(tracking))
+            return min(apart, whole) * (1 + ROUNDING)
+
+        settled = None if self.tops is None else at(self.settling)
+        return Spending(until, at(approach.node), settled, flight.weights)
 
     def drift(self, x: Array, node: int) -> float | None:
         """Bound the along-track drift per orbit, ``6 pi |2 x + v_y / eta|``, at a node after T [m]."""
@@ -169,11 +208,8 @@ class Tail(Nearness):
         most = np.max(both.rows @ x + size + self.needs(both, node + 1)[-1])
         return float(6 * np.pi * most * (1 + ROUNDING))
 
-    def arrival(self, taken: float) -> Arrival:
-        """Return what is proven of the goal at the nodes from T on, until the end of the coasting tail.
-
-        `taken` bounds the velocity change [m/s] until T.
-        """
+    def approach(self) -> Approach:
+        """Return what is proven of the goal at the nodes from T on, until the end of the coasting tail."""
         problem, tracking, reference = self.safety.problem, self.safety.tracking, self.safety.reference
         seconds = velocity_times(problem, self.rows[0])
         cells = reference.fine(tracking.feedback.nodes_per_cell)[problem.K :]
@@ -184,14 +220,14 @@ class Tail(Nearness):
         middle = self.along.table.carried[: len(states)] @ tracking.whole_state(self.held[-1].states).c
         middle = np.pad(middle, ((0, len(states) - len(middle)), (0, 0)))  # all that the loop remembers
         near = bool(np.min(self.distance(states, middle, 0.0)) <= self.tolerance)
-        return Arrival(
+        return Approach(
             reached=True if len(within) else "not_proven" if near else False,
             by=problem.K * problem.delta + best * tracking.flow.h if len(within) else None,
             distance=float(most[best]),
             tolerance=self.tolerance,
             drift=self.drift(states[best], best),
-            delta_v=(taken * (1 + spare(tracking)) + self.correcting(best)) * (1 + ROUNDING),
             velocity_time=float(seconds.max()) if np.any(seconds > 0) else None,
+            node=best,
         )
 
     def long_flight(self, nodes: int, most: Array) -> tuple[float, float]:
@@ -231,24 +267,35 @@ class Tail(Nearness):
             + tracking.unremembered(self.commanded_before(nodes))
         )
 
-    def upkeep(self, taken: float) -> Upkeep | None:
-        """Bound S's velocity change for all time, from that until T (Proposition 14 (d)).
+    @property
+    def settling(self) -> int:
+        """Number of periods after T until S has forgotten what it took over."""
+        return self.safety.tracking.memory + 2
+
+    @cached_property
+    def tops(self) -> Array | None:
+        """Bound on S's commands from then on (m,) [N].
 
         None if S need not track a coasting reference, or is not proven to keep within its thrust.
         """
-        problem, tracking, system = self.safety.problem, self.safety.tracking, self.safety.problem.system
-        nodes = tracking.memory + 2
-        if self.safety.reference.cells * self.safety.clearance.q < self.T + nodes:
+        end = self.T + self.settling
+        if self.safety.reference.cells * self.safety.clearance.q < end:
             return None
-        most = commanded(self.commands, self.held, self.T, self.T + nodes)[1, -1]
-        if not np.all(most <= system.u_max):
+        most = commanded(self.commands, self.held, self.T, end)[1, -1]
+        return most if np.all(most <= self.safety.problem.system.u_max) else None
+
+    def upkeep(self, spending: Spending) -> Upkeep | None:
+        """Bound S's velocity change for all time (Proposition 14 (d)); None where `tops` is None."""
+        problem, tracking, system = self.safety.problem, self.safety.tracking, self.safety.problem.system
+        most, nodes, taken = self.tops, self.settling, spending.schedule
+        if most is None or spending.settled is None:
             return None
         thrust = self.long_flight(nodes, most)
         rate, once = (part / system.mass * (1 + spare(tracking)) for part in thrust)
         settled, h = (self.T + nodes) * tracking.flow.h, tracking.flow.h
         ahead = float(system.spent(most).sum()) / system.mass * h * bool(system.timing.fired)
         ahead = ahead * (1 + spare(tracking)) + once * h  # a pulse ends before its period does
-        until = (taken * (1 + spare(tracking)) + self.correcting(nodes)) * (1 + ROUNDING) + ahead
+        until = spending.settled + ahead
         before = system.owed / system.mass
         orbit = None if system.mean_motion is None else rate * 2 * np.pi / system.mean_motion + ahead + before
         tank, lasts = problem.tank, None

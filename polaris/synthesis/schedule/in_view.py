@@ -281,11 +281,12 @@ class Windows:
 
     def _inset(self, schedule: Schedule) -> bool:
         """Ask for an end so far inside the goal that flights meet it, unless they do or U flies too few."""
-        arrival, goal = schedule.arrival, self.asked.goal
-        if schedule.share() < self.worth.share or arrival.reached is True or not goal.conditions.inequalities:
+        approach, goal = schedule.approach, self.asked.goal
+        arrives = approach.reached is True
+        if schedule.share() < self.worth.share or arrives or not goal.conditions.inequalities:
             return False
         guide, lacking = self.search.guide, self.lacking
-        deeper = inset(self.safety.problem, goal, arrival.distance)
+        deeper = inset(self.safety.problem, goal, approach.distance)
         self._ask(replace(self.asked, goal=deeper), self.search.deadline)
         self.search.guide, self.lacking = guide, lacking
         return True

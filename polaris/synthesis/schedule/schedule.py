@@ -1,7 +1,7 @@
 """The result of Algorithm 2: modes per step, tubes, margins, and what is guaranteed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,6 @@ from ...model.errors import ScenarioError
 from ...model.scene.obstacle import chaser_radius
 from ...model.scene.satellite import SatelliteObstacle
 from ...model.system import Array
-from ...model.tolerances import ROUNDING
 from ..controllers.black_box import FittedSegment, Statement
 from ..controllers.controllers import Controller, TubeSegment, construct_s
 from ..controllers.neural import NeuralController
@@ -24,10 +23,10 @@ from ..safety.get_safety import Safety
 from ..safety.passive import Drift, PassiveSafety
 from ..safety.recoverable import Margin, RecoverableSet
 from ..sources.craft import assumed
-from .arrival import Arrival, Tail, Upkeep, spare
+from .arrival import Approach, Arrival, Spending, Tail, Upkeep, spare
 from .powered import KnownBranches, PoweredSafety, powered
 from .rules import Prices, SwitchingRules
-from .spending import Spell, spent
+from .spending import FlightSpending, Spell
 
 
 @brief
@@ -100,7 +99,7 @@ class Schedule:
 
     def _brief(self) -> Mapping[str, object]:
         """Return what a session and a notebook show."""
-        arrival = self.arrival if self.guarantee == "proved" else None
+        approach = self.approach if self.guarantee == "proved" else None
         return {
             "guarantee": self.guarantee,
             "controllers": tuple(controller.name for controller in self.controllers),
@@ -108,7 +107,7 @@ class Schedule:
             "switches": self.switches,
             "steps": len(self.steps),
             "duration_s": len(self.steps) * self.safety.problem.delta,
-            "goal_reached_by_s": arrival.by if arrival else None,
+            "goal_reached_by_s": approach.by if approach else None,
         }
 
     @property
@@ -166,7 +165,11 @@ class Schedule:
 
     def keeps(self, rules: SwitchingRules) -> bool:
         """Return True if it keeps the budget, and what is required of the drift after all thrust stops."""
-        return rules.affords(self.spent) and (self.passive is None or self.passive.kept)
+        return self.affords(rules) and (self.passive is None or self.passive.kept)
+
+    def affords(self, rules: SwitchingRules) -> bool:
+        """Return True if it keeps the budget; what bounds it best is looked at only if it must be."""
+        return rules.delta_v_max is None or rules.affords(self._spent_apart) or rules.affords(self.spent)
 
     @cached_property
     def _spells(self) -> list[Spell]:
@@ -181,8 +184,12 @@ class Schedule:
     @cached_property
     def delta_v(self) -> tuple[float, float]:
         """Velocity change until T [m/s]: along the middle of the tubes, and proven never to be exceeded."""
-        scale = self.safety.tracking.flow.h / self.safety.problem.system.mass
-        return self.delta_v_middle, spent(self._spells) * scale * (1 + ROUNDING)
+        return self.delta_v_middle, self.spending.schedule
+
+    @cached_property
+    def spending(self) -> Spending:
+        """Bounds on the velocity change, and weights by which they are found."""
+        return self._tail.spending(self._spells, self.approach)
 
     @property
     def _tail(self) -> Tail:
@@ -193,14 +200,20 @@ class Schedule:
         return Tail(self.safety, held=(HandOver(handed, last * q, last * q), HandOver(self.final, T, T)))
 
     @cached_property
-    def arrival(self) -> Arrival:
+    def approach(self) -> Approach:
         """Whether and by when the goal is proven reached."""
-        return self._tail.arrival(self.delta_v[1])
+        return self._tail.approach()
+
+    @cached_property
+    def arrival(self) -> Arrival:
+        """What is proven of the goal, with the velocity change until then."""
+        known = {each.name: getattr(self.approach, each.name) for each in fields(self.approach)}
+        return Arrival(**known, delta_v=self.spending.goal)
 
     @cached_property
     def upkeep(self) -> Upkeep | None:
         """Bound on what S spends after T, for ever, and on how long the tank lasts, where that is proven."""
-        return self._tail.upkeep(self.delta_v[1])
+        return self._tail.upkeep(self.spending)
 
     @cached_property
     def estimate(self) -> dict[str, list[float] | None] | None:
@@ -263,8 +276,16 @@ class Schedule:
 
         This is what a budget, `SwitchingRules.delta_v_max`, is held against.
         """
-        until_end = self.delta_v[1] * (1 + spare(self.safety.tracking))
-        return self.arrival.delta_v if self.arrival.reached is True else until_end
+        until_end = self.spending.schedule * (1 + spare(self.safety.tracking))
+        return self.spending.goal if self.approach.reached is True else until_end
+
+    @property
+    def _spent_apart(self) -> float:
+        """Bound `spent` by that of every period [m/s], which takes little time."""
+        tail, spells = self._tail, self._spells
+        scale = tail.safety.tracking.flow.h / tail.safety.problem.system.mass
+        apart = FlightSpending(spells, tail.T).apart(tail.T) * scale * (1 + spare(tail.safety.tracking))
+        return apart + (tail.correcting(self.approach.node) if self.approach.reached is True else 0.0)
 
     def share(self, mode: int | None = None) -> float:
         """Share of time under one mode; without one, under any experimental controller."""

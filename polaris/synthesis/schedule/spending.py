@@ -1,23 +1,29 @@
-"""Bounds on the velocity change, period by period or for all periods of a linear loop, and its price."""
+"""Bounds on the velocity change: period by period, or of all periods of linear laws at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
 
-from reach.numerics.linear import powers
+from reach.sets.zonotope import Zonotope
 
+from ...model.craft import Craft
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..controllers.controllers import AffineController, Controller, TubeSegment
 from ..controllers.neural import NeuralController
 from ..safety.continuation import HandOver, PathRows
 from ..safety.demand import command_noise
-from ..sources.thrusters import THRUSTERS
-from ..tracker.long_flight import peak
+from ..tracker import storage
+from ..tracker.affine_law import clip_band
+from ..tracker.long_flight import Inputs
+from ..tracker.loop import ClosedLoop
+from ..tracker.storage import LinearStep, Weights
 
-LONGEST = 4000  # periods of a loop that are looked at all at once, at most
+LONGEST = 40_000  # periods of linear laws that are looked at all at once, at most
+EXACT = 1e-4  # share by which a checker's storage may be larger
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +32,10 @@ class Spell:
 
     law: Controller
     tube: TubeSegment
+    k: int
     middle: Array  # commanded along the middle of the tube [N], (q, m)
     most: Array  # bound on what is applied on average in every period [N], (q, m)
-    errors: tuple[Array, ...] = ()
-    """Bounds on those of estimates and of thrusters, as inputs [N], (q, m) each; none where the law is not
-    linear, or its commands may come early or late."""
+    commands: Array | None = None  # bound on what is commanded, where the law is affine [N], (q, m)
 
     @classmethod
     def of(cls, law: Controller, tube: TubeSegment, k: int) -> "Spell":
@@ -40,38 +45,127 @@ class Spell:
             centre, spread = law.commanded(tube.nodes - law.offset[k], tube.bow, k)
             told = np.minimum((np.abs(centre) + spread) * (1 + ROUNDING), law.system.u_max)
             middle = np.minimum(np.abs(centre), law.system.u_max)
-            return cls(law, tube, middle[:-1], law.system.spent(told)[:-1])
+            return cls(law, tube, k, middle[:-1], law.system.spent(told)[:-1])
         if not isinstance(law, AffineController):
             limit = getattr(law, "system", None)
             most = np.tile(np.full(1, np.inf) if limit is None else limit.spent(limit.u_max), (q, 1))
-            return cls(law, tube, most, most)
+            return cls(law, tube, k, most, most)
         here, system = law.in_step(k), law.system
         centre, spread = here.commanded(tube.states - here.whole_offset(k), tube.bow, k)
-        told, known = centre + 0.0, 0 * spread
-        lag = max((channel.lag for channel in here.closed.loop.channels), default=0)
+        told = centre + 0.0
         for i in range(q + 1):
-            before = told[i - lag : i].max(axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
-            known[i] = here.noise_after(before)
-            top = (np.abs(centre[i]) + spread[i] + known[i]) * (1 + ROUNDING)
+            top = (np.abs(centre[i]) + spread[i] + _noise(here, told, i)) * (1 + ROUNDING)
             told[i] = np.minimum(top, system.u_max)
-        middle, most = np.minimum(np.abs(centre), system.u_max), system.spent(told)
-        alone = tube.slopes is None and system.longest == 1
-        errors = (known[:-1], system.thrusters.error(told[:-1])) if alone else ()
-        return cls(law, tube, middle[:-1], most[:-1], errors)
+        middle = np.minimum(np.abs(centre), system.u_max)
+        return cls(law, tube, k, middle[:-1], system.spent(told)[:-1], told[:-1])
+
+    @cached_property
+    def start(self) -> Zonotope:
+        """Loop states at the start."""
+        return self.tube.states[0]
+
+    @cached_property
+    def linear(self) -> LinearStep | None:
+        """The step as a loop about the middle of the tube; None where only sets of true errors are known."""
+        if self.commands is None:
+            return None
+        law = self.law
+        assert isinstance(law, AffineController)
+        here, mu, q = law.in_step(self.k), law.own.nu[self.k], len(self.tube.bow)
+        d, rounding = self.tube.states - here.whole_offset(self.k), law.reference.rounding[self.k]
+        within = self.commands.max(axis=0), law.system.u_max
+        known: dict[bytes, Inputs] = {}
+        inputs, middles = list[Inputs](), mu - d.c[:q] @ here.closed.K.T
+        for i in range(q):
+            closed, bands = here.closed, _noise(here, self.commands, i)
+            if self.tube.slopes is not None:
+                slope, offset, radius = clip_band(here, d[i], mu)
+                closed, bands = ClosedLoop(closed.loop, slope[:, None] * here.gain), bands + radius
+                middles[i] = slope * middles[i] + offset
+            key = closed.gain.tobytes() + bands.tobytes()
+            if key not in known:
+                known[key] = Inputs.of(closed, law.system, within, 0 * rounding, rounding, bands)
+            inputs.append(known[key])
+        return LinearStep(tuple(inputs), middles)
 
 
-def spent(spells: Sequence[Spell], periods: int | None = None) -> float:
-    """Bound on the thrust of so many periods on end [N], the first that the spells are of.
+def _noise(law: AffineController, commands: Array, i: int) -> Array:
+    """Bound what estimates add to a command in period i of a step, after commands within bounds, (m,)."""
+    lag = max((channel.lag for channel in law.closed.loop.channels), default=0)
+    before = commands[i - lag : i].max(axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
+    return law.noise_after(before)
 
-    Where a loop is linear for several steps, the lesser of the sum of its periods' bounds and `together`.
+
+@dataclass(frozen=True, eq=False)
+class FlightSpending:
+    """Bounds on the thrust of a flight from its start until any period.
+
+    Attributes
+    ----------
+    spells : sequence of Spell
+        Of its steps.
+    periods : int
+        Until where `weights` are chosen.
     """
-    total, left = 0.0, sum(len(spell.most) for spell in spells) if periods is None else periods
-    for (_, linear), parts in groupby(spells, lambda spell: (id(spell.law), len(spell.errors) > 0)):
-        run = list(parts)
-        most = np.concatenate([spell.most for spell in run])[:left]
-        left, apart = left - len(most), float(most.sum())
-        total += min(apart, together(run, len(most))) if linear and 0 < len(most) <= LONGEST else apart
-    return total * (1 + ROUNDING)
+
+    spells: Sequence[Spell]
+    periods: int
+
+    @cached_property
+    def runs(self) -> list[list[int]]:
+        """Steps on end that are all linear, or all not."""
+        alike = groupby(range(len(self.spells)), lambda k: self.spells[k].commands is None)
+        return [list(run) for _, run in alike]
+
+    @cached_property
+    def weights(self) -> list[Weights | None]:
+        """Weights for each step; None where it is not linear, or nothing is gained."""
+        found: list[Weights | None] = [None] * len(self.spells)
+        for run in self.runs:
+            steps = self._steps(run, self.periods)
+            if steps and sum(len(step.middle) for step in steps) <= LONGEST:
+                chosen = storage.weights(steps, self.spells[run[0]].start)
+                found[run[0] : run[0] + len(chosen)] = chosen
+        return found
+
+    def _steps(self, run: Sequence[int], periods: int) -> list[LinearStep]:
+        """Return the steps of a run as far as so many periods of the flight."""
+        found = []
+        for k in run:
+            q = len(self.spells[k].most)
+            left, step = periods - k * q, self.spells[k].linear
+            if left > 0 and step is not None:
+                found.append(step.until(left))
+        return found
+
+    def apart(self, periods: int) -> float:
+        """Bound the thrust of so many periods, each for itself [N] (Proposition 14 (b))."""
+        return float(np.concatenate([spell.most for spell in self.spells])[:periods].sum())
+
+    def until(self, periods: int) -> float:
+        """Bound the thrust of so many periods [N] (Proposition 14 (b), (c))."""
+        total = 0.0
+        for run in self.runs:
+            first = run[0] * len(self.spells[0].most)
+            alone = [self.spells[k].most for k in run]
+            apart = float(np.concatenate(alone)[: max(periods - first, 0)].sum())
+            steps = self._steps(run, periods)
+            weights = [each for k, _ in zip(run, steps, strict=False) if (each := self.weights[k])]
+            if steps and len(weights) == len(steps):
+                law = self.spells[run[0]].law
+                assert isinstance(law, AffineController)
+                start = self.spells[run[0]].start
+                apart = min(apart, together(law.system, steps, weights, start))
+            total += apart
+        return total * (1 + ROUNDING)
+
+
+def together(
+    system: Craft, steps: Sequence[LinearStep], weights: Sequence[Weights], start: Zonotope
+) -> float:
+    """Bound the thrust of linear steps on end, from loop states in a set about its centre [N]."""
+    count, bits = sum(len(step.middle) for step in steps), np.sum(system.weights * system.on_time.bit)
+    return float(system.longest * (storage.bound(steps, weights, start) * (1 + EXACT) + count * bits))
 
 
 def commanded(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> Array:
@@ -92,38 +186,3 @@ def tracked(rows: PathRows, held: Sequence[HandOver], first: int, last: int) -> 
     system, h = rows.clearance.tracking.system, rows.clearance.tracking.flow.h
     most = system.spent(np.minimum(commanded(rows, held, first, last), system.u_max))
     return float(most.sum(axis=-1).max(axis=0).sum()) * h / system.mass
-
-
-def together(run: Sequence[Spell], count: int) -> float:
-    """Bound on the thrust of the first periods of a run under one linear law [N] (Proposition 14 (c))."""
-    law = run[0].law
-    assert isinstance(law, AffineController)
-    system, closed = law.system, law.in_step(0).closed
-    middle, known, made = (
-        np.concatenate(each)[:count] for each in zip(*((s.middle, *s.errors) for s in run), strict=True)
-    )
-    rows = closed.K @ powers(closed.F, count - 1)
-    base = middle + np.abs(rows @ run[0].tube.states[0].G).sum(axis=-1)
-    for channel in closed.loop.channels:  # but for errors of estimates and of inputs
-        if channel.noise is None and channel.name != THRUSTERS:
-            base[1:] += np.cumsum(closed.gains(channel, rows[:-1]) @ channel.size, axis=0)
-    seen, wrong = (_answered(-rows @ way) for way in (closed.loop.held, closed.loop.made))
-    rest = np.abs(rows).sum(axis=0) @ closed.loop.uneven
-    size, off = (np.sqrt(count * np.sum(each**2, axis=0)) for each in (known, made))
-    if system.timing.carried or system.nozzles:  # what is commanded, and the errors of what is made of it
-        told, more = seen[1] @ size + (wrong[0] + rest) @ off, float((made @ system.weights).sum())
-    else:  # what is applied, but for errors that stand for pulses
-        told = seen[1] @ size + (wrong[1] + rest) @ off
-        apart = np.subtract(system.thrusters.bit, system.on_time.bit).max()
-        more = count * system.weights.sum() * float(apart)
-    return float(((base.sum(axis=0) + told) @ system.weights + more) * (1 + ROUNDING))
-
-
-def _answered(answers: Array) -> tuple[Array, Array]:
-    """Bound the amplification of inputs into commands (count, m, m), without and with themselves, (m, m)."""
-    commanded = np.abs(answers).sum(axis=0)
-    applied = commanded + np.eye(len(commanded))
-    for a in range(len(commanded)):
-        commanded[a, a] = min(commanded[a, a], peak(answers[None, :, a, a]))
-        applied[a, a] = min(applied[a, a], max(peak(np.append(1.0, answers[:, a, a])[None]), 1.0))
-    return commanded, applied

@@ -132,16 +132,16 @@ def arriving(search: Search, first: Schedule) -> tuple[Search, Schedule]:
 
     Its reference ends inside the goal, by all that the first one's flights may be off, or by what they lack.
     """
-    safety, arrival = first.safety, first.arrival
-    goal, lack = safety.problem.goal.conditions, arrival.distance * (1 + CHECKED) - arrival.tolerance
-    if arrival.reached is True or not goal.inequalities or not turns(search):
+    safety, approach = first.safety, first.approach
+    goal, lack = safety.problem.goal.conditions, approach.distance * (1 + CHECKED) - approach.tolerance
+    if approach.reached is True or not goal.inequalities or not turns(search):
         return search, first
-    for length in (arrival.distance, lack):
+    for length in (approach.distance, lack):
         with suppress(SynthesisInfeasible, NotCertified):
             deeper = replace(safety.problem, goal_inset=length)
             other = along(search, find_safety(deeper, like=safety))
             again = switching_logic(other)
-            if again.arrival.reached is True and again.share() >= first.share():
+            if again.approach.reached is True and again.share() >= first.share():
                 return other, again
     return search, first
 
@@ -218,7 +218,7 @@ class Reflown(Sequence[Step]):
         """Return a schedule without its tubes, but with what was worked out to compare it."""
         steps = cls(along(search, schedule.safety), tuple(schedule.modes.tolist()))
         light = replace(schedule, steps=steps)
-        known = {"modes", "arrival", "delta_v", "delta_v_middle", "passive"} & vars(schedule).keys()
+        known = {"modes", "approach", "spending", "delta_v_middle", "passive"} & vars(schedule).keys()
         vars(light).update({name: vars(schedule)[name] for name in known})
         return light
 
@@ -268,7 +268,7 @@ def within_budget(search: Search, over: Sequence[Schedule]) -> Schedule:
             tried = (few + many) // 2 if best else 0  # S alone first
             found = switching_logic(replace(along, intended=modes[:tried] + (SAFETY,) * (K - tried)))
             least = min(least, found.spent)
-            if search.rules.affords(found.spent) and found.passive is not None:
+            if found.affords(search.rules) and found.passive is not None:
                 witness = witness or found.passive.witness()
             if found.keeps(search.rules):
                 few, best = tried, found

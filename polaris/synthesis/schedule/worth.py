@@ -17,7 +17,7 @@ WORSE = 10.0  # how much more a step counts by which a schedule is worse than th
 def as_good(one: Schedule, other: Schedule, rules: SwitchingRules) -> bool:
     """Return True if a schedule keeps the rules, is safe as long and arrives wherever another one does."""
     first, second = (
-        (each.keeps(rules), each.safety.end.until, each.arrival.reached is True) for each in (one, other)
+        (each.keeps(rules), each.safety.end.until, each.approach.reached is True) for each in (one, other)
     )
     return all(a >= b for a, b in zip(first, second, strict=True))
 
@@ -61,7 +61,7 @@ class Worth:
         shares = {mode: schedule.share(mode) for mode in range(len(schedule.controllers))}
         value = self.of(shares, schedule.delta_v_middle, schedule.switches)
         lasts = schedule.safety.end.until >= self.until
-        return schedule.keeps(self.rules), lasts, schedule.arrival.reached is True, value
+        return schedule.keeps(self.rules), lasts, schedule.approach.reached is True, value
 
     def alone(self, schedule: Schedule, priced: bool) -> tuple[bool, bool, bool, float]:
         """The same, nothing being the printed one; without prices as the printed algorithms choose."""

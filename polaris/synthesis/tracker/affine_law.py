@@ -239,15 +239,19 @@ def clipped_step(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Zonotope, Arra
 
 
 def clipped_map(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the map of `clipped_step` without the channels, ``phi d + known + push b``, and the slopes.
-
-    The clip is replaced by an affine band over the range of the command at the node, which is then held.
-    """
+    """Return the map of `clipped_step` without the channels, ``phi d + known + push b``, and the slopes."""
     loop, K = law.closed.loop, law.closed.K
-    middle, width = mu - K @ d.c, np.abs(K @ d.G).sum(axis=1)
-    lo, hi = middle - width, middle + width
-    slope, offset, radius = clip_relaxation(lo, hi, law.system.u_max)
+    slope, offset, radius = clip_band(law, d, mu)
     known = loop.held @ (slope * mu + offset - mu)
     phi = law.closed.unfed - loop.held @ (slope[:, None] * K)
     push = loop.held * radius
     return phi, known, push[:, radius > 0], slope
+
+
+def clip_band(law: AffineLaw, d: Zonotope, mu: Array) -> tuple[Array, Array, Array]:
+    """Return slopes, offsets and half-widths of the band of clipped commands from states d, (m,) each.
+
+    The range is that of the command at the node, which is then held.
+    """
+    middle, width = mu - law.closed.K @ d.c, np.abs(law.closed.K @ d.G).sum(axis=1)
+    return clip_relaxation(middle - width, middle + width, law.system.u_max)

@@ -1,11 +1,10 @@
 """Bound on what S spends in a long flight, by a storage function (docs/theory.md, Proposition 14 (d))."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 
 from ...model.craft import Craft
 from ...model.system import Array
@@ -21,7 +20,22 @@ LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
 often the worst sine is looked for anew with the errors of thrusters that it leads to."""
 LARGEST = 1e18  # beyond this a storage runs away
 STRICT, SETTLED = 1e-5, 1e-7  # shares of a storage by which it grows every period, and has settled
-SQUARED = 4  # how often the power of a response is squared whose coefficients bound its peak
+ORDER = "measurement", "disturbance", "bias", "impulse drift", "carried impulse"
+"""Channels in the order in which a certificate has the weights of their values; others come before them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Storage:
+    """Storage ``z' P z / 2 + p z`` of a loop state z, and a cost beside it [N]."""
+
+    P: Array
+    p: Array
+    cost: float = 0.0
+
+    @classmethod
+    def of(cls, P: Array) -> "Storage":
+        """Return a storage without a linear part."""
+        return cls(P, np.zeros(len(P)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +66,19 @@ class Inputs:
 
     @classmethod
     def of(
-        cls, closed: ClosedLoop, craft: Craft, most: tuple[Array, Array], off: Array, moved: Array
+        cls,
+        closed: ClosedLoop,
+        craft: Craft,
+        most: tuple[Array, Array],
+        off: Array,
+        moved: Array,
+        bands: Array | None = None,
     ) -> "Inputs":
         """Return those of a loop.
 
         Commands are up to the first of `most` (m,), and up to the second in the periods that errors remember.
         Estimates are off by some `off` (n,) besides, and rounding moves the error by `moved` (n,) in every
-        period.
+        period. With `bands` (m,) commands are off by as much, input by input, instead of what estimates add.
         """
         error, before = craft.thrusters.error(most[0]), np.minimum(most[1], craft.u_max)
         loop, enter, own, group = closed.loop, list[Array](), list[Array](), list[int]()
@@ -70,19 +90,22 @@ class Inputs:
             enter.append(columns)
             own.append(np.zeros((loop.m, count)) if answers is None else answers)
 
-        for c in (*loop.channels, Channel("steps", off, noise=np.eye(loop.n))):
-            if c.name == THRUSTERS:
-                continue
-            size = c.size if c.share is None else c.size + c.share(before)
-            if c.rate is not None:
-                along = np.linalg.norm(c.rate * size, axis=1) if c.ball else np.abs(c.rate) @ size
-                for place, (carried, mean, apart) in enumerate(loop.part_maps):
-                    add(carried @ mean @ c.rate * size, None, c.ball)
-                    rest[place] = rest[place] + apart @ along
+        every = *loop.channels, Channel("steps", off, noise=np.eye(loop.n))
+        channels = sorted((c for c in every if c.name != THRUSTERS), key=_place)
+        sizes = [c.size if c.share is None else c.size + c.share(before) for c in channels]
+        if bands is not None:
+            add(loop.held * bands, np.diag(bands))
+            channels = [replace(c, noise=None) for c in channels]
+        for c, size in zip(channels, sizes, strict=True):
             if c.noise is not None or c.sample is not None or c.push is not None:
                 seen = None if c.noise is None else -closed.gain @ c.noise * size
                 add(closed.sampled(c) * size, seen, c.ball)
-        for (carried, _, _), box in zip(loop.part_maps, rest, strict=True):
+        for (carried, mean, apart), box in zip(loop.part_maps, rest, strict=True):
+            for c, size in zip(channels, sizes, strict=True):
+                if c.rate is not None:
+                    add(carried @ mean @ c.rate * size, None, c.ball)
+                    along = np.linalg.norm(c.rate * size, axis=1) if c.ball else np.abs(c.rate) @ size
+                    box = box + apart @ along
             add(carried * box, None)
         held = len(group)
         for carried, mean, _ in (*loop.part_maps, *loop.part_maps):
@@ -136,33 +159,51 @@ class Inputs:
         b[self.held :] /= np.repeat(usual, len(made) // 2 // m, axis=0).ravel()
         return r, b
 
-    def before(self, P: Array, r: Array, b: Array) -> tuple[Array, float] | None:
-        """Return the storage at the start of a period, and what the period costs.
+    @cached_property
+    def first(self) -> NDArray[np.intp]:
+        """Return the first value of each group but those of errors of thrusters."""
+        return np.asarray(np.unique(self.group[: self.held], return_index=True)[1])
+
+    @cached_property
+    def moves(self) -> tuple[Array, Array]:
+        """Return maps of loop state and values into the next loop state and into commands."""
+        return np.hstack([self.F, self.enter]), np.hstack([-self.K, self.own])
+
+    def before(self, after: "Storage", r: Array, b: Array, middle: Array | None = None) -> "Storage | None":
+        """Return the storage at the start of a period.
 
         Parameters
         ----------
-        P : ndarray, shape (N, N)
-            Storage at its end.
+        after : Storage
+            At its end.
         r, b : ndarray, shapes (m,) and (k,)
             Weights of commands and values.
+        middle : ndarray, shape (m,), optional
+            Command in the middle [N], zero without it.
 
         Returns
         -------
-        tuple or None
+        Storage or None
             None if the weights of values are too small, or the storage is too large.
         """
-        (steady, made), N = self.errors(b), len(P)
+        (steady, made), N = self.errors(b), len(self.F)
         C = self.spends / r + made @ self.squares
-        X, Y = np.hstack([self.F, self.enter]), np.hstack([-self.K, self.own])
-        H = X.T @ P @ X + (Y.T * C) @ Y
+        X, Y = self.moves
+        H = X.T @ after.P @ X + (Y.T * C) @ Y
+        cost = self.spends @ r + b[self.first].sum() + steady @ self.bits**2
+        h = X.T @ after.p
+        if middle is not None:
+            h, cost = h + Y.T @ (C * middle), cost + C @ middle**2
         try:
-            half = np.linalg.solve(np.linalg.cholesky(np.diag(b) - H[N:, N:]), H[N:, :N])
+            factor = np.linalg.cholesky(np.diag(b) - H[N:, N:])
         except np.linalg.LinAlgError:
             return None
-        first = np.unique(self.group[: self.held], return_index=True)[1]  # one weight for each group
-        cost = self.spends @ r + b[first].sum() + steady @ self.bits**2
-        P = H[:N, :N] + half.T @ half
-        return ((P + P.T) / 2, float(cost) / 2) if P.max(initial=0.0) < LARGEST else None
+        half = np.linalg.solve(factor, np.column_stack([H[N:, :N], h[N:]]))
+        both = half.T @ half
+        P = H[:N, :N] + both[:N, :N]
+        if not P.max(initial=0.0) < LARGEST:
+            return None
+        return Storage((P + P.T) / 2, h[:N] + both[:N, N], after.cost + float(cost + both[N, N]) / 2)
 
     def lasting(self) -> tuple[Array, float] | None:
         """Return rows whose sum of squares is twice a storage that lasts, and what a period costs [N]."""
@@ -170,26 +211,18 @@ class Inputs:
         for attempt in range(ATTEMPTS):
             scale, P = np.where(np.arange(len(b)) < self.held, LOOSER**attempt, 1.0), np.zeros_like(self.F)
             for _ in range(PERIODS):
-                found = self.before(P, r * LOOSER**attempt, b * scale)
-                if found is None:
+                earlier = self.before(Storage.of(P), r * LOOSER**attempt, b * scale)
+                if earlier is None:
                     break
-                earlier, cost = found
-                grown = earlier + STRICT * np.diag(np.diagonal(earlier) + FLOOR * earlier.max())
+                grown = earlier.P + STRICT * np.diag(np.diagonal(earlier.P) + FLOOR * earlier.P.max())
                 size = np.sqrt(np.diagonal(grown))
                 if np.all(np.abs(grown - P) <= SETTLED * np.outer(size, size)):
                     rows = np.linalg.cholesky(grown).T
-                    return np.asarray(rows), cost * LOOSER  # a checker may need one more
+                    return np.asarray(rows), earlier.cost * LOOSER  # a checker may need one more
                 P = grown
         return None
 
 
-def peak(responses: Array) -> float:
-    """Bound the largest amplification of any frequency by responses together, (j, k): by a power of them."""
-    power, root = np.sum([np.convolve(each, each[::-1]) for each in responses], axis=0), 2.0
-    for _ in range(SQUARED):
-        count = 2 * len(power) - 1
-        size = next_fast_len(count, real=True)
-        spectrum = rfft(power, size)
-        with np.errstate(over="ignore", invalid="ignore"):  # of a law that runs away: no bound
-            power, root = irfft(spectrum * spectrum, size)[:count], 2 * root
-    return float(np.abs(power).sum() ** (1 / root))
+def _place(channel: Channel) -> int:
+    """Return the place of a channel among those of `ORDER`."""
+    return ORDER.index(channel.name) + 1 if channel.name in ORDER else 0

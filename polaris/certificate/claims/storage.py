@@ -1,0 +1,146 @@
+"""Bound what flights under linear laws spend, by a storage in each period (Proposition 14 (c))."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, hypot
+from operator import mul
+
+from flint import arb, arb_mat
+
+from ..files.parts import Vector
+from ..kernel.balls import beside, diagonal, magnitude, maxima, rows_of, scaled, smallest
+from ..kernel.verdict import Rejected, Undecided
+from ..kernel.zonotopes import Zonotope
+from .flights import Flown
+from .mean_commands import FLOOR, MeanCommands, Period, pivots
+
+GROWN, APART = 1e-7, 1e-4
+"""Share by which a storage grows in every period, to hold what its numbers are rounded by; and at a jump of
+the reference, to hold what that adds."""
+FEW, TURNS, VECTOR, LOOSER, TINY = 64, 30, 6, 1.02, 1e-300
+"""Generators of a start whose weights are looked for, how long, and in vectors of how many entries. By how
+much weights rise until they are enough, and the least weight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Storage:
+    """Storage ``y' P y / 2 + p' y`` of a loop state y from the middle, and what is spent beside it [N]."""
+
+    P: arb_mat  # exact
+    p: arb_mat  # exact, shape (N, 1)
+    cost: arb
+
+    def largest(self, start: Zonotope) -> arb:
+        """Bound the storage, its cost included, over a set about its centre."""
+        within, along = start.G.transpose() * self.P * start.G, start.G.transpose() * self.p
+        within = (within + within.transpose()) * 0.5
+        apart = sum(map(abs, within.entries()), arb(0)) / 2 + sum(map(abs, along.entries()), arb(0))
+        found, sizes = [apart], _sizes(within, along) if 0 < start.count <= FEW else []
+        for i in range(1, TURNS) if sizes else ():
+            weights = diagonal([x * LOOSER**i for x in sizes])
+            if pivots(weights - within) is not None:
+                paid = (along.transpose() * (weights - within).solve(along))[0, 0]
+                found.append((sum(sizes) * arb(LOOSER) ** i + paid) / 2)
+        return self.cost + smallest(found)
+
+    def before(self, period: Period, middle: arb_mat) -> Storage:
+        """Return the storage before a period, in whose middle a command is given (m, 1)."""
+        spare, N = period.spare(self.P), self.P.nrows()
+        if pivots(spare) is None:
+            raise Undecided("goal", "weights of what enters the loop are too small to bound what is spent")
+        held = scaled(period.C, middle)
+        crossed = period.enter.transpose() * self.P * period.F - period.met
+        entered = period.enter.transpose() * self.p + period.own.transpose() * held
+        solved = spare.solve(beside(crossed, entered))
+        both = beside(crossed, entered).transpose() * solved
+        P = period.F.transpose() * self.P * period.F + period.fed + _part(both, 0, N, 0, N)
+        p = period.F.transpose() * self.p - period.turned * held + _part(both, 0, N, N, N + 1)
+        paid = (middle.transpose() * held)[0, 0] + both[N, N]
+        return _rounded(P, p, self.cost + period.cost + paid / 2)
+
+    def jumped(self, jump: arb_mat) -> Storage:
+        """Return the storage before the loop state moves by up to a box (N, 1)."""
+        moved = magnitude(self.P) * jump
+        more = sum((x * y for x, y in zip(moved.entries(), jump.entries(), strict=True)), arb(0))
+        along = sum((abs(x) * y for x, y in zip(self.p.entries(), jump.entries(), strict=True)), arb(0))
+        cost = self.cost + along + more * (1 + 1 / arb(APART)) / 2
+        return Storage((self.P * (1 + arb(APART))).mid() + self.P * GROWN, self.p, cost)
+
+
+def _sizes(M: arb_mat, p: arb_mat) -> list[float]:
+    """Return weights of numbers up to 1 that bound ``v' M v / 2 + p' v``: those of a v of vectors."""
+    rows = [[float(x.mid()) for x in row] for row in M.tolist()]
+    first, sizes = [float(x.mid()) for x in p.entries()], list[float]()
+    v = [[cos(i * j + i * i) for i in range(1, len(rows) + 1)] for j in range(1, VECTOR + 1)]
+    for _ in range(TURNS):
+        worth = [[sum(map(mul, row, each)) for row in rows] for each in v]
+        worth[0] = [x + y for x, y in zip(worth[0], first, strict=True)]
+        sizes = [hypot(*column_of) + TINY for column_of in zip(*worth, strict=True)]
+        v = [[x / size for x, size in zip(each, sizes, strict=True)] for each in worth]
+    return sizes
+
+
+def _part(M: arb_mat, top: int, bottom: int, left: int, right: int) -> arb_mat:
+    """Return a block of a matrix."""
+    rows = rows_of(M, *range(top, bottom)).transpose()
+    return rows_of(rows, *range(left, right)).transpose()
+
+
+def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
+    """Return a storage of exact numbers that is at least as large."""
+    P = (P + P.transpose()) * 0.5
+    size = [float(P[i, i].mid()) for i in range(P.nrows())]
+    more = [GROWN * (x + FLOOR * max(size)) for x in size]
+    exact, middle = (P + diagonal(more)).mid(), p.mid()
+    if pivots(exact - P - diagonal([x / 2 for x in more])) is None:
+        raise Undecided("goal", "a storage is not bounded by rounded numbers")
+    off = zip((p - middle).entries(), more, strict=True)
+    return Storage(exact, middle, cost + sum((x.abs_upper() ** 2 / y for x, y in off), arb(0)))
+
+
+def _periods(step: Flown, weights: Vector, count: int) -> list[Period]:
+    """Return the first periods of a step as those of its loop about the middle, with their weights."""
+    craft, m = step.pilot.craft, len(step.spells[0].bounds)
+    error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
+    found, known = list[Period](), dict[tuple[float, ...], MeanCommands]()
+    for spell in step.spells[:count]:
+        key = tuple(float(x.mid()) for x in (*spell.bands, *spell.K.entries()))
+        if key not in known:
+            known[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
+        loop, middle = known[key], map(float, map(abs, spell.middle.mid().entries()))
+        r = [x + y for x, y in zip(weights[:m], middle, strict=True)]
+        found.append(Period(loop, r, _columns(loop, weights[m:])))
+    return found
+
+
+def _columns(loop: MeanCommands, weights: Vector) -> list[float]:
+    """Return the weight of every value from those of groups of values."""
+    made = loop.enter.ncols() - loop.held
+    if len(weights) != len(loop.groups) + made:
+        raise Rejected(
+            "goal", f"{len(weights)} weights of what enters the loop, of {len(loop.groups) + made}"
+        )
+    known = [weights[g] for g, group in enumerate(loop.groups) for _ in group]
+    return [*known, *weights[len(loop.groups) :]]
+
+
+def together(
+    flights: Sequence[Flown], weights: Sequence[Vector], count: int, jump: tuple[int, arb_mat] | None = None
+) -> arb:
+    """Bound the integral of the thrust in the first periods of linear steps on end.
+
+    At the start of the step that `jump` names, the loop state moves by up to a box (N, 1).
+    """
+    plant, N = flights[0].pilot.plant, flights[0].start.c.nrows()
+    after = Storage(arb_mat(N, N), arb_mat(N, 1), arb(0))
+    lengths = [min(max(count - i * plant.q, 0), plant.q) for i in range(len(flights))]
+    for i in range(len(flights) - 1, -1, -1):
+        periods = _periods(flights[i], weights[i], lengths[i])
+        for j in range(lengths[i] - 1, -1, -1):
+            after = after.before(periods[j], flights[i].spells[j].middle)
+        if jump is not None and jump[0] == i > 0:
+            after = after.jumped(jump[1])
+    bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(plant.u_max))))
+    return (after.largest(flights[0].start) + count * bits) * (plant.h + 2 * arb(plant.jitter))
