@@ -50,7 +50,8 @@ class Corrections:
         doc, craft = self.tracker.document, self.tracker.craft
         steps = (craft.extra(doc, k) for k in range(doc.steps + 1))
         off = sums(maxima(*steps), craft.lagged(craft.plant.u_max))
-        return MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), off)
+        seen = craft.gain * craft.carry * diagonal(craft.missed(off))
+        return MeanCommands(craft, craft.plant.thruster_error(craft.plant.u_max), seen)
 
     @cached_property
     def mean(self) -> arb | None:
