@@ -39,6 +39,7 @@ from polaris.synthesis.safety.demand import Scheduled
 from polaris.synthesis.safety.get_safety import get_safety
 from polaris.synthesis.schedule.synthesize import synthesize
 from polaris.synthesis.sources.craft import SOURCES, craft_loop
+from polaris.synthesis.tracker.affine_law import LEVELS, AffineLaw
 from reach.numerics.linear import discretize
 from reach.sets.zonotope import Zonotope
 
@@ -265,6 +266,17 @@ def test_the_errors_of_a_step_follow_what_is_commanded_in_it():
     assert len(levels) > 1 and all(np.all((least <= size) & (size <= most)) for size in sizes)
     assert np.ptp(sizes, axis=0).min() > 0
     assert any(np.array_equal(each._flown(start, 0)[0].end.G, told.end.G) for each in levels)
+
+
+def test_levels_that_are_foreseen_are_those_that_are_found_from_the_least_one(monkeypatch):
+    schedule = magnified()
+    law, start, u_max = schedule.controllers[1], schedule.safety.start, schedule.safety.problem.system.u_max
+    foreseen = law.foreseen(start - law.whole_offset(0)[0], 0)
+    told, _ = law.fly(start, 0), law._levels.clear()
+    monkeypatch.setattr(AffineLaw, "foreseen", lambda law, d, k: LEVELS[0] * law.system.u_max)
+    found = law.fly(start, 0)
+    assert np.any(foreseen > LEVELS[0] * u_max)
+    assert np.array_equal(found.end.G, told.end.G) and np.array_equal(found.bow, told.bow)
 
 
 def test_s_has_the_errors_of_all_that_it_may_command_where_its_tube_is_wide():

@@ -11,9 +11,10 @@ from polaris.scenario.scenario import load_scenario
 from polaris.simulation.disturbances import adjoint_worst_case
 from polaris.simulation.integration import Integrator
 from polaris.synthesis.controllers.controllers import AffineController
+from polaris.synthesis.safety import continuation
 from polaris.synthesis.safety.continuation import Continuation
 from polaris.synthesis.safety.get_safety import get_recover, get_safety
-from polaris.synthesis.safety.recoverable import directed, left
+from polaris.synthesis.safety.recoverable import directed, left, missing
 
 from ..sizes import fewer
 from .conftest import small_safety
@@ -223,6 +224,20 @@ def test_no_limit_is_left_out_however_late(first, period):
             assert not Continuation(blocked).margin_at(first, safety.start).inside, (node, end)
 
 
+def test_limits_that_are_not_worked_out_are_never_the_tightest(period, monkeypatch):
+    """Margins are those with the exact needs of all limits, of small sets and of sets that reach outside."""
+    safety = small_safety(period)
+    starts = [share * safety.start for share in (0.0, 0.5, 1.0, 2.0, 5.0, 20.0)]
+    told = [safety.recoverable.margin_at(k, each) for each in starts for k in (0, 5)]
+    assert {margin.inside for margin in told} == {True, False}
+    monkeypatch.setattr(continuation, "FIRST", 10**9)
+    for margin, whole in zip(
+        told, [safety.recoverable.margin_at(k, x) for x in starts for k in (0, 5)], strict=True
+    ):
+        assert (margin.limit, margin.time) == (whole.limit, whole.time)
+        assert margin.value == pytest.approx(whole.value, rel=1e-12)
+
+
 def test_all_of_a_tail_that_is_flown_again_lies_ahead_of_every_node_in_it(period):
     clearance = small_safety(period).clearance
     blocked, room = replace(clearance), clearance.limits.room.copy()
@@ -283,6 +298,11 @@ def test_round_off_of_the_reference_is_needed_anew_at_every_step(kind, tmp_path)
 )
 def test_proven_numbers_are_rounded_to_their_safe_side(value, form, down, up):
     assert (directed(value, form), directed(value, form, up=True)) == (down, up)
+
+
+def test_what_is_missing_has_the_unit_of_its_limit():
+    told = [missing(limit, 0.12341) for limit in ("debris", "radial thrust", "input 1")]
+    assert told == ["0.1235 m", "0.1235 N", "0.1235"]
 
 
 def test_a_need_too_small_to_show_beside_one_leaves_less_than_everything():

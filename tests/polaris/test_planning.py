@@ -488,6 +488,18 @@ def test_start_inside_names_the_set_and_the_shortfall():
     assert caught.value.shortfall == pytest.approx(30.0)
 
 
+def test_a_start_outside_a_box_to_stay_inside_names_its_side():
+    """The start is 1000 m behind; bounds of navigation hold within 990 m, or from a phase on."""
+    for name, told in (("within[4]", "within_m of navigation;"), ("within-2[4]", r"navigation.phases\[2\];")):
+        side = TimedPolytope(name, np.array([[0.0, 1.0, 0.0]]), np.full((60, 2, 1), -990.0), keep_in=True)
+        with pytest.raises(SynthesisInfeasible, match=rf"10 m outside the - side, along axis 1, .*{told}"):
+            plan(problem([side]))
+    side = replace(side, name="corridor[0]")
+    with pytest.raises(SynthesisInfeasible, match=r"10 m outside corridor\[0\]") as caught:
+        plan(problem([side]))
+    assert caught.value.shortfall == pytest.approx(20.0)
+
+
 def test_blocked_goal_names_what_to_relax():
     task = problem([box("huge", (0, 0, 0), 495)])
     with pytest.raises(SynthesisInfeasible, match="without huge") as caught:
