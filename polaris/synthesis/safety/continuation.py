@@ -215,7 +215,7 @@ class Continuation(RecoverableSet):
         ahead = self._ahead(*tube)
         ahead.work_out(_least(self._left(ahead).min(axis=0), FIRST))
         share = self._left(ahead).min(axis=0)
-        ahead.work_out(share <= share[ahead.known].min(initial=np.inf))
+        ahead.work_out(np.asarray(share <= share[ahead.known].min(initial=np.inf)))
         return self._left(ahead), ahead.need, ahead.room, ahead.where
 
     def _left(self, ahead: "Ahead") -> Array:
