@@ -59,6 +59,8 @@ class FlightSoftware:
             self.laws[mode] = np.array(law["gain"]), states, inputs
         self.issued: list[np.ndarray] = []  # one per period; the last `late` are not in effect yet
         thrusters = scenario.get("thrusters", {})
+        if (pulse := thrusters.get("pulse")) in ("start", "staggered"):
+            raise ValueError(f"{folder}: this software centres pulses, they are {pulse} in the scenario")
         self.bit = float(thrusters.get("impulse_bit_N_s", 0.0))
         self.carries, self.left = thrusters.get("remainder") == "carried", np.zeros(3)
         self.held = cache(lambda h: held(self.A, self.B, h))

@@ -118,6 +118,8 @@ ROWS = (
         ("timing.missed_periods=2",),
     ),
     Row("Pulses", "thrusters.pulse", ('thrusters.pulse="centred"',)),
+    Row("Pulses from the start of a period on", "thrusters.pulse", ('thrusters.pulse="start"',)),
+    Row("Staggered pulses", "thrusters.pulse", ('thrusters.pulse="staggered"',)),
     Row(
         "Rise and fall of pulses",
         "thrusters.rise_s",

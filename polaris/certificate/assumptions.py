@@ -17,6 +17,12 @@ ALLOCATED = (
 )
 """Assumed where inputs are made by thrusters that may fail, or that are not aligned with them."""
 
+PLACES = {
+    "": "in the middle of it",
+    "start": "from the start of it on",
+    "staggered": "one after another from the start of it on, in their order and without a gap",
+}
+"""Where the pulses of a period lie, by name."""
 
 ALLOCATIONS = {
     "least_thrust_mixes": "the sum of a fixed mix for each input and sign",
@@ -69,6 +75,7 @@ class Premises:
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
     thrusters: Iterable[float] = ()  # shares of the command, of the 2-norm of others, of the mass; at all [N]
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
+    placed: str = ""  # where these are in a period, unless in the middle
     fine: bool = False  # whether impulses above that are of any size instead
     edge: float = 0.0  # in which their thrust comes up or goes down [s]
     carried: float = 0.0  # impulse [N s] of which multiples are made, the rest being carried on; 0 without
@@ -146,10 +153,10 @@ class Premises:
             made = f"a period makes {made} {self.carried:g} N s, or all that its limit allows"
             yield f"impulses: of each input {made}; what is left, at first nothing, is carried to the next"
         if fired := ", ".join(f"{x:g}" for x in self.pulses):
-            made = f"one pulse per period, in the middle of it, of the thrusts [{fired}]"
+            made = f"one pulse per period, {PLACES[self.placed]}, of the thrusts [{fired}]"
             if self.layout:
-                made = "one pulse of each thruster per period, in the middle of it, of which those at once "
-                made += f"make at most [{fired}] N"
+                made = f"one pulse of each thruster per period, {PLACES[self.placed]}, of which those at "
+                made += f"once make at most [{fired}] N"
             made += f", up and down within {self.edge:g} s with its impulse kept" * (self.edge > 0)
             made += ", of its impulse whenever it begins, never over another of its thruster" * (jitter > 0)
             yield f"pulses: inputs are made by {made}, errors of the thrusters being constant in a period"

@@ -87,6 +87,11 @@ class Craft(LinearSystem):
         return np.array(self.timing.measured or self.navigation)
 
     @property
+    def proportional(self) -> bool:
+        """True if errors of what is applied depend on what is commanded."""
+        return self.thrusters.proportional or self.timing.lead is not None
+
+    @property
     def ideal(self) -> bool:
         """True if laws see the exact state and their commands are applied exactly, without late faults."""
         return self.thrusters.exact and not np.any(self.navigation) and not self.transients
@@ -128,8 +133,10 @@ class Craft(LinearSystem):
 
     @cached_property
     def unknown(self) -> Array:
-        """Rates of the states by carried impulses and by the constant beside w, as generators (n, ...)."""
-        return np.hstack([self.adrift, self.biases])
+        """Rates of the states by carried impulses, leads of pulses and the constant beside w, (n, ...)."""
+        lead = self.timing.lead
+        led = [] if lead is None else [self.A @ self.B * np.add(lead.fixed, lead.most)]
+        return np.hstack([self.adrift, *led, self.biases])
 
     @cached_property
     def carried_away(self) -> Array:
@@ -174,8 +181,18 @@ class Craft(LinearSystem):
         """
         if most is None or not self.timing.hidden or self.transients:
             return self.navigation if most is None else self.navigation + np.zeros((*most.shape[:-1], 1))
-        spare = self.thrusters.part(self.u_max) - self.thrusters.part(np.minimum(most, self.u_max))
+        spare = self.grown(self.u_max) - self.grown(np.minimum(most, self.u_max))
         return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
+
+    @property
+    def entering(self) -> Array:
+        """Rates of the states by errors of inputs, and by leads of pulses if there are any, (n, k)."""
+        return self.B if self.timing.lead is None else np.hstack([self.B, self.A @ self.B])
+
+    def grown(self, most: Array) -> Array:
+        """Return the parts of what is `entering` that grow with commands up to `most` (..., m), (..., k)."""
+        part, lead = self.thrusters.part(most), self.timing.lead
+        return part if lead is None else np.concatenate([part, lead.part(most)], axis=-1)
 
     def input_error(self, gain: Array, most: Array) -> Array:
         """Bound the difference of what is applied from what a clipped law commands on the exact state, (m,).

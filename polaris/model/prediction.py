@@ -12,6 +12,7 @@ from reach.tubes.flow import LinearFlow
 
 from .craft import Array, Craft
 from .errors import ScenarioError
+from .pulses import lead_of, pulse_error
 from .timing import Observer, Timing
 
 PARTS = 32  # parts of a prediction over each of which integrals are bounded by the trapezoid rule
@@ -55,11 +56,11 @@ def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float
 
 
 def unseen_by(system: Craft, tau: float) -> Array:
-    """What a unit of errors of every input may add to a prediction over tau [s], shape (n, m)."""
+    """What a unit of errors that are `entering` may add to a prediction over tau [s], shape (n, k)."""
     if not tau > 0:
-        return np.zeros((system.n, system.m))
+        return np.zeros(system.entering.shape)
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)
-    gains = flow.input_gains(np.eye(system.n), system.B, PARTS).sum(axis=0)
+    gains = flow.input_gains(np.eye(system.n), system.entering, PARTS).sum(axis=0)
     return np.asarray(gains * (1 + 10 * ROUNDED))
 
 
@@ -207,42 +208,6 @@ def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
     return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
 
 
-def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
-    """What pulses of the thrust `fired` (m,) add to inputs that are held for h [s], of the same impulse.
-
-    An error of every input [N], and a displacement (n,) within a period, none at its ends (docs/theory.md,
-    Lemma 6 (b)). Errors of the thrusters hold for a period.
-
-    Raises
-    ------
-    ScenarioError
-        If inputs that are linear in time cannot do that: too few of them for the states.
-    """
-    A, B, m = system.A, system.B, system.m
-    each = (fired * scale for scale in (h / 8, h**2 / 32, h**3 / 62))
-    speed, way, lasting = (part + system.thrusters.part(part) for part in each)
-    inverse = _spreading(system, h)
-    growth, bent = expm(np.abs(A) * h), A @ A @ B
-    shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
-    spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
-    within = np.abs(B) @ speed + np.abs(A @ B) @ way + h * growth @ (np.abs(bent) @ way + np.abs(B) @ spread)
-    rounding = float(np.finfo(float).eps * fired.max())  # where next to nothing is left of larger numbers
-    return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
-
-
-def _spreading(system: Craft, h: float) -> Array:
-    """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
-    A, B, n = system.A, system.B, system.n
-    block = np.zeros((3 * n, 3 * n))
-    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)
-    once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
-    moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
-    if np.linalg.matrix_rank(moments) < n:
-        rule = "is not covered for a system with fewer inputs than half its states, or states that none moves"
-        raise ScenarioError("thrusters.pulse", "centred", rule)
-    return np.linalg.pinv(moments)
-
-
 def when_measured(timing: Timing, h: float, away: Array) -> Array:
     """Add to displacements at nodes (n,) those by pulses of periods of h [s] when states are measured."""
     off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
@@ -267,7 +232,7 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     away = moved = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
     if timing.fired:
         bit, within = pulse_error(system, np.array(timing.fired), h)
-        timing = replace(timing, pulsed=tuple(within.tolist()))
+        timing = replace(timing, pulsed=tuple(within.tolist()), lead=lead_of(system, h))
         away, moved = when_measured(timing, h, moved), moved + within
         system = replace(system, thrusters=exact.raised(bit))
     timing = replace(timing, displaced=tuple(moved.tolist()))
@@ -278,13 +243,14 @@ def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
     timing = replace(timing, measured=tuple(np.max(steps, axis=0).tolist()))
     least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
     known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
+    still = system if timing.lead is None else replace(system, timing=replace(timing, lead=timing.lead.least))
     try:
-        errors = [[prediction_error(system, each, least, age) for each in known] for age in ages.tolist()]
+        errors = [[prediction_error(still, each, least, age) for each in known] for age in ages.tolist()]
         unseen = unseen_by(system, ages[-1])
     except ReachError as error:
         rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
         raise ScenarioError("timing.delay_s", timing.delay, rule) from error
-    found = np.max(errors, axis=0) + unseen @ system.thrusters.part(system.u_max)
+    found = np.max(errors, axis=0) + unseen @ system.grown(system.u_max)
     system = replace(system, timing=replace(timing, unseen=tuple(map(tuple, unseen.tolist()))))
     by_step = None if len(steps) == 1 else found[of_step.ravel()]
     return replace(system, estimate_error=np.max(found, axis=0), error_by_step=by_step)

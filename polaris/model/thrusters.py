@@ -170,6 +170,15 @@ class Nozzles:
         d = self.allocation.directions
         return self.bit * self.carried * max(float(np.maximum(s * d, 0).sum(axis=0).max()) for s in (1, -1))
 
+    def in_turn(self, period: float) -> tuple[float, float]:
+        """Bound the share of a `period` [s] that pulses take one after another.
+
+        First what the inputs take at their limits, then what bits take besides.
+        """
+        made, bit = self.allocation, self.bit / period * (1.0 if self.carried else 0.5)
+        longest = float(self.weights @ made.u_max) * float(np.max(1 / (made.limits * made.lengths)))
+        return longest, bit * float(made.at_once(1 / made.limits))
+
     @property
     def fired(self) -> tuple[float, ...]:
         """Bound on what pulses of thrusters asked at once make in every input [N]; none if they are held."""

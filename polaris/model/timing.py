@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from .keys import Key, NonNegative, Real, Whole
+from .lead import Lead
 from .system import Array
 from .thrusters import Thrusters
 
@@ -50,14 +51,16 @@ class Timing:
     on_time: Thrusters = Thrusters()  # errors of thrusters without what stands for jitter and pulses
     measured: tuple[float, ...] = ()  # bounds on the errors of the measured states, (n,)
     displaced: tuple[float, ...] = ()  # how far jitter, pulses, and what is carried displace states, (n,)
-    fired: tuple[float, ...] = ()  # thrust of the pulses of every input, each in the middle of its period [N]
+    fired: tuple[float, ...] = ()  # thrust of the pulses of every input, one a period [N]
+    placed: str = ""  # place of pulses in a period, "start" or "staggered"; empty: centred, or none
+    lead: Lead | None = None  # of pulses that are not centred
     pulsed: tuple[float, ...] = ()  # their part of what is displaced, nothing at nodes, (n,)
     edge: float = 0.0  # time in which the thrust of a pulse comes up or goes down, at most [s]
     carried: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
     fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[float, ...], ...] = ()
-    """What a unit of errors of the inputs may add to those of predictions until it is measured, (n, m)."""
+    """What a unit of errors of thrusters may add to those of predictions until it is measured, (n, k)."""
 
     @property
     def hidden(self) -> int:

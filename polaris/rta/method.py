@@ -180,7 +180,7 @@ class Method(ABC):
         try:
             return cls(grid, **options)
         except NotCertified:
-            if not grid.system.thrusters.proportional:
+            if not grid.system.proportional:
                 raise
             return cls(grid.profiled(), **options)
 

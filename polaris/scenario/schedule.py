@@ -122,7 +122,9 @@ class ScheduleScenario(Scenario):
     @kept
     def allocation(self) -> Allocation | None:
         """What the thrusters make of the inputs in every fault, where anything is said of it."""
-        return allocation(self.model.thrusters, self.model.faults, self.model.system.build().u_max)
+        thrusters, faults = self.model.thrusters, self.model.faults
+        made = allocation(thrusters, faults, self.model.system.build().u_max)
+        return made if thrusters is None else thrusters.in_turn(made, self.period())
 
     @kept
     def period(self) -> float:
@@ -257,7 +259,8 @@ class ScheduleScenario(Scenario):
         networks = (self.policies()[spec.name][1] for spec, _ in self._networks() if self.model.faults)
         steepest = [each.steepest(system, self.obstacles()) for each in networks]
         boxes = any(isinstance(spec, BlackBox) for spec in self.model.experimental)
-        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest, boxes)
+        one = system.m if system.timing.placed == "staggered" and system.nozzles is None else 1
+        late = transients(self.model.faults, self.allocation(), (unsteered, *gains), steepest, boxes, one)
         system = replace(system, transients=late)
         return Problem(
             system=system,

@@ -12,6 +12,16 @@ from .failing import Failing
 STAIRS = 4  # steps in which the thrust of a pulse comes up and goes down
 
 
+def begins(on: Array, placed: str) -> Array:
+    """Return the instants at which pulses begin that last for `on` (..., N), shares of their period.
+
+    They are centred unless `placed` says that all begin at the start, or each where the one before it ends.
+    """
+    if placed == "staggered":
+        return np.asarray(np.cumsum(on, axis=-1) - on)
+    return 0.0 * on if placed else (1 - on) / 2
+
+
 class Firing:
     """Thrusters over steps of an integration, R runs at once.
 
@@ -91,7 +101,7 @@ class Firing:
         if not len(self.fired):
             return
         on, kept = np.abs(self.asked) / self.fired, int(self.jitter + self.edges[-1] > 0)
-        begin = (1 - on) / 2 + late
+        begin = begins(on, self.system.timing.placed) + late
         last = [(f, ways, other - 1, over - 1) for f, ways, other, over in last[:kept]]
         for *_, over in last:  # what is not over yet
             begin = np.maximum(begin, over)

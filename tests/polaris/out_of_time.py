@@ -39,20 +39,53 @@ class OutOfTime(Loop):
         times, back = np.unique(np.round(t, 12), return_inverse=True)
         return expm(times[:, None, None] * block)[:, :n, n:][back.reshape(np.shape(t))]
 
+    @property
+    def ways(self):
+        """Return what a unit of each thruster makes of every input, (N, m): one an input, or a layout's."""
+        layout = self.system.nozzles
+        return np.eye(self.system.m) if layout is None else layout.allocation.directions
+
+    @property
+    def pulses(self):
+        """Return the thrust of the pulses of every thruster, (N,); infinite where inputs are held."""
+        timing, layout = self.system.timing, self.system.nozzles
+        if not timing.fired:
+            return np.full(len(self.ways), np.inf)
+        return np.array(timing.fired) if layout is None else layout.allocation.limits
+
+    def begin(self, on):
+        """Return when pulses that last for some times (R, N) begin after the start of their period [s]."""
+        placed = self.system.timing.placed
+        if placed == "start":
+            return 0 * on
+        return np.cumsum(on, axis=1) - on if placed == "staggered" else (self.h - on) / 2
+
+    def allocated(self, told):
+        """Return the thrusts of a layout's fixed mixes for commands (R, m), shape (R, N)."""
+        mixes = self.system.nozzles.allocation.mixes[0]
+        sides = [np.maximum(sign * told, 0.0) @ mix for sign, mix in zip((1, -1), mixes, strict=True)]
+        return sides[0] + sides[1]
+
     def made(self, told, rest, off):
         """Return the impulses that thrusters make of commands (R, m), over h, and what they leave."""
-        bit, carried, fine = self.bit, self.system.timing.carried, self.system.timing.fine
+        timing, layout, limits = self.system.timing, self.system.nozzles, self.system.u_max
+        along = self.errors.along
+        bit, carried, fine = self.bit, timing.carried, timing.fine
+        if layout is not None:
+            told, limits = self.allocated(told), layout.allocation.limits
+            carried, bit = layout.bit * layout.carried, layout.bit / self.h * (not layout.carried)
+            off, along = np.clip(off @ self.ways.T * 1e3, -1, 1), layout.along
         if carried:
             asked = told * self.h + rest
-            full = self.system.u_max * self.h
+            full = limits * self.h
             size = np.floor(np.abs(asked) / carried * (1 + 1e-12)) * carried
             size = np.minimum(np.where(size > 0, np.abs(asked), 0.0) if fine else size, full)
             u = size * np.sign(asked) / self.h
-            return u, asked - u * self.h, off * self.errors.along * u
+            return u, asked - u * self.h, off * along * u
         u = np.round(told / bit) * bit if bit else told
         u = np.where(np.abs(told) >= bit, told, u) if fine else u
-        u = np.clip(u, -self.system.u_max, self.system.u_max)
-        return u, rest, off * self.errors.along * u
+        u = np.clip(u, -limits, limits)
+        return u, rest, off * along * u
 
     @property
     def bit(self):
@@ -68,10 +101,11 @@ class OutOfTime(Loop):
         Ad, Dd = held(system.A, system.B, self.dt)[0], held(system.A, system.D, self.dt)[1]
         eta, off = (np.broadcast_to(each, (self.N, R, k)) for each, k in ((attack.eta, n), (attack.off, m)))
         sees = Computer(self, states, eta, attack.w) if self.remembers else None
-        rest, told, last = np.zeros((R, m)), np.zeros((R, m)), np.zeros((R, m))
-        until = np.full((R, m), -np.inf)  # end of the last pulses
-        bursts = []  # of forces (R, m), and when they begin and end (R, m)
-        top, jitter = np.array(system.timing.fired or np.inf), system.timing.jitter
+        ways, count = self.ways, len(self.ways)
+        rest, told, last = np.zeros((R, count)), np.zeros((R, m)), np.zeros((R, count))
+        until = np.full((R, count), -np.inf)  # end of the last pulses
+        bursts = []  # of forces (R, N), and when they begin and end (R, N)
+        top, jitter = self.pulses, system.timing.jitter
 
         def command(i):
             nonlocal rest, told, last, until, bursts
@@ -93,20 +127,20 @@ class OutOfTime(Loop):
             modes[i : i + self.parts] = flying
             told = np.clip(raw, -system.u_max, system.u_max)
             u, rest, more = self.made(told, rest, off[i])
-            way = ((last - u - more) * (attack.way[i] @ system.B)).sum(axis=1, keepdims=True)
+            way = ((last - u - more) * (attack.way[i] @ system.B @ ways.T)).sum(axis=1, keepdims=True)
             late = jitter * np.sign(way) if i else np.zeros((R, 1))
             late = late if self.early(i) else np.maximum(late, 0.0)
-            begins, ends = i * self.dt + late, np.full((R, m), (i + 2 * self.parts) * self.dt)
+            begins, ends = i * self.dt + late, np.full((R, count), (i + 2 * self.parts) * self.dt)
             if np.all(np.isfinite(top)):
                 on = np.abs(u) / top * self.h
-                begins = np.maximum(i * self.dt + (self.h - on) / 2 + late, until)
+                begins = np.maximum(i * self.dt + self.begin(on) + late, until)
                 until = begins + on
                 begins = begins + system.timing.edge * (way > 0)  # all that comes up or goes down is late
                 ends = begins + on
                 gain = np.divide(u + more, u, out=np.ones_like(u), where=u != 0)
                 bursts.append((np.sign(u) * top * gain, begins, ends))
             else:
-                begins = np.broadcast_to(begins, (R, m))
+                begins = np.broadcast_to(begins, (R, count))
                 bursts = [(f, a, np.minimum(b, begins)) for f, a, b in bursts]
                 bursts.append((u + more, begins, ends))
             last, bursts = u + more, bursts[-3:]
@@ -126,8 +160,8 @@ class OutOfTime(Loop):
                 left, right = (then - np.clip(each, now, then) for each in (begins, ends))
                 some = np.any(left > right)
                 if some:
-                    added = self.gained(left) - self.gained(right)  # (R, m, n, m)
-                    x = x + np.einsum("rj,rjnj->rn", force, added)
+                    added = self.gained(left) - self.gained(right)  # (R, N, n, m)
+                    x = x + np.einsum("rj,rjnm,jm->rn", force, added, ways)
             states[i + 1] = x
         return Flown(states, clipped, modes, wrong)
 
@@ -190,7 +224,19 @@ def mixed(seed):
         given += [f"navigation.state_error={errors}"]
     if any("impulse_bit" in each for each in given):
         given += ["thrusters.resolution=continuous"] * int(rng.random() < 0.5)
+    if "thrusters.pulse=centred" in given:
+        given += [f"thrusters.pulse={rng.choice(['centred', 'start', 'staggered'])}"]
+        given += canted(rng) if rng.random() < 0.4 else []
     return load_scenario(TINY).with_assignments(given), given[4:]
+
+
+def canted(rng):
+    """Draw six to sixteen thrusters in the plane, weak or strong, of which a layout of pulses is made."""
+    count = int(rng.integers(6, 17))
+    at = 2 * np.pi * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count
+    ways = np.stack([np.cos(at), np.sin(at)], axis=1)[rng.permutation(count)]
+    most = rng.uniform(4, 8, count)
+    return [f"thrusters.directions={ways.tolist()}", f"thrusters.thrust_max_N={most.tolist()}"]
 
 
 def judge_scene(seed, runs=12):

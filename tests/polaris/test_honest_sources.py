@@ -35,6 +35,8 @@ SOURCES = {
     "carried bit": ["thrusters.impulse_bit_N_s=0.004", "thrusters.remainder=carried"],
     "coarse carried bit": ["thrusters.impulse_bit_N_s=0.05", "thrusters.remainder=carried"],
     "pulses": ["thrusters.pulse=centred"],
+    "pulses at the start": ["thrusters.pulse=start"],
+    "staggered pulses": ["thrusters.pulse=staggered"],
     "fault": ['faults=[{kind="loss",share=0.1,isolation_s=0.5}]'],
     "outage": ['faults=[{kind="navigation_lost",lasts_s=0.8}]'],
     "tank": ["tank.delta_v_m_s=60.0"],

@@ -35,6 +35,8 @@ SOURCES = {
     "carried bit": ["thrusters.impulse_bit_N_s=0.005", 'thrusters.remainder="carried"'],
     "least impulse": ["thrusters.impulse_bit_N_s=0.005", 'thrusters.resolution="continuous"'],
     "pulses": ['thrusters.pulse="centred"'],
+    "pulses at the start": ['thrusters.pulse="start"'],
+    "staggered pulses": ['thrusters.pulse="staggered"'],
     "rise and fall": ['thrusters.pulse="centred"', "thrusters.rise_s=0.02", "thrusters.fall_s=0.03"],
     "layout": [f"thrusters.directions={CANTED}", "thrusters.thrust_max_N=0.15"],
     "chaser": ["chaser.radius_m=0.5"],

@@ -9,7 +9,8 @@ import pytest
 from scipy.linalg import expm
 
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.model.prediction import predicting, pulse_error
+from polaris.model.prediction import predicting
+from polaris.model.pulses import lead_of, pulse_error
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.planning.reference import Reference
@@ -30,6 +31,7 @@ from polaris.simulation.integration import Integrator
 from polaris.simulation.orbit.environment import Environment
 from polaris.simulation.orbit.frame import near_circular, relative_rate
 from polaris.simulation.orbit.truth import _TrueMotion
+from polaris.simulation.run_metrics import cubic
 from polaris.simulation.simulate import flown_modes, simulate
 from polaris.synthesis.controllers import controllers
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -57,32 +59,55 @@ ERRORS = (
     "timing.delay_s=0.5",
 )
 
+ROUND = [[float(np.cos(a)), float(np.sin(a))] for a in 0.2 + np.pi / 3 * np.arange(6)]
+LAYOUT = (f"thrusters.directions={ROUND}", "thrusters.thrust_max_N=3.0")
+"""Six thrusters in the plane; one after another they make less than the limits of the inputs."""
 
+
+@pytest.mark.parametrize("placed", ["", "start", "staggered"])
 @pytest.mark.parametrize("h", [0.25, 2.0, 40.0])
-def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_period(h):
+def test_a_pulse_is_a_held_input_with_an_error_and_a_displacement_within_the_period(h, placed):
     """Fly pulses of every length beside what stands for them: one end, and never far apart in between."""
     steps = 1000
-    for system in systems():
-        fired, step, rng = system.u_max, h / steps, np.random.default_rng(1)
+    for plain in systems():
+        fired, step, rng = plain.u_max, h / steps, np.random.default_rng(1)
+        timing = Timing(placed=placed, fired=tuple(fired), period=h, on_time=plain.thrusters)
+        system = replace(plain, timing=timing)
         bit, displaced = pulse_error(system, fired, h)
+        lead, led = lead_of(system, h), 0.0
         s = (np.arange(steps) + 0.5) * step - h / 2
-        carry, push = expm(system.A * step), expm(system.A * step / 2) @ system.B * step
-        back = np.array([expm(-system.A * each) @ system.B for each in s])
-        moments = np.concatenate([back.sum(0), (back * (2 * s / h)[:, None, None]).sum(0)], axis=1) * step
+        carry, push = expm(system.A * step), expm(system.A * step / 2) * step
+        back = np.array([expm(-system.A * each) for each in s])
+        times = (back @ system.B, back @ system.B * (2 * s / h)[:, None, None])
+        moments = np.concatenate([each.sum(0) for each in times], axis=1) * step
         largest, farthest = 0.0, np.zeros(system.n)
-        for on in (0.1, 0.3, 0.5, 1 / 3**0.5, 0.9):
+        for on, at in ((on, at) for on in (0.1, 0.3, 0.4, 0.5, 1 / 3**0.5, 0.9) for at in (0.0, 0.5, 1.0)):
+            if at != 0.5 * (placed == "") and placed != "staggered":
+                continue
             sign = rng.choice([-1, 1], system.m) * (1 + system.thrusters.along)
-            pulse = np.where(np.abs(s) < on * h / 2, 1.0, 0.0)[:, None] * fired * sign
+            begin = -h / 2 + at * (1 - on) * h
+            pulse = np.where((s > begin) & (s < begin + on * h), 1.0, 0.0)[:, None] * fired * sign
             wrong = pulse - pulse.mean(axis=0)
-            a, b = np.split(np.linalg.pinv(moments) @ np.einsum("sij,sj->i", back, wrong) * step, 2)
+            mean = (wrong.cumsum(axis=0) * step - wrong * step / 2).mean(axis=0)
+            if lead is not None:
+                told = on * fired
+                bound = np.add(lead.fixed, lead.part(told))
+                assert np.all(np.abs(mean) <= bound * (1 + 1e-2))
+                led = max(led, np.max(np.abs(mean) / np.add(lead.fixed, lead.most)))
+                wrong_rate = wrong @ system.B.T - mean @ (system.A @ system.B).T
+            else:
+                assert np.all(np.abs(mean) <= 1e-9 * fired * h)
+                wrong_rate = wrong @ system.B.T
+            a, b = np.split(np.linalg.pinv(moments) @ np.einsum("sij,sj->i", back, wrong_rate) * step, 2)
             stands, d = a + b * (2 * s / h)[:, None], np.zeros(system.n)
-            for one, other in zip(wrong, stands, strict=True):
+            for one, other in zip(wrong_rate, stands @ system.B.T, strict=True):
                 d = carry @ d + push @ (one - other)
                 farthest = np.maximum(farthest, np.abs(d))
             largest = max(largest, np.abs(stands).max())
             assert np.all(np.abs(d) <= 1e-6 * displaced)
         assert largest <= bit * (1 + 1e-2) + 1e-9 and np.all(farthest <= displaced * (1 + 1e-2))
-        assert np.all(farthest >= 0.4 * displaced) and largest >= 0.5 * bit
+        assert np.all(farthest >= 0.4 * displaced) and largest >= (0.5 if placed != "start" else 0.3) * bit
+        assert lead is None or led > 0.95
 
 
 def test_held_inputs_are_as_without_the_key():
@@ -206,6 +231,54 @@ def test_forged_pulses_are_refused(tmp_path):
         kept_keys = {key: x for key, x in scenario["thrusters"].items() if key != "pulse"}
         forged = scenario | {"thrusters": kept_keys | thrusters}
         assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
+
+
+@pytest.mark.parametrize(
+    ("placed", "more"), [("start", ()), ("staggered", ()), ("staggered", LAYOUT)], ids=str
+)
+def test_the_place_of_pulses_is_proven_and_no_other_passes_for_it(placed, more, tmp_path):
+    given = [*PULSED, f"thrusters.pulse={placed}", *ERRORS[:2], *more, "simulation.runs=2"]
+    forger = Forger(make(given, tmp_path), tmp_path)
+    assert forger.judge({}).outcome == "VERIFIED"
+    data, scenario = forger.tree(CERTIFICATE), forger.tree("scenario.toml")
+    system, timing = data["system"], data["system"]["timing"]
+    assert timing["placed"] == placed
+    other = {"start": "staggered", "staggered": "start"}[placed]
+    for forged in (timing | {"placed": other}, {k: x for k, x in timing.items() if k != "placed"}):
+        told = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": forged}})}
+        assert forger.judge(told).outcome == "REJECTED"
+    for pulse in ("held", "centred", other):
+        forged = scenario | {"thrusters": scenario["thrusters"] | {"pulse": pulse}}
+        assert forger.judge({"scenario.toml": write_toml(forged)}).outcome == "REJECTED"
+    for key in ("fired", "pulsed"):
+        less = [(0.99 * float.fromhex(x)).hex() for x in timing[key]]
+        told = {CERTIFICATE: json.dumps(data | {"system": system | {"timing": timing | {key: less}}})}
+        assert forger.judge(told).outcome == "REJECTED", key
+    if more:
+        limits = [(1.01 * float.fromhex(x)).hex() for x in system["input_max"]]
+        told = {CERTIFICATE: json.dumps(data | {"system": system | {"input_max": limits}})}
+        assert forger.judge(told).outcome == "REJECTED"
+
+
+@pytest.mark.parametrize("placed", ["centred", "start", "staggered"])
+def test_thrusters_fire_in_their_place(placed):
+    """Pulses of a period begin where they are declared, and staggered ones never two at a time."""
+    scenario = load_scenario(TINY).with_assignments([*PULSED, *LAYOUT, f"thrusters.pulse={placed}"])
+    system, rng, firing = scenario.system(), np.random.default_rng(2), Firing()
+    firing.system, firing.dt, firing.substeps, firing.thrusters = system, 0.25, 1, system.on_time
+    firing.begin(40)
+    firing.applied(rng.choice([-1.0, 1.0], (40, 2)) * rng.choice([0.3, 1.0], (40, 1)) * system.u_max, 0)
+    firing.start(0)
+    _, _, begin, end = firing.parts[0]
+    fires = end > begin
+    assert np.all(end <= 1 + 1e-9) and np.all(begin >= 0) and fires.any()
+    if placed == "start":
+        assert not begin.any()
+    elif placed == "centred":
+        assert np.allclose(begin + end, 1)
+    else:
+        assert np.allclose(begin[:, 0], 0) and np.allclose(begin[:, 1:], end[:, :-1])
+        assert end[:, -1].max() > 0.5
 
 
 @pytest.mark.parametrize("pulse", ["held", "centred"])
@@ -414,30 +487,37 @@ def test_every_method_flies_the_same_pulses_and_carries():
     assert proved >= 5
 
 
-def test_pulses_are_followed_within_a_period():
+@pytest.mark.parametrize("placed", ["centred", "start", "staggered"])
+def test_pulses_are_followed_within_a_period(placed):
     """Exactly to its end, and to a hundredth of what they displace in between."""
     scenario = load_scenario("static", ["feedback.period_s=10"])
-    system, h, steps = scenario.with_assignments(["thrusters.pulse=centred"]).system(), 10.0, 800
+    system, h, steps = scenario.with_assignments([f"thrusters.pulse={placed}"]).system(), 10.0, 800
     firing, rng = Firing(), np.random.default_rng(3)
     firing.system, firing.dt, firing.substeps, firing.fired = system, h, 1, np.array(system.timing.fired)
-    firing.asked = rng.uniform(-1, 1, (6, 3)) * firing.fired
+    firing.asked = rng.uniform(-1, 1, (6, 3)) * system.u_max
     before = rng.normal(size=(6, 6))
-    s = (np.arange(steps) + 0.5) / steps - 0.5
+    s = ((np.arange(steps) + 0.5) / steps)[:, None, None]
     carry, push = (part.T for part in discretize(system.A, system.B, h / steps))
-    fires = np.abs(s)[:, None, None] < np.abs(firing.asked) / firing.fired / 2
+    on = np.abs(firing.asked) / firing.fired
+    begin = {"centred": (1 - on) / 2, "start": 0 * on, "staggered": np.cumsum(on, axis=1) - on}[placed]
+    fires = (s > begin) & (s < begin + on)
     other, held, apart = before, before, []
-    for on in fires:
-        other = other @ carry + on * np.sign(firing.asked) * firing.fired @ push
+    for now in fires:
+        other = other @ carry + now * np.sign(firing.asked) * firing.fired @ push
         held = held @ carry + firing.asked @ push
-        apart.append((other - held) @ system.position.T)
+        apart.append(other @ system.position.T)
     firing.made, firing.parts = firing.asked, []
     firing.start(0)
-    assert np.allclose(held + firing.bow(0), other, atol=2e-3)
+    assert np.allclose(held + firing.bow(0), other, atol=2e-3 if placed == "centred" else 1e-2)
     places = np.arange(1, 8)[:, None] / 8
     found = _pulsed(system, before[:, None], (held + firing.bow(0))[:, None], h, places)
-    true = np.array(apart)[np.arange(1, 8) * steps // 8 - 1].swapaxes(0, 1)
+    ends = [x @ part.T for part in (system.position, h * system.velocity) for x in (before, other)]
+    way = np.array([cubic(*ends, share) for share in places[:, 0]])
+    true = (np.array(apart)[np.arange(1, 8) * steps // 8 - 1] - way).swapaxes(0, 1)
     assert np.abs(found - true).max() < 0.03 * np.abs(true).max()
-    assert np.abs(true).max() > 0.3 * np.linalg.norm(np.array(system.timing.pulsed)[:3])
+    assert np.abs(true).max() > (0.3 if placed == "centred" else 0.1) * np.linalg.norm(
+        np.array(system.timing.pulsed)[:3]
+    )
 
 
 def test_tubes_with_errors_are_hardly_wider_than_if_nothing_were_merged(monkeypatch):

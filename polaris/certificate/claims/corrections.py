@@ -74,9 +74,9 @@ class Corrections:
 
     @cached_property
     def _by_error(self) -> arb_mat:
-        """Sum of the answers to a unit error of each input in one period, shape (m, m)."""
+        """Sum of the answers to a unit error of thrusters in one period, see `Plant.entering`, (m, k)."""
         craft, needs, columns = self.tracker.craft, self._needs, list[arb_mat]()
-        for unit in identity(len(craft.plant.u_max)).tolist():
+        for unit in identity(craft.plant.entering.ncols()).tolist():
             box = craft.thrust_gains(identity(craft.F.nrows())) * column(unit)
             columns.append(column(sums(needs.thrust.always(unit), needs.late(box))))
         return beside(*columns)
@@ -84,7 +84,7 @@ class Corrections:
     @cached_property
     def _amplified(self) -> arb_mat | None:
         """Sum of commands by a sum of commands, errors of thrusters that they cause included, (m, m)."""
-        fed = self._by_error * self.tracker.craft.plant.table
+        fed = self._by_error * self.tracker.craft.plant.every_table
         if not largest(row_sums(fed)) < 1:
             return None
         return (identity(fed.nrows()) - fed).inv()
@@ -108,7 +108,8 @@ class Corrections:
         plant, m = self.tracker.craft.plant, len(self.tracker.craft.plant.u_max)
         sizes = [[abs(arb(x)) for x in u] for u in inputs]
         total = sums([arb(0)] * m, *sizes)
-        errors = sums([arb(0)] * m, *(plant.thruster_part(u) for u in sizes if any(x > 0 for x in u)))
+        made = (plant.thruster_part(u) for u in sizes if any(x > 0 for x in u))
+        errors = sums([arb(0)] * plant.entering.ncols(), *made)
         own = sum((s * x for s, x in zip(self._loop.spends, total, strict=True)), arb(0))
         return (own + self._spent((self._by_error * column(errors)).entries())) * q
 
@@ -171,5 +172,5 @@ class Corrections:
                 yield fault, next(lost), arb(0)
             for push in fault.get("pushes") or []:
                 box, size = tracker.craft.lifted(next(boxes)), list(map(arb, push))
-                wrong = sum(sums(size, plant.thruster_part(size)), arb(0))
+                wrong = sum(sums(size, plant.prompt.thruster_part(size)), arb(0))
                 yield fault, [(diagonal(box.entries()), arb_mat(box.nrows(), 0))], wrong

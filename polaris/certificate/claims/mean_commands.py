@@ -35,30 +35,32 @@ class Lasting:
 class MeanCommands:
     """Commands of a loop about their middle, of which every period spends what it costs at most.
 
-    Errors of thrusters are up to `error` (m). Columns of `seen` (m, k), each times at most one, are what
+    Errors of thrusters are up to `error` (k). Columns of `seen` (m, k), each times at most one, are what
     errors of estimates add to commands. These answer the loop state by `K` (m, N), if not as in the loop.
     """
 
     def __init__(self, craft: Craft, error: Sequence[arb], seen: arb_mat, K: arb_mat | None = None) -> None:
-        plant, spans = craft.plant, craft.spans
+        plant, spans, m = craft.plant, craft.spans, craft.plant.B.ncols()
+        leads = [] if plant.lead is None else [Push.in_box(plant.A * plant.B, list(error[m:]))]
+        steady = [*craft.steady, *leads]
         enter, groups = [craft.held * seen], [[i] for i in range(seen.ncols())]
         for each in craft.samples:
             enter.append(each.adds * diagonal(each.size))
             groups += [[len(groups) + i] for i in range(len(each.size))]
         place = len(groups)
         for enters, motion in spans:
-            for push in craft.steady:
+            for push in steady:
                 radius = push.radius
                 cover = push.cover if radius is None else diagonal([radius] * push.V.ncols())
                 enter.append(enters * motion.gamma * push.V * cover)
                 held = list(range(place, place + cover.ncols()))
                 groups += [[i] for i in held] if radius is None else [held]
                 place += cover.ncols()
-            box = motion.uneven(*craft.steady, Push.in_box(plant.B, list(error)))
+            box = motion.uneven(*steady, Push.in_box(plant.B, list(error[:m])))
             enter.append(enters * diagonal(box.entries()))
             groups += [[place + i] for i in range(box.nrows())]
             place += box.nrows()
-        self.held, self.groups, self.m, self.plant = place, groups, plant.B.ncols(), plant
+        self.held, self.groups, self.m, self.plant = place, groups, m, plant
         enter += [enters * motion.gamma * plant.B for enters, motion in (*spans, *spans)]
         self.enter, self.parts = beside(*enter), len(spans)
         rest = self.enter.ncols() - seen.ncols()

@@ -146,7 +146,7 @@ class Along:
         total = sum((self.flight.spent(needs, (taken.handed,), i) for i in periods), arb(0))
         for fault in doc.transients:  # what wrong thrust spends
             pushes = ([arb(x) for x in push] for push in fault.get("pushes") or [])
-            wrong = [sum(push, arb(0)) + sum(plant.thruster_part(push), arb(0)) for push in pushes]
+            wrong = [sum(push, arb(0)) + sum(plant.prompt.thruster_part(push), arb(0)) for push in pushes]
             unasked.append(largest([arb(0), *wrong]) * arb(fault["lasts"]))
         total += largest(unasked)
         total = total if together is None else smallest([total, together])

@@ -101,6 +101,7 @@ class Document:
         self.measured: Vector = self.timing.get("measured") or self.estimate
         self.displaced: Vector = self.timing.get("displaced") or [0.0] * len(self.A)
         self.fired: Vector = self.timing.get("fired") or []  # thrust of pulses; empty where inputs are held
+        self.placed: str = self.timing.get("placed", "")  # of pulses; empty where they are centred
         self.edge: float = self.timing.get("edge", 0.0)  # in which the thrust of pulses comes or goes [s]
         self.pulsed: Vector = self.timing.get("pulsed") or [0.0] * len(self.A)  # between nodes only
         self.at_nodes: Vector = [x - y for x, y in zip(self.displaced, self.pulsed, strict=True)]
@@ -195,7 +196,7 @@ class Document:
     def _take_claims(self, read: dict[str, Any]) -> None:
         self.unsafe = [unsafe_set(item) for item in read["unsafe_sets"]]
         self.modes: list[int] = read["modes"]
-        caused = any(x > 0 for x in self.shares) or self.late
+        caused = any(x > 0 for x in self.shares) or self.late or bool(self.placed)
         self.profile: Matrix = (read.get("profile") or [self.u_max]) if caused else []
         falls = pairwise([*self.profile, [0.0] * len(self.u_max)] if caused else [])
         if any(a < b for one, two in falls for a, b in zip(one, two, strict=True)):
@@ -231,6 +232,7 @@ class Document:
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
             thrusters=(*self.shares, max(self.prompt_bits)),
             pulses=self.fired,
+            placed=self.placed,
             edge=self.edge,
             fine=self.timing.get("fine", False),
             carried=self.carried,

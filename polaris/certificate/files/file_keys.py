@@ -70,6 +70,7 @@ CERTIFICATE = {
         "thrusters?": {**every(AT_LEAST_0, "along across"), "mass?": _PART, "bit": _BITS},
         "timing?": {**every(HEX, "delay jitter clock"), "missed": Whole(), "bit": _BITS,
                     **every(grid("n"), "measured displaced pulsed?"), "fired?": grid("m"),
+                    "placed?": Text(("start", "staggered")),
                     **every(HEX, "carried? edge?"), "fine?": bool},
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),

@@ -87,7 +87,7 @@ SCENARIO = {
         **every(Real(least=0, below=0.5), "magnitude_error? mass_error?"),
         **every(NOT_NEGATIVE, "impulse_bit_N_s? rise_s? fall_s?"),
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
-        "pulse?": Text(("held", "centred")), "remainder?": Text(("dropped", "carried")),
+        "pulse?": Text(("held", "centred", "start", "staggered")), "remainder?": Text(("dropped", "carried")),
         "allocation?": Text(tuple(ALLOCATIONS)), "resolution?": Text(("bit", "continuous")),
     },
     "timing?": {

@@ -14,6 +14,7 @@ from itertools import accumulate, pairwise
 from flint import arb, arb_mat
 
 from .balls import (
+    above,
     beside,
     column,
     diagonal,
@@ -29,6 +30,7 @@ from .balls import (
     sums,
     widths,
 )
+from .leads import Lead
 from .zonotopes import Directions, Zonotope, ball_cover
 
 PARTS = 32
@@ -84,12 +86,13 @@ class Plant:
     bias: list[Push] = field(default_factory=list)  # inputs that are constant in a whole flight
     hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
     shifted: tuple[arb, ...] = ()  # impulses of inputs that jitter brings forward or puts off [N s], if any
+    lead: Lead | None = None  # of pulses that are not centred
 
     @cached_property
     def unseen(self) -> arb_mat:
-        """What a unit of an input's error adds to a prediction's at most until it is measured, (n, m)."""
+        """Bound what a unit error of thrusters adds to a prediction's until it is measured, (n, k)."""
         if not self.unmeasured > 0:
-            return arb_mat(self.B.nrows(), self.B.ncols())
+            return arb_mat(self.B.nrows(), self.entering.ncols())
         return replace(self, h=self.unmeasured / PARTS).open.unit_gains(identity(self.B.nrows()), PARTS)
 
     @cached_property
@@ -118,12 +121,25 @@ class Plant:
         """Return the pushes of w, constants, carried impulses, and errors of the inputs up to some sizes."""
         return [self.disturbance, *self.bias, *self.carry, *self.push(error)]
 
+    @cached_property
+    def entering(self) -> arb_mat:
+        """Rates of the states by errors of thrusters, (n, k): of inputs, then by leads of pulses, if any."""
+        return self.B if self.lead is None else beside(self.B, self.A * self.B)
+
     def thruster_error(self, most: Sequence[arb]) -> list[arb]:
-        """By how much what is applied may differ from commands up to some sizes."""
-        return sums(self.thruster_part(most), map(arb, self.bits)) if self.bits else self.thruster_part(most)
+        """Bounds on errors of thrusters, see `entering`, under commands up to some sizes, (k)."""
+        bits = [*(map(arb, self.bits) if self.bits else [arb(0)] * len(most))]
+        if self.lead is not None:
+            bits += self.lead.fixed
+        elif not self.bits:
+            return self.thruster_part(most)
+        return sums(self.thruster_part(most), bits)
 
     def thruster_part(self, most: Sequence[arb]) -> list[arb]:
         """The part of it that is proportional to them: that of a sum is at most the sum of the parts."""
+        return [*self._input_part(most), *([] if self.lead is None else self.lead.part(most))]
+
+    def _input_part(self, most: Sequence[arb]) -> list[arb]:
         if self.shares:
             return [dot(row, most) for row in self.shares]
         others = [[*most[:i], *most[i + 1 :]] if self.across else [] for i in range(len(most))]
@@ -136,6 +152,11 @@ class Plant:
         if self.shares:
             return arb_mat([list(row) for row in self.shares])
         return diagonal([arb(self.along)] * m) + arb_mat(m, m, [arb(self.across)] * m * m)
+
+    @property
+    def every_table(self) -> arb_mat:
+        """Bounds on the errors of `entering`, rows, by a unit of each command, shape (k, m)."""
+        return self.table if self.lead is None else above(self.table, matrix(self.lead.shares))
 
     @property
     def alone(self) -> arb_mat:
@@ -153,8 +174,9 @@ class Plant:
         return dot(sizes, self.weights or [1.0] * len(sizes))
 
     def push(self, error: list[arb]) -> list[Push]:
-        """Errors of the inputs as what pushes, if there are any."""
-        return [Push.in_box(self.B, error)] if any(x > 0 for x in error) else []
+        """Errors of thrusters (k), or of inputs alone (m), as what pushes, if there are any."""
+        rates = self.B if len(error) == self.B.ncols() else self.entering
+        return [Push.in_box(rates, error)] if any(x > 0 for x in error) else []
 
     @cached_property
     def open(self) -> Motion:
@@ -258,8 +280,8 @@ class Motion:
         return found, rows
 
     def unit_gains(self, rows: arb_mat, count: int) -> arb_mat:
-        """The same of a unit of each input alone, shape (r, m)."""
-        units = (Push.in_box(column(each), [arb(1)]) for each in self.plant.B.transpose().tolist())
+        """The same of a unit of each error of thrusters alone, shape (r, k)."""
+        units = (Push.in_box(column(each), [arb(1)]) for each in self.plant.entering.transpose().tolist())
         return arb_mat([self.gains_over(rows, [push], count)[0] for push in units]).transpose()
 
     def push_bend(self, rows: arb_mat, push: Push) -> list[arb]:

@@ -143,6 +143,11 @@ class Nozzles:
         """Return the directions of the thrusters, (N, m)."""
         return [list(map(arb, d)) for d in self.allocation["directions"]]
 
+    @property
+    def sizes(self) -> list[list[arb]]:
+        """Return the sizes of what a unit of thrust makes of every input, (N, m)."""
+        return [[abs(x) for x in d] for d in self.ways]
+
     @cached_property
     def error(self) -> list[list[arb]]:
         """Return bounds on the error of a unit of thrust in every input, the mass being exact, (N, m)."""
@@ -240,6 +245,22 @@ class Nozzles:
         own = [[x + self.mass * (i == j) for i, x in enumerate(row)] for j, row in enumerate(rows)]
         return [[x / (1 - arb(self.mass)) for x in row] for row in own]
 
+    @property
+    def pushed(self) -> list[list[arb]]:
+        """Return the sum of what thrusters make of every input, rows, by a unit of each command, (m, m).
+
+        Sizes are added. No part of a thrust is longer than the thrust itself.
+        """
+        m = len(self.weights)
+        sides = [
+            largest([abs(d[j]) / x for d, x in zip(self.ways, self.lengths, strict=True)]) for j in range(m)
+        ]
+        rows = zip(sides, self.bounds[:-1], strict=True)
+        return [
+            [(side * x + y) / (1 - arb(self.mass)) for x, y in zip(self.weights, row, strict=True)]
+            for side, row in rows
+        ]
+
     def dropped(self, bit: arb, period: arb, carried: bool) -> list[arb]:
         """Bound the error of each input by rounding to impulse bits [N s], (m)."""
         ways = zip(self.largest, self.allocation["directions"], strict=True)
@@ -256,6 +277,12 @@ class Nozzles:
             dot([max(s * x, 0.0) for x in column], [1.0] * len(column)) for column in columns for s in (1, -1)
         ]
         return bit * largest(sides)
+
+    def in_turn(self, u_max: list[float], bit: arb) -> arb:
+        """Return the share of a period that pulses take one after another; `bit` is that of thrusts [N]."""
+        limits = list(map(arb, self.allocation["limits"]))
+        longest = largest([1 / (x * y) for x, y in zip(limits, self.lengths, strict=True)])
+        return dot(self.weights, u_max) * longest + bit * self.at_once([[1 / x] for x in limits])[0]
 
     def fired(self) -> list[arb]:
         """Return bounds on what pulses of thrusters that are asked at once make of every input."""

@@ -7,7 +7,8 @@ from math import ceil
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..kernel.balls import PRECISION, exponential, largest, magnitude, matrix, require
+from ..kernel.balls import PRECISION, exponential, identity, largest, magnitude, matrix, require, sums
+from ..kernel.leads import Lead
 from ..kernel.motion import Plant, Push
 from ..kernel.verdict import Rejected, Undecided
 from .allocation import Nozzles
@@ -48,6 +49,8 @@ def plant_of(document: Document) -> Plant:
 def _out_of_time(document: Document, on_time: Plant) -> Plant:
     """Add what jitter and pulses make of errors of the inputs, and what jitter shifts (Lemma 6 (a))."""
     plant, jitter = replace(on_time, bits=document.bits, on_time=on_time), arb(on_time.jitter)
+    if document.placed:
+        plant = replace(plant, lead=_lead(document, on_time))
     if jitter == 0:
         return plant
     top = [2 * arb(x) for x in document.fired] or [x + 2 * plant.carried / plant.h for x in plant.u_max]
@@ -61,6 +64,23 @@ def _out_of_time(document: Document, on_time: Plant) -> Plant:
         shares = [[(1 + share) * x + share * (i == j) for i, x in enumerate(row)] for j, row in rows]
         return replace(plant, shares=shares)
     return replace(plant, along=(1 + share) * plant.along + share, across=(1 + share) * plant.across)
+
+
+def _lead(document: Document, plant: Plant) -> Lead:
+    """Bound the leads of pulses: at most ``h/2 f g (1 - g)`` of one of thrust f that takes a share g."""
+    m, half, layout = len(document.u_max), plant.h / 2, Nozzles.of(document)
+    fired = [plant.h / 8 * x for x in document.fired]
+    if layout is None:
+        rows = (identity(m) + plant.table).tolist()
+        fixed = sums([sum(row, arb(0)) * plant.carried / plant.h for row in rows], map(arb, plant.bits))
+    else:
+        rows, size = layout.pushed, plant.carried / (layout.left(arb(1)) * plant.h)
+        fixed = [
+            x + size * y for x, y in zip(map(arb, plant.bits), layout.at_once(layout.sizes), strict=True)
+        ]
+    shares, fixed = [[half * x for x in row] for row in rows], [half * x for x in fixed]
+    most = zip(sums(fired, plant.thruster_part(fired)), fixed, strict=True)
+    return Lead(shares, fixed, [largest((x - y, arb(0))) for x, y in most])
 
 
 def within_limits(document: Document, inputs: list[list[float]], claim: str, whose: str) -> None:

@@ -17,6 +17,10 @@ AT_NODES = arb(1e-6)
 
 NEAR = 1e-9  # share of a period
 
+PLACES = {"centred": (8, 32, 62), "start": (4, 54, 96), "staggered": (4, 32, 62)}
+"""By place of pulses, divisors of bounds on the impulse by which they differ from held inputs, on its
+integral without the mean, and on the integral of the size of that."""
+
 
 def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:
     """Timing and pulses are the scenario's, and what they add to other errors no smaller than it must be.
@@ -40,8 +44,18 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
     pulsed, system = thrusters.get("pulse", "held") != "held", scenario["system"]
     top = system["thrust_max_N" if system["kind"] == "clohessy_wiltshire" else "input_max"]
     fired = list(map(arb, per_axis(top, len(document.u_max)))) if pulsed else []
+    placed = thrusters.get("pulse", "held")
+    if document.placed != (placed if placed in ("start", "staggered") else ""):
+        raise Rejected("system", f"pulses are placed {document.placed}, in the scenario {placed}")
+    if placed == "staggered":  # each has the thrust of all together
+        fired = [x * len(fired) for x in fired]
     if pulsed and (layout := Nozzles.of(document)) is not None:
         fired = layout.fired()
+        if placed == "staggered":
+            bit = arb(thrusters.get("impulse_bit_N_s", 0.0)) / plant.h
+            bit *= 1 if thrusters.get("remainder", "dropped") == "carried" else 0.5
+            share = layout.in_turn(document.u_max, bit)
+            require("system", 1 - share, f"pulses one after another take {share} periods")
     fine = thrusters.get("resolution", "bit") != "bit" and thrusters.get("impulse_bit_N_s", 0.0) > 0
     if document.timing.get("fine", False) != fine:
         raise Rejected("system", "sizes of impulses are not those of the scenario")
@@ -53,7 +67,7 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         raise Rejected("system", f"pulses of {document.fired} are not those of the scenario")
     for most, needed in zip(document.fired, fired, strict=True):
         require("system", most - needed * (1 - ROUNDED), f"pulses of {most}")
-    more, within = _pulses(plant, document.fired) if pulsed else (arb(0), [arb(0)] * len(stored))
+    more, within = _pulses(plant, document.fired, placed) if pulsed else (arb(0), [arb(0)] * len(stored))
     share = 2 * arb(jitter) / plant.h * int(document.late)
     if plant.weights:  # thrusters make more than is commanded of what they have left
         more += 2 * share * plant.carried / plant.h
@@ -114,12 +128,12 @@ def _carried(plant: Plant, age: arb, most: list[arb]) -> tuple[arb_mat, list[arb
     return absolute(rows), found
 
 
-def _pulses(plant: Plant, fired: list[float]) -> tuple[arb, list[arb]]:
-    """The same of pulses in the middle of periods: no more than this within, nothing at the ends."""
+def _pulses(plant: Plant, fired: list[float], placed: str) -> tuple[arb, list[arb]]:
+    """Errors of inputs by pulses, and displacements of states within a period: nothing at its ends."""
     A, B, h, m = plant.A, plant.B, plant.h, len(fired)
     inverse, growth, bent = _spreading(plant), (absolute(A) * h).exp(), A * A * B
-    each = ([x * scale for x in fired] for scale in (h / 8, h**2 / 32, h**3 / 62))
-    speed, way, lasting = (column(sums(part, plant.thruster_part(part))) for part in each)
+    each = ([x * (h**power / by) for x in fired] for power, by in enumerate(PLACES[placed], 1))
+    speed, way, lasting = (column(sums(part, plant.prompt.thruster_part(part))) for part in each)
     shape = absolute(inverse * bent) + absolute(inverse) * absolute(A) * growth * absolute(bent) * (h / 2)
     both = (shape * lasting).entries()
     spread = column(sums(both[:m], both[m:]))

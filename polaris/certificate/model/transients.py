@@ -48,8 +48,10 @@ def check_transients(document: Document, scenario: dict[str, Any]) -> None:
             raise Rejected("system", f"{fault['kind']} belongs to thrusters, or to none")
         made = document.allocation or {"directions": [], "limits": []}
         thrusters = [] if lost else zip(made["directions"], made["limits"], strict=True)
+        turns = len(document.u_max) if document.placed == "staggered" and not made.get("layout") else 1
         for way, limit in thrusters:
-            least = [abs(x) * arb(limit) * arb(fault.get("share", 1.0)) * (1 - ROUNDED) for x in way]
+            most = arb(limit) * arb(fault.get("share", 1.0)) * turns * (1 - ROUNDED)
+            least = [abs(x) * most for x in way]
             if not any(all(x >= y for x, y in zip(push, least, strict=True)) for push in pushes):
                 raise Rejected("system", f"what {fault['kind']} does to a thruster is not covered")
 
@@ -101,7 +103,8 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
             power = power * craft.free
         for push in fault["pushes"]:
             size = [arb(x) for x in push]
-            wrong = column(sums(size, plant.thruster_part(size)))
+            wrong = sums(size, plant.prompt.thruster_part(size))
+            wrong = column([*wrong, *[arb(0)] * (plant.entering.ncols() - len(wrong))])
             found.append(_spread(craft, gain, (first, later), wrong, count))
     return found
 
@@ -115,15 +118,16 @@ def _spread(
     """
     plant, n, N = craft.plant, craft.plant.A.nrows(), craft.free.nrows()
     size, limits = absolute(plant.A), column([2 * top for top in plant.u_max])
-    grown, pushed = (size * plant.h).exp(), exponential(size, plant.h)[1] * absolute(plant.B)
+    grown, over = (size * plant.h).exp(), exponential(size, plant.h)[1]
+    pushed, off = over * absolute(plant.B), over * absolute(plant.entering)
     z, added, found = arb_mat(N + n, 1), list[arb_mat](), list[list[arb]]()
     for i, first in enumerate(gains[0]):
         answer = limits if gain is None else magnitude(gain * column(z.entries()[N:]))
         least = [smallest(pair) for pair in zip(answer.entries(), limits.entries(), strict=True)]
         command = column(least) * int(i > 0)  # the first one is made before the fault
-        error = plant.table * command + wrong * int(i < count)
+        error = plant.every_table * command + wrong * int(i < count)
         added.append(above(command, error))
-        within = grown * column(z.entries()[:n]) + pushed * (command + error)
+        within = grown * column(z.entries()[:n]) + pushed * command + off * error
         z = magnitude(sum((gains[1][i - q] * added[q] for q in range(1, i + 1)), first * wrong))
         if i + 1 >= count:
             found += [z.entries()[:N], craft.lifted(within).entries()]

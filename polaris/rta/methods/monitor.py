@@ -142,7 +142,7 @@ class Monitor(Method):
         made, refused = [], None
         for i, schedule in enumerate((grid.schedule, *grid.schedule.library)):
             here = DecisionGrid.of(schedule, grid.period, grid.latency, grid.half_widths) if i else grid
-            for one in (here, here.profiled()) if grid.system.thrusters.proportional else (here,):
+            for one in (here, here.profiled()) if grid.system.proportional else (here,):
                 try:
                     made.append(cls(one, **options))
                 except NotCertified as error:

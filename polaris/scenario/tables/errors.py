@@ -44,10 +44,14 @@ class Thrusters(ScenarioPart):
     towards zero, and never exceeds the limits."""
     resolution: Literal["bit", "continuous"] = unit("-", default="bit")
     """Which impulses are made: multiples of the bit, or any that is not smaller than the bit."""
-    pulse: Literal["held", "centred"] = unit("-", default="held")
-    """How the impulse of a period is made: by a thrust that is held, or by one pulse in the middle of it, of
-    the full `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long
-    as it takes. Errors of the thrusters are constant in a period then."""
+    pulse: Literal["held", "centred", "start", "staggered"] = unit("-", default="held")
+    """How the impulse of a period is made: by a thrust that is held, or by one pulse of the full
+    `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long as it
+    takes. Pulses lie in the middle of the period (`centred`), all begin with it (`start`), or follow one
+    another without a gap from its start on, in the order of the inputs or `directions`, so that one thruster
+    at a time has power (`staggered`). Staggered ones of inputs have as many times the limit of their input as
+    there are inputs; those of `directions` lower the limits of the inputs to what fits into a period. Errors
+    of the thrusters are constant in a period then."""
     rise_s: f.NonNegative = unit("s", default=0.0)
     """Longest time in which the thrust of a pulse comes up, in any way. Impulses are as commanded."""
     fall_s: f.NonNegative = unit("s", default=0.0)
@@ -75,6 +79,17 @@ class Thrusters(ScenarioPart):
         carried = self.remainder == "carried"
         return Nozzles.of(made, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
 
+    def in_turn(self, made: Allocation | None, period: float) -> Allocation | None:
+        """Return an allocation whose box is as large as pulses one after another fill a `period` [s]."""
+        layout = self.nozzles(made)
+        if self.pulse != "staggered" or made is None or layout is None:
+            return made
+        longest, rounded = layout.in_turn(period)
+        if not rounded < 0.5:
+            rule = f"must leave half of a period of {period:g} s to more than the bits of staggered pulses"
+            raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
+        return replace(made, u_max=made.u_max * min(1.0, (1 - rounded) / longest * (1 - 1e-6)))
+
     def build(self, system: Craft, period: float) -> Errors:
         """Bound the errors of the inputs, by the layout of the system's thrusters if it has one."""
         layout = system.nozzles
@@ -101,18 +116,21 @@ class Timing(Described, makes=Delays):
 def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | None, limits: Array) -> Craft:
     """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
     made, layout = thrusters or Thrusters(), system.nozzles
-    fired = () if made.pulse == "held" else tuple(limits.tolist())
+    in_turn = made.pulse == "staggered"
+    fired = () if made.pulse == "held" else tuple((limits * (len(limits) if in_turn else 1)).tolist())
     carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
     if layout is not None:
         fired, carried = layout.fired, layout.left
     edges = made.rise_s + made.fall_s
     if edges and not fired:
-        raise ScenarioError("thrusters.rise_s, fall_s", edges, "need thrusters.pulse = 'centred'")
+        raise ScenarioError("thrusters.rise_s, fall_s", edges, "need pulses (thrusters.pulse)")
     if timing.jitter + edges > period / 2:
         rule = f"must be at most half of the period of {period:g} s, times of rise and fall included"
         raise ScenarioError("timing.jitter_s", timing.jitter + edges, rule)
+    placed = made.pulse if made.pulse in ("start", "staggered") else ""
     fine = made.resolution == "continuous" and made.impulse_bit_N_s > 0
-    timing = replace(timing, fine=fine, fired=fired, carried=carried, edge=max(made.rise_s, made.fall_s))
+    timing = replace(timing, fine=fine, fired=fired, placed=placed, carried=carried)
+    timing = replace(timing, edge=max(made.rise_s, made.fall_s))
     return system if timing == Delays() else predicting(system, timing, period)
 
 
@@ -137,14 +155,18 @@ def transients(
     gains: Sequence[Array],
     networks: Sequence[Array],
     asked: bool,
+    times: int,
 ) -> tuple[Transient, ...]:
-    """Return what late faults do until isolated, by gains of laws and networks; `asked`: with black boxes."""
+    """Return what late faults do until isolated, by gains of laws and networks; `asked`: with black boxes.
+
+    Thrusters push `times` as hard as their limits say, where one at a time has power.
+    """
     flown = np.max(np.abs(gains), axis=0), asked, np.max(networks, axis=0) if len(networks) else None
     found = []
     for fault in (fault.build() for fault in faults):
         thrust = np.zeros((0, gains[0].shape[0]))
         if fault.left < 1 and made is not None:
-            thrust = made.directions * made.limits[:, None]
+            thrust = made.directions * made.limits[:, None] * times
         if fault.isolation > 0:
             found.append(Transient(fault.name, fault.isolation, thrust, 1 - fault.left, *flown))
     return tuple(found)

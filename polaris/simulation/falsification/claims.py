@@ -16,6 +16,7 @@ from ...synthesis.safety.demand import command_errors
 from ...synthesis.schedule.schedule import Schedule
 from ..allocating import thrusts_of
 from ..failing import Failing
+from ..firing import begins
 from ..run_metrics import Runs, cubic
 from ..simulate import flown_modes
 
@@ -220,13 +221,17 @@ def _pulsed(system: Craft, before: Array, after: Array, h: float, s: Array) -> A
 
     To the second order in time; the pulses are those that lead from one state (R, 1, n) to the other.
     """
-    layout, half = system.nozzles, expm(system.A * h / 2)
+    layout, placed, phi = system.nozzles, system.timing.placed, expm(system.A * h)
+    sees = np.eye(system.n) if not placed else system.velocity  # what does not depend on when they are fired
+    way = sees @ expm(system.A * h / 2) @ system.B * h
     fired = np.array(system.timing.fired) if layout is None else layout.allocation.limits
-    mean = (after - before @ (half @ half).T) @ np.linalg.pinv(half @ system.B * h).T
+    mean = (after - before @ phi.T) @ sees.T @ np.linalg.pinv(way).T
     mean = mean if layout is None else thrusts_of(layout.allocation, mean)
     on = np.minimum(np.abs(mean) / fired, 1.0)
-    moved = np.clip(s - (1 - on) / 2, 0.0, on) ** 2 + 2 * on * np.maximum(s - (1 + on) / 2, 0.0)
-    force = np.sign(mean) * fired * (moved - on * s**2) / 2
+    begin = begins(on, placed)
+    moved = np.clip(s - begin, 0.0, on) ** 2 + 2 * on * np.maximum(s - begin - on, 0.0)
+    ends = on * (2 - 2 * begin - on)  # where the cubic ends, as fast as it is there
+    force = np.sign(mean) * fired * (moved - cubic(0 * on, ends, 0 * on, 2 * on, s)) / 2
     force = force if layout is None else force @ layout.allocation.directions
     return np.asarray(force @ (system.velocity @ system.B).T * h**2)
 

@@ -165,7 +165,8 @@ class _TrueMotion(Integrator):
             told = np.where(np.abs(told) >= bit, told, near) if self.system.timing.fine else near
         if len(self.fired):  # no pulse is longer than a period
             self.asked = self.asked.copy()
-            self.asked[built] = told = np.clip(told, -self.fired, self.fired)
+            most = self.fired if layout is not None else np.minimum(self.fired, self.system.u_max)
+            self.asked[built] = told = np.clip(told, -most, most)
         shares = errors if layout is None else layout
         made = (told * (1 + shares.along * self.strength)) @ self.ways
         made += shares.across * np.cross(self.axis, told @ self.ways)

@@ -116,7 +116,7 @@ class AffineController(AffineLaw):
         holds every flight: none can be the first to exceed it.
         """
         here, start = self.in_step(k), self.tracking.whole_state(start)
-        if not self.system.thrusters.proportional:
+        if not self.system.proportional:
             return here._flown(start, k)[0]
         most = here.foreseen(start - self.whole_offset(k)[0], k)
         while True:

@@ -18,6 +18,7 @@ from ...model.timing import Transient
 from ...model.tolerances import ROUNDING
 from ..sources.late_faults import touched
 from ..sources.outages import Difference
+from ..sources.pulses import PULSES
 from ..sources.thrusters import THRUSTERS
 from ..tracker.long_flight import Inputs
 from ..tracker.tracking import Tracking
@@ -57,18 +58,26 @@ class Corrections:
 
     @cached_property
     def _by_error(self) -> Array:
-        """Sum of the answers to a unit error of each input in one period, shape (m, m)."""
-        limits, total = self.tracking.tightening, np.zeros((self.tracking.system.m,) * 2)
+        """Sum of the answers to a unit error of each input in one period, then of each lead, shape (m, k)."""
+        limits, sums = self.tracking.tightening, {THRUSTERS: np.zeros((self.tracking.system.m,) * 2)}
         for channel in limits.closed.loop.channels:
-            if channel.name == THRUSTERS:
+            if channel.name in (THRUSTERS, PULSES):
                 response = self.tracking.response(channel, limits.closed.K)
-                total = response.gains.sum(axis=0) + response.older
-        return np.asarray(total)
+                sums[channel.name] = response.gains.sum(axis=0) + response.older
+        return np.hstack(list(sums.values()))
+
+    def _errors(self, commands: Array) -> Array:
+        """Bound errors that are proportional to commands up to some sizes (..., m), as in `_by_error`."""
+        system = self.tracking.system
+        lead, each = system.timing.lead, [system.thrusters.part(commands)]
+        return np.concatenate([*each, *([] if lead is None else [lead.part(commands)])], axis=-1)
 
     @cached_property
     def _amplified(self) -> Array | None:
         """Sum of commands by a sum of commands, errors of thrusters that they cause included, (m, m)."""
-        fed = self._by_error @ self.tracking.system.thrusters.table(self.tracking.system.m)
+        system = self.tracking.system
+        tables, lead = [system.thrusters.table(system.m)], system.timing.lead
+        fed = self._by_error @ np.vstack([*tables, *([] if lead is None else [lead.shares])])
         if not fed.sum(axis=1).max() < 1:
             return None
         return np.asarray(np.linalg.inv(np.eye(len(fed)) - fed))
@@ -89,7 +98,7 @@ class Corrections:
 
         `inputs` (periods, m) are those of every period.
         """
-        errors = self.tracking.system.thrusters.part(np.abs(inputs)).sum(axis=0)
+        errors = self._errors(np.abs(inputs)).sum(axis=0)
         own = float(self._inputs.spends @ np.abs(inputs).sum(axis=0))
         return own + self._spent(self._by_error @ errors)
 

@@ -155,7 +155,7 @@ def find_safety(problem: Problem, along: Plan | None = None, like: Safety | None
     try:
         return _of_share(problem, along, like)
     except SynthesisInfeasible:
-        if along is not None or problem.thrust_share is not None or not problem.system.thrusters.proportional:
+        if along is not None or problem.thrust_share is not None or not problem.system.proportional:
             raise
         for share in (*LESSER, *SHARES[1:]):
             with suppress(SynthesisInfeasible, NotCertified):

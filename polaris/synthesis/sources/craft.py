@@ -13,10 +13,21 @@ from .disturbance import Bias, Disturbance
 from .estimate import Estimate
 from .impulse_bit import CarriedImpulse, ImpulseDrift
 from .observer import Filter
+from .pulses import PulseLead
 from .source import Source
 from .thrusters import ThrusterErrors
 
-SOURCES = (Delay, CarriedImpulse, Filter, Estimate, Disturbance, Bias, ImpulseDrift, ThrusterErrors)
+SOURCES = (
+    Delay,
+    CarriedImpulse,
+    Filter,
+    Estimate,
+    Disturbance,
+    Bias,
+    ImpulseDrift,
+    ThrusterErrors,
+    PulseLead,
+)
 """In the order in which they extend a loop: navigation carries what came before it. Faults that are isolated
 late act once in a flight and extend none (`late_faults`)."""
 
@@ -51,6 +62,7 @@ def assumed(system: Craft, h: float) -> Premises:
         timing=astuple(system.timing)[:4],
         thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(system.on_time.bit))),
         pulses=system.timing.fired,
+        placed=system.timing.placed,
         edge=system.timing.edge,
         fine=system.timing.fine,
         carried=system.timing.carried,

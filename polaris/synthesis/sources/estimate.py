@@ -6,8 +6,7 @@ import numpy as np
 
 from ...model.craft import Craft
 from ...model.prediction import when_measured
-from ...model.thrusters import Thrusters
-from ..tracker.channel import Channel
+from ..tracker.channel import Channel, Share
 from ..tracker.loop import Array, Loop
 from .source import remembers
 
@@ -16,12 +15,12 @@ from .source import remembers
 class Estimate:
     """Every estimate is within `error` (n,) of the state measured, however the difference changes.
 
-    Errors of `thrusters` add `unseen` (n, m) times their size until they are measured, `lag` periods later,
-    where that is not None.
+    Errors of thrusters, which grow with commands as `grown` says, (..., m) to (..., k), add `unseen` (n, k)
+    times their size until they are measured, `lag` periods later, where that is not None.
     """
 
     error: Array
-    thrusters: Thrusters = Thrusters()
+    grown: Share | None = None
     unseen: Array | None = None
     lag: int = 0
 
@@ -33,7 +32,7 @@ class Estimate:
         if not remembers(system):
             least = known.estimate_off(np.zeros(known.m))
             if np.any(known.estimate_off(known.u_max) != least):
-                return cls(least, known.thrusters, np.array(timing.unseen), timing.hidden)
+                return cls(least, known.grown, np.array(timing.unseen), timing.hidden)
             return cls(least) if np.any(least) else None
         if system.observer is not None or not np.any(known.navigation):
             return None
@@ -49,8 +48,8 @@ class Estimate:
 
     def share(self, u: Array) -> Array:
         """Return what commands u (..., m) add to errors of estimates until it is measured, (..., n)."""
-        assert self.unseen is not None
-        return np.asarray(self.thrusters.part(u) @ self.unseen.T)
+        assert self.unseen is not None and self.grown is not None
+        return np.asarray(self.grown(u) @ self.unseen.T)
 
 
 def displaced(system: Craft, h: float) -> Array:

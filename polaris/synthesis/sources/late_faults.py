@@ -63,13 +63,17 @@ def _added(
         nobody answers.
     """
     n, N, h, most, wrong = loop.n, loop.N, loop.h, 2 * system.u_max, fault.wrong(system.thrusters)
-    own = system.thrusters.table(loop.m).T  # errors of what is answered
+    own, lead = system.thrusters.table(loop.m).T, system.timing.lead  # errors of what is answered
+    led = None if lead is None else np.array(lead.shares).T
     steep = None if gain is None else np.maximum(fault.gains, np.abs(gain))
     if steep is not None and fault.networks is not None:
         steep = np.maximum(steep, fault.networks)
     rows = np.vstack([np.eye(N), loop.known]) @ powers(loop.under(np.zeros((loop.m, n))).unfed, len(pushed))
-    enter = {length: _entering(loop, rows, length) for length in {h, *pushed}}
-    held, over, within = np.abs(rows @ loop.held), growth(loop.A, h), _within(loop)
+    enter = {length: _entering(loop, rows, length, loop.B) for length in {h, *pushed}}
+    held, over, within = np.abs(rows @ loop.held), growth(loop.A, h), _within(loop, loop.B)
+    ahead = (
+        None if led is None else (_entering(loop, rows, h, loop.A @ loop.B), _within(loop, loop.A @ loop.B))
+    )
     nodes, found = np.zeros((len(pushed) + 1, len(wrong), N + n)), np.zeros((len(pushed) + 1, len(wrong), N))
     for i, length in enumerate(pushed):
         answer = np.zeros_like(wrong)
@@ -80,23 +84,25 @@ def _added(
         error, push = answer @ own, wrong * (length > 0)
         ages = slice(0, len(pushed) - i)
         added = held[ages] @ answer.T + enter[h][ages] @ error.T + enter[length][ages] @ push.T
+        plant = nodes[i, :, :n] @ over.T + (answer + error + push) @ within.T
+        if led is not None and ahead is not None:
+            added = added + ahead[0][ages] @ (answer @ led).T
+            plant = plant + answer @ led @ ahead[1].T
         nodes[i + 1 :] += added.transpose(0, 2, 1) * (1 + ROUNDING)
         found[i + 1] = nodes[i + 1, :, :N]
-        found[i + 1, :, :n] = np.maximum(  # the plant's states count at whatever instant of a period
-            found[i + 1, :, :n], nodes[i, :, :n] @ over.T + (answer + error + push) @ within.T
-        )
+        found[i + 1, :, :n] = np.maximum(found[i + 1, :, :n], plant)  # at whatever instant of a period
     return found
 
 
-def _entering(loop: Loop, rows: Array, length: float) -> Array:
-    """Bound what a unit of input adds along rows (..., N) in the last part of a period [s], (..., m)."""
+def _entering(loop: Loop, rows: Array, length: float, M: Array) -> Array:
+    """Bound what units of rates M (n, m) add along rows (..., N) at the end of a period [s], (..., m)."""
     found, begins = np.zeros((*rows.shape[:-1], loop.m)), loop.h - length
     for a, b, E in loop.enter:
         if b > begins:
-            found += along(rows @ E, loop.A, loop.B, loop.h, (max(a, begins), b), False)
+            found += along(rows @ E, loop.A, M, loop.h, (max(a, begins), b), False)
     return found
 
 
-def _within(loop: Loop) -> Array:
-    """Bound what a unit of input adds to states of the plant within a period, shape (n, m)."""
-    return discretize(np.abs(loop.A), np.abs(loop.B), loop.h)[1] * (1 + ROUNDING)
+def _within(loop: Loop, M: Array) -> Array:
+    """Bound what units of rates M (n, m) add to states of the plant within a period, shape (n, m)."""
+    return discretize(np.abs(loop.A), np.abs(M), loop.h)[1] * (1 + ROUNDING)

@@ -75,7 +75,7 @@ class Contraction:
     @cached_property
     def memory(self) -> int:
         """Number of periods after which so little of any error (in the norm W) is left, see `LEFT_OVER`."""
-        profiled = self.level is not None and self.system.thrusters.proportional
+        profiled = self.level is not None and self.system.proportional
         share, factor = WITH_PROFILE if profiled else LEFT_OVER, self.flow.lyapunov[1]
         most = int(np.ceil(np.log(share) / np.log(factor))) + 1
         norms = self.flow.norms(min(most, 5000))

@@ -20,7 +20,7 @@ LOOSER, ATTEMPTS, PERIODS, SINES = 1.01, 120, 3000, 30
 often the worst sine is looked for anew with the errors of thrusters that it leads to."""
 LARGEST = 1e18  # beyond this a storage runs away
 STRICT, SETTLED = 1e-5, 1e-7  # shares of a storage by which it grows every period, and has settled
-ORDER = "measurement", "disturbance", "bias", "impulse drift", "carried impulse"
+ORDER = "measurement", "disturbance", "bias", "impulse drift", "pulses", "carried impulse"
 """Channels in the order in which a certificate has the weights of their values; others come before them."""
 
 
@@ -81,6 +81,7 @@ class Inputs:
         period. With `bands` (m,) commands are off by as much, input by input, instead of what estimates add.
         """
         error, before = craft.thrusters.error(most[0]), np.minimum(most[1], craft.u_max)
+        told = np.minimum(most[0], craft.u_max)
         loop, enter, own, group = closed.loop, list[Array](), list[Array](), list[int]()
         rest = [moved + apart @ np.abs(craft.B) @ error for _, _, apart in loop.part_maps]
 
@@ -92,7 +93,7 @@ class Inputs:
 
         every = *loop.channels, Channel("steps", off, noise=np.eye(loop.n))
         channels = sorted((c for c in every if c.name != THRUSTERS), key=_place)
-        sizes = [c.size if c.share is None else c.size + c.share(before) for c in channels]
+        sizes = [c.size if c.share is None else c.size + c.share(before if c.lag else told) for c in channels]
         if bands is not None:
             add(loop.held * bands, np.diag(bands))
             channels = [replace(c, noise=None) for c in channels]

@@ -162,7 +162,7 @@ class Tracking(Contraction):
 
         None where errors of thrusters do not depend on it, or are booked for more.
         """
-        if self.level is None or not self.system.thrusters.proportional:
+        if self.level is None or not self.system.proportional:
             return None
         u_max, norms = (
             self.system.u_max,

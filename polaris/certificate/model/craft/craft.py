@@ -67,7 +67,7 @@ class Craft:
     @cached_property
     def bits(self) -> list[Push]:
         """Errors of the inputs, commands apart."""
-        return self.plant.push(list(map(arb, self.plant.bits)))
+        return self.plant.push(self.plant.thruster_error([arb(0)] * self.plant.B.ncols()))
 
     @cached_property
     def commands(self) -> arb_mat:
@@ -222,7 +222,7 @@ class Craft:
         return sums([arb(0)] * rows.nrows(), *gains)
 
     def thrust_gains(self, rows: arb_mat) -> arb_mat:
-        """Support along rows (r, N) of a unit error of each input over a period, shape (r, m)."""
+        """Support along rows (r, N) of a unit of each error of thrusters over a period, shape (r, k)."""
         gains = [motion.unit_gains(rows * enters, 1) for enters, motion in self.spans]
         return sum(gains[1:], gains[0])
 
