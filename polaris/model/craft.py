@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from .errors import ScenarioError
 from .system import Array as Array  # for the many that need both
 from .system import LinearSystem, as_finite
 from .thrusters import Nozzles, Thrusters
-from .timing import WHOLE, Observer, Timing, Transient
+from .timing import WHOLE, Lead, Observer, Timing, Transient
 
 
 @brief
@@ -229,3 +230,31 @@ class Craft(LinearSystem):
         """Return errors of inputs and `unknown`, as generators of the rate of the states, or None."""
         parts = [self.B * error] * bool(np.any(error)) + [self.unknown] * bool(self.unknown.size)
         return np.hstack(parts) if parts else None
+
+
+def lead_of(system: Craft, h: float) -> Lead | None:
+    """Return the leads of a craft's pulses with a period of h [s]; None if its pulses are centred.
+
+    A pulse of thrust f that takes the share g of a period leads by at most ``h/2 f g (1 - g)``.
+    """
+    timing, errors, layout, m = system.timing, system.on_time, system.nozzles, system.m
+    if not timing.placed:
+        return None
+    fired = np.array(timing.fired)
+    if layout is None:
+        shares = np.eye(m) + errors.table(m)
+        fixed = shares.sum(axis=1) * timing.carried / h + errors.bit
+    else:
+        made = layout.allocation
+        side = np.max(np.abs(made.directions) / made.lengths[:, None], axis=0)
+        shares = (np.outer(side, layout.weights) + layout.bounds[:-1]) / (1 - layout.mass)
+        left = layout.bit / h * layout.carried
+        fixed = left * made.at_once(np.abs(made.directions)) + errors.bit
+    most = h / 8 * (fired + errors.part(fired)) - h / 2 * fixed
+    sizes = h / 2 * shares, h / 2 * fixed, np.maximum(most, 0.0)
+    return Lead(*(_as_tuples(size * (1 + 1e-9)) for size in sizes))
+
+
+def _as_tuples(values: Array) -> tuple[Any, ...]:
+    each = values.tolist()
+    return tuple(tuple(row) if isinstance(row, list) else row for row in each)

@@ -10,9 +10,8 @@ from reach.numerics.errors import ReachError
 from reach.numerics.linear import powers
 from reach.tubes.flow import LinearFlow
 
-from .craft import Array, Craft
+from .craft import Array, Craft, lead_of
 from .errors import ScenarioError
-from .pulses import lead_of, pulse_error
 from .timing import Observer, Timing
 
 PARTS = 32  # parts of a prediction over each of which integrals are bounded by the trapezoid rule
@@ -37,6 +36,10 @@ UNSEEN = 1e-6  # share of the thrust limits that is taken for unknown, so that e
 
 AT_NODES = 1e-6
 """Share of what pulses displace at most within a billionth of a period of its ends, where it is nothing."""
+
+PLACES = {"": (8, 32, 62), "start": (4, 54, 96), "staggered": (4, 32, 62)}
+"""By place of pulses, divisors of ``f h``, ``f h^2`` and ``f h^3`` that bound the impulse by which pulses of
+thrust f differ from held inputs, its integral without the mean, and the integral of the size of that."""
 
 
 def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float) -> Array:
@@ -206,6 +209,48 @@ def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: in
 def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
     """The gain of a Kalman filter with covariances of what is predicted and of what is measured."""
     return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
+
+
+def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
+    """Bound what pulses of the thrust `fired` (m,) add to inputs held for h [s], leads apart.
+
+    Errors of the thrusters hold for a period.
+
+    Returns
+    -------
+    error : float
+        Of every input [N].
+    within : ndarray, shape (n,)
+        Displacement within a period, none at its ends.
+
+    Raises
+    ------
+    ScenarioError
+        If inputs that are linear in time cannot do that: too few of them for the states.
+    """
+    A, B, m = system.A, system.B, system.m
+    each = (fired * (h**power / by) for power, by in enumerate(PLACES[system.timing.placed], 1))
+    speed, way, lasting = (part + system.thrusters.part(part) for part in each)
+    inverse = _spreading(system, h)
+    growth, bent = expm(np.abs(A) * h), A @ A @ B
+    shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
+    spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
+    within = np.abs(B) @ speed + np.abs(A @ B) @ way + h * growth @ (np.abs(bent) @ way + np.abs(B) @ spread)
+    rounding = float(np.finfo(float).eps * fired.max())  # where next to nothing is left of larger numbers
+    return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
+
+
+def _spreading(system: Craft, h: float) -> Array:
+    """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
+    A, B, n = system.A, system.B, system.n
+    block = np.zeros((3 * n, 3 * n))
+    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)
+    once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
+    moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
+    if np.linalg.matrix_rank(moments) < n:
+        rule = "is not covered for a system with fewer inputs than half its states, or states that none moves"
+        raise ScenarioError("thrusters.pulse", system.timing.placed or "centred", rule)
+    return np.linalg.pinv(moments)
 
 
 def when_measured(timing: Timing, h: float, away: Array) -> Array:

@@ -3,18 +3,35 @@
 Faults until they are isolated: thrust that is not as commanded, or no measurement, for a while.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from .keys import Key, NonNegative, Real, Whole
-from .lead import Lead
 from .system import Array
 from .thrusters import Thrusters
 
 WHOLE = 1e-9  # share by which a delay may exceed a whole number of periods and count as one
+
+
+@dataclass(frozen=True)
+class Lead:
+    """Bounds on the mean impulses of a period by which pulses are ahead of held inputs, or behind [N s]."""
+
+    shares: tuple[tuple[float, ...], ...]  # of each input, rows, by a unit of each command, (m, m)
+    fixed: tuple[float, ...]  # whatever is commanded, (m,)
+    most: tuple[float, ...]  # besides, however much is commanded, (m,)
+
+    @property
+    def least(self) -> "Lead":
+        """Return the leads under no command."""
+        return replace(self, most=(0.0,) * len(self.most))
+
+    def part(self, u: Array) -> Array:
+        """Return the part that is proportional to commands up to u at most, (..., m); subadditive."""
+        return np.asarray(np.minimum(u @ np.array(self.shares).T, np.array(self.most)))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.craft import Craft
-from ...model.lead import Lead
+from ...model.timing import Lead
 from ..tracker.channel import Channel
 from ..tracker.loop import Loop
 
