@@ -383,8 +383,7 @@ def test_upkeep_counts_a_pulse_that_ends_before_its_period_and_what_was_left(fir
         ),
         node_at=lambda t: 0,
         tops=lambda node: [arb(0.5)],
-        spent=arb(3),
-        correcting=lambda node: arb(4),
+        until=lambda node: arb(7),
         no_less=lambda what, claimed, derived: told.update({what: float(derived.mid())}),
     )
     names = ("settled_s", "rate_m_s2", "until_settled_m_s", "per_orbit_m_s", "lasts_s", "tank_m_s")

@@ -103,8 +103,8 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
             power = power * craft.free
         for push in fault["pushes"]:
             size = [arb(x) for x in push]
-            wrong = sums(size, plant.prompt.thruster_part(size))
-            wrong = column([*wrong, *[arb(0)] * (plant.entering.ncols() - len(wrong))])
+            off = sums(size, plant.prompt.thruster_part(size))
+            wrong = column([*off, *[arb(0)] * (plant.entering.ncols() - len(off))])
             found.append(_spread(craft, gain, (first, later), wrong, count))
     return found
 
