@@ -43,7 +43,7 @@ from .kept import printed, scheduled
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-FOLLOWED = ("tour", "tradeoff", "tutorial", "training", "reach-tutorial")
+FOLLOWED = ("tour", "orbits", "tradeoff", "tutorial", "training", "reach-tutorial")
 RUN = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in FOLLOWED)]
 
 BLOCK = re.compile(

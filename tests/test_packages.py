@@ -71,6 +71,7 @@ def test_an_untested_version_is_refused_before_anything_runs(install, version):
         ("gurobipy", "gurobi"),
         ("gymnasium", "gym"),
         ("numba", "fast"),
+        ("sgp4", "orbits"),
     ],
 )
 def test_an_optional_package_is_missing_or_untested(install, monkeypatch, package, extra):

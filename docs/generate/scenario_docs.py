@@ -18,6 +18,7 @@ from pydantic import TypeAdapter
 
 from polaris.model.checks import exact
 from polaris.scenario.scenario import KINDS, InspectionScenario
+from polaris.scenario.tables.orbit import OrbitSource, StartSource
 from polaris.scenario.tables.schedule import ScenarioModel
 
 INSPECTIONS = {name: kind.MODEL for name, kind in KINDS.items() if issubclass(kind, InspectionScenario)}
@@ -34,6 +35,21 @@ def schema() -> dict[str, Any]:
     """JSON Schema of the scenario format; every field carries its unit under ``unit``."""
     found: dict[str, Any] = _tidy(ScenarioModel.model_json_schema())
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found, "title": "Polaris scenario"}
+
+
+def file_schema() -> dict[str, Any]:
+    """JSON Schema of a file, whose orbit and start set may follow from sources that it names."""
+    found, sources = schema(), _tidy(TypeAdapter(OrbitSource | StartSource).json_schema()["$defs"])
+    tables = found["$defs"]
+    orbit, start = tables["Orbit"], sources["StartSource"]
+    orbit["properties"] |= sources["OrbitSource"]["properties"]
+    orbit["required"] = [
+        key for key in orbit["required"] if not key.endswith(("deviation_max_m", "_m_s", "deviation_max"))
+    ]
+    tables["ClohessyWiltshire"]["required"].remove("mean_motion_rad_s")
+    tables["StartSource"] = start
+    found["properties"]["initial_set"]["oneOf"].append({"$ref": "#/$defs/StartSource"})
+    return found
 
 
 def inspection_schema() -> dict[str, Any]:
@@ -210,7 +226,7 @@ def _range(node: dict[str, Any]) -> str:
 
 def texts() -> dict[str, str]:
     """What the files hold, by their names."""
-    schemas = {SCHEMA_FILE: schema(), INSPECTION_FILE: inspection_schema()}
+    schemas = {SCHEMA_FILE: file_schema(), INSPECTION_FILE: inspection_schema()}
     written = {name: json.dumps(node, indent=2, ensure_ascii=False) + "\n" for name, node in schemas.items()}
     return {**written, REFERENCE_FILE: reference_text()}
 

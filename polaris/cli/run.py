@@ -61,8 +61,8 @@ def check(file: Name, assignments: Assignments = None) -> None:
 def _show_warnings(scenario: Any, err: bool = False) -> None:
     from ..scenario.scenario_warnings import scenario_warnings
 
-    for warning in scenario_warnings(scenario):
-        echo(f"note: {warning}", err=err)
+    for note in (*scenario.derived, *scenario_warnings(scenario)):
+        echo(f"note: {note}", err=err)
 
 
 @verb("scenarios")
@@ -105,3 +105,16 @@ def report(
         path = write_report(folder, out, force=force)
     if not quiet:
         echo(str(path))
+
+
+@verb("export oem")
+def export_oem_command(
+    run: str = Argument(..., metavar="RUN", help="A run folder whose scenario has [orbit.elements]."),
+) -> None:
+    """Write target, reference, branches and flights of a run folder as CCSDS OEM files in inertial axes.
+
+    They go to the folder oem in the run folder.
+    """
+    from ..runs.orbits import export_oem
+
+    echo("\n".join(map(str, export_oem(run))))

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_type_hints
 
 import typer
+from typer.core import TyperGroup
 
 from reach.numerics import packages
 from reach.numerics.errors import ReachError
@@ -28,8 +29,19 @@ if TYPE_CHECKING:
     from ..runs.stages import Stages
     from ..synthesis.controllers.black_box import Ask
 
+
+class _Verbs(TyperGroup):
+    """Verbs by name, which may be two words, as in ``export oem``."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Take two words for one verb, if there is one."""
+        pair = " ".join(args[:2])
+        return super().resolve_command(ctx, [pair, *args[2:]] if pair in self.commands else args)
+
+
 app = typer.Typer(
     name="polaris",
+    cls=_Verbs,
     help="Switching schedules between a safety controller and experimental ones, proven before the flight.",
     epilog="Exit codes: 0 done, 2 bad input, 3 no safe synthesis, 4 not certified in the time given,"
     " 5 a counterexample, a bound or a certificate that does not hold, an inspection flight that violates"

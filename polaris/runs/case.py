@@ -52,14 +52,18 @@ class Target:
         return schedule
 
 
-def load_target(target: str, overrides: Sequence[str] = ()) -> Target:
-    """Load a run folder of a schedule, or a scenario; a bundled name wins over a folder of that name."""
+def load_target(target: str, overrides: Sequence[str] = (), apart: str = "") -> Target:
+    """Load a run folder of a schedule, or a scenario; a bundled name wins over a folder of that name.
+
+    In a run folder overrides may change keys of the table `apart` only, which its schedule does not rest on.
+    """
     if target in bundled_files() or not Path(target).is_dir():
         return Target(load_scenario(target, overrides, only=ScheduleScenario))
-    if overrides:
-        raise ScenarioError("--set", list(overrides), "must be left out for a run folder: it is as it is")
+    if not all(apart and text.lstrip().startswith(f"{apart}.") for text in overrides):
+        rule = f"must change keys of [{apart}] only" if apart else "must be left out"
+        raise ScenarioError("--set", list(overrides), f"{rule} for a run folder: it is as it is")
     folder = schedule_folder(target)
-    return Target(folder.scenario, folder)
+    return Target(folder.scenario.with_assignments(overrides), folder)
 
 
 def write_case(

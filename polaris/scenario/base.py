@@ -60,6 +60,8 @@ class Scenario(ABC):
         Texts ``key=value`` that changed it, which are noted in copies of it.
     folder : Path or None
         Where other files that it names lie; the current folder without it.
+    derived : tuple of str
+        A line on each thing that followed from files or elements, which are noted in copies of it.
 
     Raises
     ------
@@ -72,6 +74,7 @@ class Scenario(ABC):
     text: str | None = None
     overrides: tuple[str, ...] = ()
     folder: Path | None = None
+    derived: tuple[str, ...] = ()
 
     MODEL: ClassVar[type[ScenarioPart]]
 
@@ -108,7 +111,17 @@ class Scenario(ABC):
             wanted = [name for name, known in KINDS.items() if issubclass(known, cls)]
             rule = f"must be a scenario of the kind {' or '.join(map(repr, wanted))} here"
             raise ScenarioError("kind", kind, rule, source)
-        return found(validate(found.MODEL, document, source), source, **known)
+        full, derived = found.with_sources(document, known.get("folder"), source)
+        if derived:
+            known |= {"text": None, "derived": (*known.get("derived", ()), *derived)}
+        return found(validate(found.MODEL, full, source), source, **known)
+
+    @classmethod
+    def with_sources(
+        cls, document: Mapping[str, Any], folder: Path | None, source: str | None
+    ) -> tuple[Mapping[str, Any], tuple[str, ...]]:
+        """Return a document with numbers in place of what they follow from, and a line on each."""
+        return document, ()
 
     def set(self, key: str, value: Any) -> Self:
         """Return a copy with one value replaced.
@@ -144,7 +157,8 @@ class Scenario(ABC):
 
     def _changed(self, values: Mapping[str, Any], noted: tuple[str, ...]) -> Self:
         changed = overridden(self.to_dict(), values, self.source)
-        return self.from_dict(changed, self.source, overrides=noted, folder=self.folder)
+        known = {"overrides": noted, "folder": self.folder, "derived": self.derived}
+        return self.from_dict(changed, self.source, **known)
 
     @property
     def name(self) -> str:
@@ -189,10 +203,11 @@ class Scenario(ABC):
     def copy_text(self) -> str:
         """Text of its copy in a run folder: its own, or all values under a note of what changed."""
         text = self._copied()
-        if not self.overrides:
-            return text
-        noted = "".join(f"#   {' '.join(line.split())}\n" for line in self.overrides)
-        return f"# Written with these overrides, which the values below include:\n{noted}\n{text}"
+        for what, lines in (("with these overrides", self.overrides), ("with what followed", self.derived)):
+            if lines:
+                noted = "".join(f"#   {' '.join(line.split())}\n" for line in lines)
+                text = f"# Written {what}, which the values below include:\n{noted}\n{text}"
+        return text
 
 
 def overridden(document: dict[str, Any], values: Mapping[str, Any], where: str | None) -> dict[str, Any]:

@@ -43,6 +43,15 @@ class ScheduleScenario(Scenario):
     model: ScenarioModel
     MODEL = ScenarioModel
 
+    @classmethod
+    def with_sources(
+        cls, document: Mapping[str, Any], folder: Path | None, source: str | None
+    ) -> tuple[Mapping[str, Any], tuple[str, ...]]:
+        """As of `Scenario`: the target's orbit and the start set may come from elements and ephemerides."""
+        from .orbit_sources import with_sources
+
+        return with_sources(document, folder, source)
+
     def _check(self) -> None:
         model = self.model
         rules.check_system(model)

@@ -73,7 +73,7 @@ UNCHECKED = {
     "that the disturbance bound covers what the linear model leaves out (polaris model-error)": {
         "orbit": "inclination_max_deg radius_deviation_max_m radial_rate_max_m_s rate_deviation_max"
         " density_kg_m3 scale_height_m ballistic_coefficient_m2_kg ballistic_difference_max_m2_kg"
-        " other_acceleration_max_m_s2"
+        " other_acceleration_max_m_s2 eccentricity_max"
     },
     "how many runs are simulated": {"simulation": "runs"},
     "that the box was asked as one with memory": {"experimental": "memory"},
@@ -83,12 +83,15 @@ UNCHECKED = {
 NO_DEMAND = {
     "": "description",
     "obstacles": "unbounded",
+    "orbit.elements": "epoch semi_major_axis_m eccentricity inclination_deg ascending_node_deg perigee_deg"
+    " true_anomaly_deg frame time_system",
     "planner": "solver max_linear_programs max_nodes time_limit_s",
     "recoverable": "recourse",
     "schedule": "beam bound_programs",
     "tracking": "bound weight",
 }
-"""Words for readers, how plan and schedule are looked for, and the norm of the balls."""
+"""Words for readers, where the target is in inertial axes, how plan and schedule are looked for, and the norm
+of the balls."""
 
 
 def listed(tables: Mapping[str, str]) -> list[str]:

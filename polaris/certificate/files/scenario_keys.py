@@ -75,6 +75,14 @@ SCENARIO = {
         "rate_deviation_max": Real(least=0, most=0.1),
         "scale_height_m": POSITIVE,
         "inclination_max_deg?": Real(least=0, most=90),
+        "eccentricity_max?": Real(least=0, most=0.1),
+        "elements?": {
+            "epoch": Text(pattern=r"(?s:.{1,40})"), "semi_major_axis_m": POSITIVE,
+            "eccentricity": Real(least=0, below=0.2), "inclination_deg": Real(least=0, most=180),
+            **every(Real(least=-360, most=360), "ascending_node_deg perigee_deg true_anomaly_deg"),
+            "frame?": Text(("EME2000", "GCRF", "ICRF", "J2000", "TEME", "TOD", "MOD")),
+            "time_system?": Text(("UTC", "TAI", "TT", "TDB", "GPS")),
+        },
     },
     "navigation?": {
         **_ESTIMATE, **_SIGHT,

@@ -20,13 +20,13 @@ from ...model.checks import MAX_STEPS
 from ...model.errors import ScenarioError
 from ...model.hill import clohessy_wiltshire
 from ...model.system import LinearSystem
-from ...simulation.orbit.environment import Environment
 from .errors import Abort, Chaser, Tank, Thrusters, Timing
 from .faults import Fault
-from .fields import BY_KIND, Described, Head, ScenarioPart, per_axis, unit
+from .fields import BY_KIND, Head, ScenarioPart, per_axis, unit
 from .goals import Goal
 from .methods import Planner, Recoverable, Schedule, Tracking
 from .navigation import Navigation
+from .orbit import Orbit
 from .scene import Experimental, KeepIn, Obstacle
 
 
@@ -85,10 +85,6 @@ class Linear(ScenarioPart):
 
 
 System = Annotated[ClohessyWiltshire | Linear, *BY_KIND]
-
-
-class Orbit(Described, makes=Environment):
-    """See `Environment`."""
 
 
 class _Initial(ScenarioPart):
@@ -182,7 +178,8 @@ class ScenarioModel(Head):
 
     system: System = unit("-", "The controlled system.")
     orbit: Orbit | None = unit("-", default=None)
-    """What the linear model of a spacecraft leaves out; needed by `polaris model-error`."""
+    """What the linear model of a spacecraft leaves out; needed by `polaris model-error`. Its numbers and the
+    mean motion may follow from elements or files ([real orbits](orbits.md))."""
     navigation: Navigation | None = unit(
         "-", "How well it knows its state; exactly without it.", default=None
     )
@@ -192,7 +189,8 @@ class ScenarioModel(Head):
     chaser: Chaser | None = unit("-", "The chaser's own size; a point without it.", default=None)
     tank: Tank | None = unit("-", "Propellant; not counted without it.", default=None)
     abort: Abort | None = unit("-", "What the drift must stay clear of if all thrust stops.", default=None)
-    initial_set: InitialSet = unit("-", "All states it may start in (Theta).")
+    initial_set: InitialSet = unit("-")
+    """All states it may start in (Theta). It may follow from two ephemerides ([real orbits](orbits.md))."""
     horizon: Horizon = unit("-", "Time covered and its steps.")
     feedback: Feedback = unit("-", "When the controllers act.", default_factory=Feedback)
     tracking: Tracking = unit("-", "The safety controller's tracking part.")

@@ -24,11 +24,12 @@ Right, Tenth = Annotated[Real, Field(ge=0, le=90)], Annotated[Real, Field(ge=0, 
 
 @dataclass(frozen=True)
 class Environment:
-    """The target's real orbit: near a circle of the system's mean motion, perturbed by J2 and drag.
+    """The target's real orbit: near an ellipse of the system's mean motion, perturbed by J2 and drag.
 
     What is declared here bounds the difference between Hill's linear equations and the nonlinear motion;
-    `polaris model-error` works it out, and the system's disturbance bound must cover it. The target must stay
-    within the deviations from the circle for as long as a guarantee is to hold.
+    `polaris model-error` works it out, and the system's disturbance bound must cover it. For as long as a
+    guarantee is to hold the target must be, at all times, within the deviations from some place on some
+    ellipse of that mean motion and of no more than the eccentricity; a circle without it.
 
     Parameters
     ----------
@@ -38,13 +39,14 @@ class Environment:
         Largest angle between the plane of the orbit and that of the equator, at any time; a retrograde orbit
         counts from its own side. 90 degrees cover every orbit.
     radius_deviation : float [m]
-        How far the target's distance from the Earth's centre may be off that of the circle.
+        How far the target's distance from the Earth's centre may be off that of the ellipse.
     radial_rate : float [m/s]
-        Largest rate at which that distance changes.
+        How far the rate at which that distance changes may be off that on the ellipse, 0 on a circle.
     rate_deviation : float
-        How far the frame's rate about the orbit normal may be off, as a share of it.
+        How far the frame's rate about the orbit normal may be off that on the ellipse, as a share of the mean
+        motion.
     density : float [kg/m^3]
-        Density of the air at the radius of the circle; 0 for none.
+        Density of the air at the radius of the circle, or half the ellipse's major axis; 0 for none.
     scale_height : float [m]
         Height over which the density falls by a factor of e, the smallest that may occur.
     ballistic : float [m^2/kg]
@@ -54,6 +56,8 @@ class Environment:
     other : float [m/s^2]
         Bound on everything else that accelerates the chaser relative to the target: errors of thrust,
         radiation pressure, plumes, higher harmonics.
+    eccentricity : float
+        Largest eccentricity of the ellipses.
     j2 : bool
         Whether J2 acts; without it (and without density) what is left is the two-body problem.
     """
@@ -70,6 +74,7 @@ class Environment:
         0.0
     )
     other: Annotated[float, Key("other_acceleration_max_m_s2", "m/s^2", NonNegative)] = 0.0
+    eccentricity: Annotated[float, Key("eccentricity_max", "-", Tenth)] = 0.0
     j2: bool = True
 
     def __post_init__(self) -> None:
@@ -93,8 +98,21 @@ class Environment:
 
     @property
     def radius(self) -> float:
-        """Radius a [m] of the circular Kepler orbit of that mean motion."""
+        """Half the major axis, a [m], of Kepler orbits of that mean motion: the radius of the circle."""
         return float((MU / self.mean_motion**2) ** (1 / 3))
+
+    @property
+    def distances(self) -> tuple[float, float]:
+        """Least and largest distance [m] of the target from the Earth's centre."""
+        off = self.radius * self.eccentricity + self.radius_deviation
+        return self.radius - off, self.radius + off
+
+    @property
+    def ellipse_rates(self) -> tuple[float, float, float]:
+        """Least and largest rate of true anomaly [rad/s], and largest radial rate [m/s], on the ellipses."""
+        e, eta = self.eccentricity, self.mean_motion
+        slow, fast = (eta * np.sqrt(1 + s * e) / (1 - s * e) ** 1.5 for s in (-1, 1))
+        return float(slow), float(fast), float(e * self.radius * eta / np.sqrt(1 - e**2))
 
     @property
     def k_j2(self) -> float:

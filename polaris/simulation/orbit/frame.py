@@ -64,6 +64,26 @@ def relative_rate(
     return np.concatenate([v, acceleration], axis=-1), target_rate, acceleration - linear
 
 
+def on_ellipse(env: Environment, eccentricity: Array, anomaly: Array) -> tuple[Array, Array, Array]:
+    """Distance [m], its rate [m/s] and the rate of true anomaly [rad/s] on ellipses of the mean motion.
+
+    Eccentricities and eccentric anomalies [rad] have any shapes that go together.
+    """
+    e, a, eta = eccentricity, env.radius, env.mean_motion
+    share = 1 - e * np.cos(anomaly)
+    return a * share, a * eta * e * np.sin(anomaly) / share, eta * np.sqrt(1 - e**2) / share**2
+
+
+def ellipse_place(env: Environment, R: Array, V: Array, most: float) -> tuple[Array, Array]:
+    """Eccentricity and eccentric anomaly [rad] of the ellipse of the mean motion through (R, R') [m, m/s].
+
+    Eccentricities beyond the largest are replaced by it, at the same anomaly.
+    """
+    across = 1 - R / env.radius
+    ahead = R * V / (env.radius**2 * env.mean_motion)
+    return np.minimum(np.hypot(across, ahead), most), np.arctan2(ahead, across)
+
+
 def near_circular(env: Environment, latitude: Array, inclination: Array | float) -> Array:
     """Target states whose orbit stays as near to the circle as J2 lets it, shape (..., 6).
 
@@ -82,3 +102,17 @@ def near_circular(env: Environment, latitude: Array, inclination: Array | float)
     h = eta * (a + steady) ** 2 + eta * a**2 * small * s2 / 2 * np.cos(2 * u)
     pole = np.stack([np.sin(i) * np.sin(u), np.sin(i) * np.cos(u), np.cos(i)], axis=-1)
     return np.concatenate([np.stack([R, V, h], axis=-1), pole], axis=-1)
+
+
+def near_ellipse(
+    env: Environment, latitude: Array, inclination: Array | float, eccentricity: Array, anomaly: Array
+) -> Array:
+    """Target states on ellipses, shape (..., 6), each with the ripple of J2 that a circle has there.
+
+    Arguments of latitude, inclinations and eccentric anomalies are in rad.
+    """
+    state = near_circular(env, latitude, inclination)
+    R, V, turn = on_ellipse(env, eccentricity, anomaly)
+    state[..., :3] += np.stack([R, V, R**2 * turn], axis=-1)
+    state[..., [0, 2]] -= env.radius, env.radius**2 * env.mean_motion
+    return state

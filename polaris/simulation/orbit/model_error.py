@@ -14,7 +14,7 @@ from ...model.system import Array
 from ...synthesis.schedule.schedule import Schedule
 from ...synthesis.schedule.synthesize import synthesize
 from .environment import Environment
-from .frame import relative_rate
+from .frame import on_ellipse, relative_rate
 from .region import Region, satellite_region, visited
 from .residual import Residual, residual_bound
 
@@ -126,6 +126,21 @@ def model_error(scenario: Any, schedule: Schedule | None = None, samples: int = 
     return ModelError(scenario, schedule, region, residual, found, others)
 
 
+def error_within(scenario: Any, distance: float) -> Residual:
+    """Bound the model error within a distance [m] of the target, without a schedule.
+
+    Relative speeds are as on the closed ellipses that reach that far, at most eta times the distance, and as
+    much again for getting from one to another. The schedule that is flown may need more or less.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario does not say enough.
+    """
+    env = Environment.of(scenario)
+    return residual_bound(env, distance, distance, 2 * env.mean_motion * distance)
+
+
 def justify(scenario: Any) -> ModelError:
     """Raise the disturbance bound until it covers the model error of its own tubes, rounded up to two digits.
 
@@ -169,11 +184,14 @@ def _targets(env: Environment, count: int, rng: np.random.Generator) -> Array:
     """Random states of the target within what is declared, corners among them."""
     off = rng.uniform(-1.0, 1.0, (count, 3))
     off[: count // 2] = np.sign(off[: count // 2])
-    R = env.radius + off[:, 0] * env.radius_deviation
-    turn = env.mean_motion * (1 + off[:, 2] * env.rate_deviation)
+    e = env.eccentricity * np.where(rng.random(count) < 0.5, 1.0, rng.random(count))
+    anomaly = np.where(rng.random(count) < 0.5, rng.integers(0, 4, count) / 2, 2 * rng.random(count)) * np.pi
+    R, climb, turn = on_ellipse(env, e, anomaly)
+    R = R + off[:, 0] * env.radius_deviation
+    turn = turn + off[:, 2] * env.rate_deviation * env.mean_motion
     tilt = env.inclination_max * np.sqrt(rng.random(count))
     tilt[: count // 2] = env.inclination_max
     u = rng.uniform(0, 2 * np.pi, count)
     pole = np.stack([np.sin(tilt) * np.sin(u), np.sin(tilt) * np.cos(u), np.cos(tilt)], axis=-1)
-    kept = np.stack([R, off[:, 1] * env.radial_rate, R**2 * turn], axis=-1)
+    kept = np.stack([R, climb + off[:, 1] * env.radial_rate, R**2 * turn], axis=-1)
     return np.concatenate([kept, pole], axis=-1)

@@ -19,8 +19,8 @@ from ..failing import drawn
 from ..integration import Integrator
 from ..run_metrics import Runs
 from ..simulate import Initial, flown_modes, initial_states
-from .environment import Environment
-from .frame import frame_rates, near_circular, relative_rate
+from .environment import MU, Environment
+from .frame import ellipse_place, frame_rates, near_circular, near_ellipse, on_ellipse, relative_rate
 
 
 @brief
@@ -61,13 +61,14 @@ def fly_true(
 ) -> TrueFlights:
     """Fly a schedule in the nonlinear motion, many times at once.
 
-    Each run has its own target: a near-circular orbit with an argument of latitude and an inclination
-    drawn from what is declared, an own difference of the ballistic coefficients, and a constant acceleration
-    of the size declared for everything else. With errors of navigation or thrusters, half of the runs have
-    them, that acceleration and the start at the worst for a limit and an instant, by the adjoint of the
-    linear loop. In the others estimates err at random, and thrusters are as built: each has its own strength,
-    all are turned about an axis, and impulses are rounded to the bit. Delays and missed periods are flown as
-    they are, with predictions on board. Where faults are isolated late every run has one of them.
+    Each run has its own target: a near-circular orbit, or one near an ellipse, with an argument of
+    latitude, an inclination, an eccentricity and an anomaly drawn from what is declared, an own
+    difference of the ballistic coefficients, and a constant acceleration of the size declared for
+    everything else. With errors of navigation or thrusters, half of the runs have them, that acceleration
+    and the start at the worst for a limit and an instant, by the adjoint of the linear loop. In the
+    others estimates err at random, and thrusters are as built: each has its own strength, all are turned
+    about an axis, and impulses are rounded to the bit. Delays and missed periods are flown as they are,
+    with predictions on board. Where faults are isolated late every run has one of them.
 
     Parameters
     ----------
@@ -113,7 +114,13 @@ def _targets(env: Environment, n: int, rng: np.random.Generator) -> Array:
     # J2 itself moves the inclination by a few hundredths of a degree.
     steepest = max(env.inclination_max - (1e-3 if env.j2 else 0.0), 0.0)
     inclination = np.where(rng.random(n) < 0.5, steepest, rng.uniform(0, 1, n) * steepest)
-    return near_circular(env, rng.uniform(0, 2 * np.pi, n), inclination)
+    latitude = rng.uniform(0, 2 * np.pi, n)
+    if not env.eccentricity:
+        return near_circular(env, latitude, inclination)
+    # J2 makes an ellipse of a circle in turn, of about this eccentricity.
+    largest = max(env.eccentricity - env.k_j2 / (MU * env.radius**2), 0.0)
+    e = np.where(rng.random(n) < 0.5, 1.0, rng.random(n)) * largest
+    return near_ellipse(env, latitude, inclination, e, rng.uniform(0, 2 * np.pi, n))
 
 
 def runge_kutta(rate: Callable[[Array], Array], x: Array, dt: float | Array, first: Array) -> Array:
@@ -221,6 +228,7 @@ def declared(env: Environment, target: Array) -> NDArray[np.bool_]:
     R, V = target[..., 0], target[..., 1]
     turn = frame_rates(env, target)[0][..., 2]
     tilt = np.hypot(target[..., 3], target[..., 4])
-    kept = (np.abs(R - env.radius) <= env.radius_deviation) & (np.abs(V) <= env.radial_rate)
-    kept &= np.abs(turn / env.mean_motion - 1) <= env.rate_deviation
+    near, climb, rate = on_ellipse(env, *ellipse_place(env, R, V, env.eccentricity))
+    kept = (np.abs(R - near) <= env.radius_deviation) & (np.abs(V - climb) <= env.radial_rate)
+    kept &= np.abs(turn - rate) <= env.rate_deviation * env.mean_motion
     return np.asarray(np.all(kept & (tilt <= np.sin(env.inclination_max)), axis=-1))
