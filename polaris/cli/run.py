@@ -115,6 +115,6 @@ def export_oem_command(
 
     They go to the folder oem in the run folder.
     """
-    from ..runs.orbits import export_oem
+    from ..runs.files.ephemerides import export_oem
 
     echo("\n".join(map(str, export_oem(run))))

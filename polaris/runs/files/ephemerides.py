@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ..certificate.files.document import read
-from ..model.errors import ScenarioError
-from ..model.system import Array
-from ..planning.reference import Reference
-from ..scenario.schedule import ScheduleScenario
-from ..simulation.orbit.environment import Environment
-from ..simulation.orbit.inertial import from_hill, propagate
-from ..simulation.orbit.oem import Track, oem_lines
-from .files.arrays import read_flights
-from .files.atomic import adding
-from .files.folder import readable
-from .files.tables import read_reference, write_text
-from .read_schedule import NAME, schedule_folder
+from ...certificate.files.document import read
+from ...model.errors import ScenarioError
+from ...model.system import Array
+from ...planning.reference import Reference
+from ...scenario.schedule import ScheduleScenario
+from ...simulation.orbit.environment import Environment
+from ...simulation.orbit.inertial import from_hill, propagate
+from ...simulation.orbit.oem import Track, oem_lines
+from ..read_schedule import NAME, schedule_folder
+from .arrays import read_flights
+from .atomic import adding
+from .folder import readable
+from .tables import read_reference, write_text
 
 FOLDER = "oem"
 APART_S = 10.0  # longest time between states: Hermite's cubic is then within 1 mm of the flight between them
