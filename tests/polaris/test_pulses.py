@@ -561,7 +561,7 @@ def test_proofs_of_random_scenes_hold_with_pulses_and_what_is_carried():
     assert scenes >= len(seeds) / 5
 
 
-@pytest.mark.parametrize("seed", [101, 117])
+@pytest.mark.parametrize("seed", [101, 102, 114])
 def test_nothing_that_flies_early_or_late_breaks_what_is_proven(seed):
     """Attack a random scene with jitter, pulses and others by an integrator of their own."""
     given, found = judge_scene(seed)
