@@ -44,11 +44,11 @@ synthesis/sources/observer.py
 - measures @ self.away + measures @ offset
 + measures @ self.away
 ! test_loop.py::test_an_offset_of_the_state_counts_as_an_error_of_what_is_measured
-model/prediction.py
+model/estimates/prediction.py
 - (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.pulsed or 0.0)
 + 0.0 * np.array(timing.pulsed or 0.0)
 ! test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
-model/prediction.py
+model/estimates/prediction.py
 - 2 * timing.jitter / h
 + timing.jitter / h
 ! test_timing.py::test_commands_out_of_time_are_other_commands_on_time_and_an_impulse_that_is_shifted

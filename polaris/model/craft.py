@@ -30,7 +30,7 @@ class Craft(LinearSystem):
     ----------
     estimate_error : array_like, shape (n,), optional
         Bounds on the errors of the estimate that controllers act on, at any time and however they change,
-        those of a prediction included (`polaris.model.prediction`).
+        those of a prediction included (`polaris.model.estimates.prediction`).
     thrusters : Thrusters
         Errors of what is applied.
     timing : Timing
@@ -180,10 +180,16 @@ class Craft(LinearSystem):
         `most` (..., m) bounds the commands of the periods before whose errors are not measured yet, if known
         (docs/theory.md, Proposition 7 (b)).
         """
-        if most is None or not self.timing.hidden or self.transients:
-            return self.navigation if most is None else self.navigation + np.zeros((*most.shape[:-1], 1))
+        if most is None:
+            return self.navigation
         spare = self.grown(self.u_max) - self.grown(np.minimum(most, self.u_max))
-        return np.asarray(self.navigation - spare @ np.array(self.timing.unseen).T)
+        unseen = sum(map(np.transpose, self.unseen.values()), 0 * self.entering.T)
+        return np.asarray(self.navigation - spare @ unseen)
+
+    @property
+    def unseen(self) -> dict[int, Array]:
+        """Return `Timing.unseen` by periods, (n, k) each; nothing where faults are isolated late."""
+        return {} if self.transients else {age: np.array(added) for age, added in self.timing.unseen}
 
     @property
     def entering(self) -> Array:

@@ -51,7 +51,8 @@ class Timing:
         the filter may be.
     missed : int
         Periods in a row for which there may be no new measurement or command: commands for so many periods
-        ahead are sent each time. At most 20 with an observer, and none if faults are isolated late besides.
+        ahead are sent each time. At most 20 with an observer, and none if faults of thrusters are isolated
+        late besides.
     clock : float [s]
         How far the schedule's clock may be, throughout, from the clock by which obstacles move. Refused with
         obstacles of kind `satellite`.
@@ -76,15 +77,9 @@ class Timing:
     carried: float = 0.0  # impulse of an input, at most, that is left to the next period [N s]
     fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
-    unseen: tuple[tuple[float, ...], ...] = ()
-    """What a unit of errors of thrusters may add to those of predictions until it is measured, (n, k)."""
-
-    @property
-    def hidden(self) -> int:
-        """Periods before a command whose errors it may not know of."""
-        if not (self.unseen and self.period > 0):
-            return 0
-        return int(np.ceil((self.delay / self.period + self.missed) * (1 - WHOLE)))
+    unseen: tuple[tuple[int, tuple[tuple[float, ...], ...]], ...] = ()
+    """What a unit of errors of thrusters, of up to so many periods before a command, may add to the error of
+    the estimate it rests on and no measurement has shown: periods and numbers (n, k)."""
 
     @property
     def instant(self) -> bool:
@@ -104,14 +99,29 @@ class Observer:
     gain: Array  # (n, r)
     after: tuple[Array, ...] = ()  # gains after 1, 2, ... periods without a measurement, (n, r) each
     initial: Array | None = None  # bounds on the errors of the first estimate, (n,), unless long in use
+    horizon: tuple[int, int] = (0, 0)  # steps of the flight, and periods in each
     settled: Array | None = None  # of one that has long been made, (n,)
     fading: Array | None = None  # what the first errors still add in each step and ever after, (K + 1, n)
+    followed: int = 0  # periods for which what is left of errors is followed, if periods may be missed
     constant: Array | None = None  # part of `noise` that is one value for the whole flight, (r,)
+    ages: tuple[int, ...] = ()  # in periods, from 0 on, if periods may be missed
+    by_age: Array | None = None
+    """What a unit of errors of thrusters of so many periods before an update, and more, makes, (., n, m)."""
 
     def errors(self, signs: Array, first: Array) -> Array:
         """Return measurement errors at their bounds: by `signs`, the constant part by `first`."""
         constant = 0 * self.noise if self.constant is None else self.constant
         return (self.noise - constant) * signs + constant * first
+
+    @property
+    def fallen(self) -> Array:
+        """Return by how much `by_age` falls from one age to the next, shape (. - 1, n, m)."""
+        assert self.by_age is not None
+        return -np.diff(self.by_age, axis=0)
+
+    def by_command(self, error: Array) -> Array | float:
+        """Return what errors of thrusters (m,) make that are not older than the last of the ages, (n,)."""
+        return 0.0 if self.by_age is None else np.asarray((self.by_age[0] - self.by_age[-1]) @ error)
 
     @property
     def rest(self) -> Array:

@@ -18,7 +18,7 @@ from ..inspection.inspection import Inspection
 from ..model.checks import counted
 from ..model.craft import Array, Craft
 from ..model.errors import ScenarioError
-from ..model.prediction import prediction_error
+from ..model.estimates.prediction import prediction_error
 from .base import Scenario, kept
 from .reading import did_you_mean
 from .tables import inspection as models

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ..model.craft import Array, Craft
-from ..model.prediction import prediction_error, when_measured
+from ..model.estimates.prediction import prediction_error, when_measured
 from ..synthesis.sources.source import remembers
 from .integration import Integrator
 
@@ -102,8 +102,11 @@ class Predicting(Integrator):
             if self.eta is not None:
                 used = min(self.measured + self.lag, self.steps - 1)
                 signs, first = (np.sign(self.eta[at] @ observer.measures.T) for at in (used, 0))
-                noise, at = observer.errors(signs, first), max(self.measured, 0)
-                off = off + self.turned(at, self.seen[self.measured], noise, observer.noise)
+                at, box = max(self.measured, 0), np.zeros(len(observer.noise))
+                if (sights := self.system.sights) is not None:  # which turn, whatever is constant of the rest
+                    box[:3] = sights[min(at // self.steps_per_cell, len(sights) - 1), 2:]
+                off = off + observer.errors(signs, first) - box * signs
+                off = off + self.turned(at, self.seen[self.measured], box * signs, box)
             missing = self.ages[(self.measured + self.lag) // self.substeps] > 0
             if self.failing is not None:
                 missing |= self.failing.missing(np.full(len(missing), self.measured))

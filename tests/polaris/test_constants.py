@@ -12,7 +12,7 @@ from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical
 from polaris.model.craft import Craft
 from polaris.model.errors import PolarisError
-from polaris.model.prediction import observing
+from polaris.model.estimates.observer import observing
 from polaris.model.timing import Observer
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run

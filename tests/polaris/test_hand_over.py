@@ -22,7 +22,8 @@ from polaris.certificate.model.craft.states import craft_of
 from polaris.certificate.model.plants import plant_of
 from polaris.certificate.model.timing import carried_away
 from polaris.model.craft import Craft
-from polaris.model.prediction import design, fading, predicting
+from polaris.model.estimates.observer import design
+from polaris.model.estimates.prediction import predicting
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.synthesis.safety.carried_rows import CarriedRows
@@ -135,7 +136,7 @@ def worst(s):
                 system.displaced - system.carried_away
             )
         elif system.timing.missed:
-            lag = k - BEFORE - system.timing.hidden
+            lag = k - BEFORE - system.timing.unseen[0][0]
             noise = system.estimate_off(system.u_max if lag < 0 else most[lag])
         else:
             noise = np.array(system.timing.measured) + system.displaced - system.carried_away
@@ -173,6 +174,7 @@ def stated(s):
         allocation=None,
         timing={"delay": timing.delay, "missed": timing.missed, "jitter": timing.jitter},
         fired=list(timing.fired),
+        placed=timing.placed,
         carried=timing.carried,
         at_nodes=system.displaced_at_nodes.tolist(),
         pulsed=list(timing.pulsed) or nothing,
@@ -325,13 +327,14 @@ def test_scheduled_commands_count_until_they_are_measured():
     nu = np.zeros((cells, 2))
     nu[2] = [0.5, -0.6]
     system = s.system
-    assert system.timing.hidden == 3
+    ((hidden, unseen),) = system.timing.unseen
+    assert hidden == 3
     thrust, noise = units(s, cells)
     for found, commanded in along(s, nu, cells):
         assert np.all(commanded >= np.abs(nu)) and np.all(commanded[3:] < commanded[2])
         part, late = system.thrusters.part(commanded), np.zeros((cells, 4))
         for k in range(1, cells):
-            late[k] = np.array(system.timing.unseen) @ part[max(k - 3, 0) : k].max(axis=0)
+            late[k] = np.array(unseen) @ part[max(k - 3, 0) : k].max(axis=0)
         exact = [sum(part[k] @ thrust[L - k] + late[k] @ noise[L - k] for k in range(L)) for L in (5, 6, 7)]
         assert np.all(found[5:8] >= np.array(exact) * (1 - 1e-6))
         assert np.all(found[5:8] <= np.array(exact) * 2)
@@ -384,8 +387,7 @@ def test_what_is_older_than_the_horizon_or_bends_is_booked_at_every_node_of_a_sc
 def test_a_first_estimate_counts_beside_what_the_loop_remembers():
     s, first, K = tracking(observer=True, delay=1.5), np.array([0.3, 0.4, 0.1, 0.2]), 6
     bare = tracking(observer=True).system
-    observer = replace(s.system.observer, initial=first)
-    observer = replace(observer, fading=fading(bare, observer, H, K, 1))
+    observer = replace(s.system.observer, initial=first, horizon=(K, 1))
     system = predicting(replace(bare, observer=observer, timing=Timing()), Timing(delay=1.5 * H), H)
     s, document = replace(s, system=system), stated(replace(s, system=system))
     left = observer.rest @ expm(system.A * H)

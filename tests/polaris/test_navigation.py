@@ -254,7 +254,10 @@ def test_without_phases_everything_is_as_it_was():
         (("navigation.phases=[{from_s=12.0,within_m=9.0}]",), "navigation.phases[0].from_s"),
         (("navigation.phases=[{from_s=3.0,within_m=[9.0]}]",), "navigation.phases[0].within_m"),
         (("navigation.phases=[{from_s=3.0,within_m=9.0}]", "abort={drift_s=3.0}"), "abort.keep_in"),
-        ((*MEASURED, "faults=[{kind='navigation_lost',lasts_s=1.0}]", "timing.missed_periods=1"), "faults"),
+        (
+            (*MEASURED, "faults=[{kind='loss',share=0.1,isolation_s=1.0}]", "timing.missed_periods=1"),
+            "faults",
+        ),
     ],
 )
 def test_bad_tables_are_refused_by_name(assignments, field):
@@ -310,7 +313,12 @@ def test_observers_go_with_missed_periods(more):
 FORGED = SMALL, FIRST, "thrusters.pulse='centred'", "timing.delay_s=0.25"
 
 
-@pytest.mark.parametrize("more", [(), FORGED, pytest.param((SMALL, MISSED, NEAR), marks=pytest.mark.slow)])
+AGED = SMALL, MISSED, "thrusters.magnitude_error=0.02"
+
+
+@pytest.mark.parametrize(
+    "more", [(), FORGED, AGED, pytest.param((SMALL, MISSED, NEAR), marks=pytest.mark.slow)]
+)
 def test_forged_observers_are_refused(more, tmp_path):
     """Neither another gain, nor less noise, nor smaller bounds than they give."""
     forger = Forger(make([*SAMPLED[:2], *MEASURED, *more], tmp_path), tmp_path)
@@ -331,6 +339,18 @@ def test_forged_observers_are_refused(more, tmp_path):
         for verdict in (judged({"after": after}), judged(timing=data["timing"] | {"measured": measured})):
             assert (verdict.outcome, verdict.claim) == ("REJECTED", "system")
         assert judged({"after": after[:1]}).outcome == "REJECTED"
+        if "by_age" in data["observer"]:
+            smaller = [
+                [[(float.fromhex(x) * 0.99).hex() for x in row] for row in M]
+                for M in data["observer"]["by_age"]
+            ]
+            first, later = (
+                [smaller[0], *data["observer"]["by_age"][1:]],
+                [data["observer"]["by_age"][0], *smaller[1:]],
+            )
+            sooner = [age - 1 if age else 0 for age in data["observer"]["ages"]]
+            for change in ({"by_age": first}, {"by_age": later}, {"ages": sooner}, {"followed": 0}):
+                assert judged(change).outcome == "REJECTED", change
     elif more:
         rows = [[(float.fromhex(x) * 0.999).hex() for x in row] for row in data["error_by_step"]]
         less = {"estimate_error": less, "error_by_step": rows}
@@ -352,8 +372,8 @@ def test_forged_observers_are_refused(more, tmp_path):
     document, honest = Document(forger.honest), forger.tree("scenario.toml")
     assert len(measured_errors(document, honest)) == (13 if more == FORGED else 1)
     forged = copy(document)
-    forged.transients = [{"name": "stuck_on"}]
-    with pytest.raises(Rejected, match="faults isolated late"):
+    forged.transients = [{"name": "stuck_on", "pushes": [[1.0, 0.0]]}]
+    with pytest.raises(Rejected, match="faults of thrusters isolated late"):
         measured_errors(forged, honest | {"timing": {"missed_periods": 1}})
     scenario = forger.tree("scenario.toml")
     scenario["navigation"]["measurement"]["error"] = [0.0051, 0.005]

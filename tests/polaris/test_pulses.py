@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from polaris.model.craft import lead_of
 from polaris.model.errors import PolarisError, ScenarioError
-from polaris.model.prediction import predicting, pulse_error
+from polaris.model.estimates.prediction import predicting, pulse_error
 from polaris.model.thrusters import Thrusters
 from polaris.model.timing import Timing
 from polaris.planning.reference import Reference

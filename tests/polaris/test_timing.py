@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from polaris.certificate.checker import verify
 from polaris.certificate.files.document import read
 from polaris.model.errors import PolarisError, ScenarioError, SynthesisInfeasible
-from polaris.model.prediction import predicting, prediction_error
+from polaris.model.estimates.prediction import predicting, prediction_error
 from polaris.model.scene.obstacles import BallObstacle
 from polaris.model.scene.satellite import SatelliteObstacle
 from polaris.model.thrusters import Thrusters
@@ -276,7 +276,8 @@ def test_errors_that_are_not_measured_yet_count_for_what_is_commanded():
     """Fly predictions with the worst errors of thrusters: they need what is booked, or a little less."""
     given = ["thrusters.magnitude_error=0.05", "timing.delay_s=0.5", ERRORS[0], "recoverable.recourse=none"]
     tracking = synthesize(load_scenario(TINY).with_assignments([*SAMPLED, *given])).safety.tracking
-    system, profile, hidden = tracking.system, tracking.profile, tracking.system.timing.hidden
+    system, profile = tracking.system, tracking.profile
+    ((hidden, _),) = system.timing.unseen
     assert hidden == 2
     Ad, Bd = discretize(system.A, system.B, tracking.flow.h)
     part, rows, last = system.thrusters.part, np.eye(system.n), tracking.memory

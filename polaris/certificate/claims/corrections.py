@@ -30,6 +30,7 @@ from ..kernel.balls import (
 )
 from ..kernel.zonotopes import Zonotope, times
 from ..model.craft.needs import Differences, Needs, difference_along
+from ..model.craft.states import remembers
 from ..model.plants import WHOLE
 from .continuation import Tracker
 from .mean_commands import MeanCommands
@@ -144,16 +145,18 @@ class Corrections:
     def late(self, count: int) -> arb:
         """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
 
-        Until then every command answers to no more than what it has moved by then.
+        Until then every command answers to no more than what it has moved by then. What an observer that
+        misses periods has not learned in an outage may add to every later command.
         """
         needs, plant, most = self._needs, self.tracker.craft.plant, [arb(0)]
         carried = needs.carried[: self.tracker.memory.periods]
         for fault, flights, wrong in self._faults():
             each = [difference_along(rows, flights) for rows in carried]
             size = column(difference_along(identity(carried[0].ncols()), flights))
-            predicted = not fault.get("pushes") and self.tracker.document.observer is None
-            meanwhile = [] if predicted else [[x * self._until(fault) for x in each[0]]]
-            answers = sums(*each, self._later(magnitude(size), count), *meanwhile)
+            meanwhile, doc = self._until(fault), self.tracker.document
+            if not fault.get("pushes") and not remembers(doc):
+                meanwhile = 0 if doc.observer is None else max(count, meanwhile)
+            answers = sums(*each, self._later(magnitude(size), count), [x * meanwhile for x in each[0]])
             most.append(self._spent(answers) + wrong * arb(fault["lasts"]) / plant.h)
         return largest(most)
 

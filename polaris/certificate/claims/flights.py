@@ -91,9 +91,11 @@ class Pilot:
 
     def unseen(self, k: int, before: Sequence[list[arb]]) -> list[arb]:
         """Bounds on errors of estimates in step k beyond those of the loop, from commands earlier in it."""
-        lag = self.craft.lag
-        commands = maxima(*before[-lag:]) if 0 < lag <= len(before) else self.plant.u_max
-        return sums(self.craft.extra(self.document, k), self.craft.lagged(commands))
+
+        def most(periods: int) -> Sequence[arb]:
+            return maxima(*before[-periods:]) if periods <= len(before) else self.plant.u_max
+
+        return sums(self.craft.extra(self.document, k), self.craft.lagged_since(most))
 
     def period(
         self, z: Zonotope, base: Arc, k: int, i: int, before: Sequence[list[arb]] = ()

@@ -187,6 +187,7 @@ class Document:
         sizes["m+1"] = m + 1
         sizes["measured"] = 0 if self.observer is None else len(self.observer["noise"])
         sizes["missed"] = self.timing.get("missed", 0)
+        sizes["ages"] = len((self.observer or {}).get("ages") or ())
         sizes["thrusters"] = 0 if self.allocation is None else len(self.allocation["limits"])
         for size, places in lengths.items():
             for length, where in places.items():

@@ -75,7 +75,8 @@ CERTIFICATE = {
         "error_by_step?": grid("K+1 n", AT_LEAST_0),
         "observer?": {"measures": grid("measured n"), "noise": grid("measured"), "gain": grid("n measured"),
                       "after?": grid("missed n measured"), "constant?": grid("measured", AT_LEAST_0),
-                      **every(grid("n"), "initial? settled?")},
+                      "ages?": Items(Whole(), size="ages"), "by_age?": grid("ages n m", AT_LEAST_0),
+                      **every(grid("n"), "initial? settled?"), "followed?": Whole()},
         "allocation?": {
             "directions": grid("thrusters m"), "limits": grid("thrusters"), "layout": bool,
             "mixes": Items(grid("two m thrusters", AT_LEAST_0), 1),

@@ -84,12 +84,14 @@ class Plant:
     weights: tuple[arb, ...] = ()  # of inputs in what is spent, of a layout of thrusters; else 1 each
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
     bias: list[Push] = field(default_factory=list)  # inputs that are constant in a whole flight
-    hidden: int = 0  # for how many periods that is, where commands of the meantime are told apart
+    unseen: list[tuple[int, arb_mat]] = field(default_factory=list)
+    """What a unit error of thrusters, of up to so many periods before a command, adds to errors of estimates
+    at most, (n, k), where commands of the meantime are told apart."""
     shifted: tuple[arb, ...] = ()  # impulses of inputs that jitter brings forward or puts off [N s], if any
     lead: Lead | None = None  # of pulses that are not centred
 
     @cached_property
-    def unseen(self) -> arb_mat:
+    def predicted(self) -> arb_mat:
         """Bound what a unit error of thrusters adds to a prediction's until it is measured, (n, k)."""
         if not self.unmeasured > 0:
             return arb_mat(self.B.nrows(), self.entering.ncols())

@@ -1,28 +1,21 @@
 """How far estimates may be off: as the scenario declares it, by phase of the flight, or an observer's."""
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf
 from typing import Any
 
-from flint import arb, arb_mat
+from flint import arb
 
 from ..files.document import ROUNDED, Document
-from ..kernel.balls import absolute, column, exponential, identity, largest, magnitude, matrix, require, sums
-from ..kernel.motion import Motion, Plant, Push
+from ..kernel.balls import require, sums
 from ..kernel.verdict import Rejected
 from .allocation import per_axis
+from .craft.observer import Filtering, settled_errors
 from .plants import plant_of
-from .timing import displaced
-
-PARTS = 4  # parts of a period over each of which integrals are bounded by the trapezoid rule
 
 INSTANT = 1e-9  # share of a step by which instants may differ and count as one
 
 ROUNDED_UP = 1e-8  # share by which bounds may be larger than the scenario's: what a program adds for rounding
-
-FORGOTTEN, LONGEST = 1e-9, 4096
-"""What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
 
 
 def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[float]]:
@@ -41,8 +34,9 @@ def measured_errors(document: Document, scenario: dict[str, Any]) -> list[list[f
         return rows
     if any(declared) or spec.get("phases") or "within_m" in spec:
         raise Rejected("system", "an observer's estimates are declared as well")
-    if document.transients and timing.get("missed_periods", 0):  # as the scenario has them
-        raise Rejected("system", "an observer that may miss periods, with faults isolated late")
+    pushing = any(fault.get("pushes") for fault in document.transients)
+    if pushing and timing.get("missed_periods", 0):  # as the scenario has them
+        raise Rejected("system", "an observer that may miss periods, with faults of thrusters isolated late")
     initial = _declared(document, asked.get("initial", {}))
     return _observed(document, asked, initial if any(initial) else [], timing.get("delay_s", 0.0))
 
@@ -122,119 +116,29 @@ def _observed(
         raise Rejected("system", "the certificate does not state the observer's gain")
     if document.mean_motion is None:
         measures, noise = spec.get("matrix", []), spec.get("error", [])
+        fixed = noise
     else:
         turned = turned_by(document, spec)
         given = [spec.get("position_error_m", 0.0), *(spec[k] for k in ["velocity_error_m_s"] if k in spec)]
-        noise = _per_axis(given)
-        noise = [x + float(y.upper()) for x, y in zip(noise, turned, strict=False)] + noise[3:]
+        fixed = _per_axis(given)
+        noise = [x + float(y.upper()) for x, y in zip(fixed, turned, strict=False)] + fixed[3:]
         measures = [[float(i == j) for j in range(n)] for i in range(len(noise))]
-        if spec.get("constant_share", 0.0) and any(y > 0 for y in turned):
-            raise Rejected("system", "errors that turn with the line of sight are not constant")
         if not all(x > 0 for x in noise) or {"matrix", "error"} & set(spec):
             raise Rejected("system", "the observer does not measure the position")
     share = spec.get("constant_share", 0.0)
-    constant = [share * x for x in noise] if share else []
+    constant = [share * x for x in fixed] if share else []  # lines of sight turn
     observes = stated["measures"], stated.get("initial") or [], stated.get("constant") or []
     if observes != (measures, initial, constant) or not same_bounds(stated["noise"], noise):
         raise Rejected("system", "the observer is not the scenario's")
-    plant, M, missed = plant_of(document), matrix(measures), document.timing.get("missed", 0)
-    gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
-    if len(gains) != missed + 1:
-        raise Rejected("system", f"the observer is not one of up to {missed} missed periods")
-    if "settled" in stated and (missed or not initial):  # nothing below would verify it
+    if ("settled" in stated) != bool(initial):
         raise Rejected("system", "settled errors are stated apart from those of the observer's estimates")
-    loop = (identity(n) - gains[0] * M) * exponential(plant.A, plant.h)[0]
-    settled = (stated.get("settled") if initial and not missed else document.measured) or [0.0] * n
-    noisy = column(sums(map(arb, noise), (absolute(M) * column(displaced(document, delay))).entries()))
-    updates = [Update.of(plant, gain, M, loop, j) for j, gain in enumerate(gains)]
-    _check_settled(plant, updates, (loop, noisy), (settled, (missed and initial) or [0.0] * n))
-    if missed or not initial:
-        return [settled]
-    fading = _fading(loop, column(initial), document)
-    rows = [[float(x.upper()) for x in sums(map(arb, settled), left)] for left in fading]
+    filtering = Filtering.of(document, plant_of(document))
+    alone, settled = filtering.check_settled(document), settled_errors(document)
+    if not initial:
+        return [document.measured or [0.0] * n]
+    fading = filtering.by_step(document, list(map(arb, initial)), alone)
+    rows = [[float(x.upper()) for x in sums(settled, more)] for more in fading]
     for i, (bound, *most) in enumerate(zip(document.measured, *rows, strict=True)):
         spare = bound * arb(1 + ROUNDED) - max(most)
         require("system", spare, f"error of the observer's state {i}: {bound}")
     return rows
-
-
-@dataclass(frozen=True, eq=False)
-class Update:
-    """What an observer does after some missed periods: what it leaves of errors, less what periods would."""
-
-    gain: arb_mat
-    rest: arb_mat
-    other: arb_mat
-    periods: int
-
-    @classmethod
-    def of(cls, plant: Plant, gain: arb_mat, M: arb_mat, loop: arb_mat, missed: int) -> "Update":
-        """After so many missed periods."""
-        n, count = plant.A.nrows(), missed + 1
-        rest = identity(n) - gain * M
-        other = rest * exponential(plant.A, plant.h * count)[0] - loop**count if missed else arb_mat(n, n)
-        return cls(gain, rest, other, count)
-
-    def adds(
-        self, left: arb_mat, known: tuple[arb_mat, arb_mat], part: Motion, pushes: list[Push]
-    ) -> list[arb]:
-        """What it adds along rows, errors of measurements and earlier estimates being `known`.
-
-        So does all that has pushed over its periods, each of `PARTS` parts.
-        """
-        come = magnitude(left * self.gain) * known[0] + magnitude(left * self.other) * known[1]
-        pushed, _ = part.gains_over(left * self.rest, pushes, PARTS * self.periods)
-        return [x.upper() for x in sums(come.entries(), pushed)]
-
-
-def _check_settled(
-    plant: Plant, updates: list[Update], filtering: tuple[arb_mat, arb_mat], bounds: tuple[list[float], ...]
-) -> None:
-    """Errors of an observer stay within bounds, by every pattern of updates.
-
-    What an update and a period make of them is in `filtering`, with bounds on what is measured. The observer
-    has long been at work, or its first errors are within the second of the bounds. Every way back into the
-    past comes by one of as many periods in a row as there are kinds of updates.
-    """
-    (settled, first), (loop, noisy), known = bounds, filtering, column(bounds[0])
-    part, errors = replace(plant, h=plant.h / PARTS).open, plant.thruster_error(plant.u_max)
-    pushes = plant.disturbances(errors)
-    left, passed, n = identity(len(settled)), 0, len(settled)
-    come = [[arb(0)] * n for _ in range(LONGEST + len(updates) + 1)]
-
-    def spare(age: int, since: arb_mat) -> list[arb]:
-        known_since = (magnitude(left) * since).entries()
-        return [b * arb(1 + ROUNDED) - x - y for b, x, y in zip(settled, come[age], known_since, strict=True)]
-
-    for age in range(LONGEST):
-        for i, x in enumerate(spare(age, column(first))):
-            require("system", x, f"error of the observer's state {i}: {settled[i]}")
-        for update in updates:
-            to, more = age + update.periods, sums(come[age], update.adds(left, (noisy, known), part, pushes))
-            come[to] = [largest(pair) for pair in zip(come[to], more, strict=True)]
-        left = left * loop
-        more, late = spare(age + 1, known), (magnitude(left) * known).entries()
-        passed = passed + 1 if all(x >= 0 for x in more) else 0
-        if passed == len(updates):
-            return
-        if not passed and all(x <= FORGOTTEN * bound for x, bound in zip(late, settled, strict=True)):
-            break
-    for i, x in enumerate(more):
-        require("system", x, f"error of the observer's state {i}: {settled[i]}")
-
-
-def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[arb]]:
-    """What first errors of an observer still add in each step, and ever after."""
-    left, each, first = identity(loop.nrows()), [], document.steps * document.q
-    for _ in range(first):
-        each.append((magnitude(left) * initial).entries())
-        left = left * loop
-    q = document.q
-    found = [list(map(largest, zip(*each[k * q : (k + 1) * q], strict=True))) for k in range(document.steps)]
-    ever, turn = (magnitude(left) * initial).entries(), loop
-    for _ in range(LONGEST):  # until so many periods make no more of what they begin with
-        if all(x <= y for x, y in zip((magnitude(turn) * column(ever)).entries(), ever, strict=True)):
-            return [*found, ever]
-        left, turn = left * loop, turn * loop
-        ever = [largest(pair) for pair in zip(ever, (magnitude(left) * initial).entries(), strict=True)]
-    raise Rejected("system", "the observer does not forget its first errors")

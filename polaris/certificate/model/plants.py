@@ -2,12 +2,25 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from math import ceil
 
 from flint import arb, arb_mat
 
 from ..files.document import Document
-from ..kernel.balls import PRECISION, exponential, identity, largest, magnitude, matrix, require, sums
+from ..kernel.balls import (
+    PRECISION,
+    absolute,
+    beside,
+    exponential,
+    identity,
+    largest,
+    magnitude,
+    matrix,
+    maxima,
+    require,
+    sums,
+)
 from ..kernel.leads import Lead
 from ..kernel.motion import Plant, Push
 from ..kernel.verdict import Rejected, Undecided
@@ -34,7 +47,7 @@ def plant_of(document: Document) -> Plant:
     C, w_max = matrix(document.C), arb(document.w_max)
     jitter = arb(document.timing.get("jitter", 0.0)) + document.timing.get("edge", 0.0)
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
-    hidden = 0 if document.transients else ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
+    hidden = ceil(float((delay / h).mid()) * (1 - WHOLE)) + missed
     plant = Plant(A, B, D, C, u_max, w_max, h, document.q, jitter=jitter, carried=document.carried)
     plant = replace(plant, bits=document.prompt_bits)
     if (layout := Nozzles.of(document)) is not None:
@@ -42,8 +55,30 @@ def plant_of(document: Document) -> Plant:
     else:
         plant = replace(plant, along=document.shares[0], across=document.shares[1])
     bias = [Push.in_box(D, [arb(x) for x in document.bias])] if document.bias else []
-    plant = replace(plant, bias=bias, unmeasured=delay + missed * h, hidden=hidden)
-    return _out_of_time(document, plant)
+    plant = replace(plant, bias=bias, unmeasured=delay + missed * h)
+    plant = _out_of_time(document, plant)
+    if document.transients:
+        return plant
+    unseen = [(hidden, plant.predicted)] * (hidden > 0)
+    return replace(plant, unseen=unseen + [(hidden + age, added) for age, added in older(document, plant)])
+
+
+def older(document: Document, plant: Plant) -> list[tuple[int, arb_mat]]:
+    """Return what units of errors of thrusters so many periods ago add to an observer's predictions, (n, k).
+
+    As the certificate states it of estimates, carried over whichever age makes the most of it. Leads of
+    pulses add nothing: they are among the observer's own errors at full thrust.
+    """
+    stated, delay = document.observer or {}, arb(document.timing.get("delay", 0.0))
+    if "by_age" not in stated:
+        return []
+    ages = [delay + plant.h * j for j in range(document.timing.get("missed", 0) + 1)]
+    over = [absolute(exponential(plant.A, age)[0]).entries() for age in ages]
+    carried = arb_mat(plant.A.nrows(), plant.A.nrows(), maxima(*over))
+    n, m = plant.B.nrows(), plant.B.ncols()
+    leads = arb_mat(n, plant.entering.ncols() - m)
+    each = (carried * (new - old) for new, old in pairwise(matrix(M) for M in stated["by_age"]))
+    return [(age, beside(added, leads)) for age, added in zip(stated["ages"][1:], each, strict=True)]
 
 
 def _out_of_time(document: Document, on_time: Plant) -> Plant:

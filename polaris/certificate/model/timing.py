@@ -10,7 +10,7 @@ from ..kernel.balls import above, absolute, beside, column, identity, largest, m
 from ..kernel.motion import PARTS, Plant
 from ..kernel.verdict import Rejected
 from .allocation import Nozzles, per_axis
-from .plants import plant_of
+from .plants import older, plant_of
 
 AT_NODES = arb(1e-6)
 """Share of what pulses displace at most within `NEAR` of a period's ends, where it is nothing."""
@@ -82,14 +82,22 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         raise Rejected("system", "errors of estimates are not by step in both certificate and scenario")
     away = displaced(document, delay)
     carried = [_carried(plant, delay + plant.h * i, nothing) for i in range(missed + 1)]
-    unseen = (plant.unseen * column(plant.thruster_part(plant.u_max))).entries()
+    full = column(plant.thruster_part(plant.u_max))
+    unseen = (sum((added for _, added in older(document, plant)), plant.predicted) * full).entries()
+    alone = by_command(document, column(full.entries()[: len(document.u_max)]))
     for row, bounds in zip(measured, document.error_by_step or [stored], strict=True):
-        known = column(sums(map(arb, row), away))
+        known = column(sums(map(arb, row), away)) - alone
         ages = [sums((over * known).entries(), more) for over, more in carried]
         least = sums(list(map(largest, zip(*ages, strict=True))), unseen)
         for i, (bound, needed) in enumerate(zip(bounds, least, strict=True)):
             spare = bound * arb(1 + ROUNDED) - needed
             require("system", spare, f"error of the prediction of state {i}: {bound}")
+
+
+def by_command(document: Document, error: arb_mat) -> arb_mat:
+    """Return what errors of thrusters (m, 1) make of an observer's estimates as far as their age counts."""
+    by_age = [matrix(M) for M in (document.observer or {}).get("by_age") or ()]
+    return (by_age[0] - by_age[-1]) * error if by_age else arb_mat(len(document.A), 1)
 
 
 def displaced(document: Document, delay: float) -> list[arb]:

@@ -27,6 +27,7 @@ from ..kernel.verdict import Rejected
 from .craft.craft import Craft
 from .craft.memory import Memory
 from .craft.needs import Differences, Needs, difference_along
+from .craft.observer import Filtering
 from .craft.states import craft_of, remembers
 from .networks import FOLDED, Policy, Weights
 from .plants import WHOLE
@@ -163,10 +164,11 @@ def _peak(lists: list[list[arb]]) -> list[arb]:
 def lost(document: Document, craft: Craft, memory: Memory) -> list[Differences]:
     """Return what the loss of navigation adds to the loop state; in no more than one of them it is lost."""
     outages = [each["lasts"] for each in document.transients if not each.get("pushes")]
-    if document.observer is not None:
+    if document.observer is not None and remembers(document):
         return [_unmade(document, craft, _periods(craft.plant, lasts)) for lasts in outages]
-    boxes = (diagonal(_predicted(document, craft, memory, lasts)) for lasts in outages)
-    return [[(box, arb_mat(box.nrows(), 0))] for box in boxes]
+    boxed = _predicted if document.observer is None else _unlearned
+    boxes = (boxed(document, craft, memory, lasts) for lasts in outages)
+    return [[(diagonal(box), arb_mat(len(box), 0))] for box in boxes]
 
 
 def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -> list[arb]:
@@ -178,6 +180,40 @@ def _predicted(document: Document, craft: Craft, memory: Memory, lasts: float) -
     first = column(_peak([estimate.entries(), (magnitude(plant.open.phi) * estimate).entries()]))
     measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
     return sums(predicted(plant, measured, age), Needs(craft, memory, identity(n)).ever(first))
+
+
+def _unlearned(document: Document, craft: Craft, memory: Memory, lasts: float) -> list[arb]:
+    """Return what estimates of an observer that misses an outage make of the state, where a box holds them.
+
+    They are compared with those it would have made if only as many periods had been missed as may be, with
+    measurements as close to what it expects as their errors allow.
+    """
+    plant, filtering, count = craft.plant, Filtering.of(document, craft.plant), memory.periods
+    n, late, stated = plant.A.nrows(), filtering.late, document.observer or {}
+    M, noise = absolute(matrix(stated["measures"])), column(stated["noise"])
+    measured = sums(map(arb, document.measured or [0.0] * n), map(arb, document.displaced))
+    seen = [M * column(predicted(plant, measured, plant.h * each.periods)) for each in filtering.updates]
+    pairs = list(zip((each.gain for each in filtering.updates), seen, strict=True))
+    less = [column([largest((x, arb(0))) for x in (y - noise).entries()]) for y in seen]
+    each = column(maxima(*((absolute(L) * y).entries() for (L, _), y in zip(pairs, less, strict=True))))
+    over = [exponential(plant.A, plant.h * (j + 1))[0] for j in range(late + 1)]
+    apart, missing = arb_mat(n, 1), _periods(plant, lasts) + 2 * late
+    for _ in range(missing // (late + 1)):
+        apart = magnitude(over[-1]) * apart + each
+    rest = filtering.updates[-1].rest
+    first = maxima(*((magnitude(rest * step) * apart).entries() for step in over))
+    other = maxima(*((absolute(L - pairs[-1][0]) * (y + noise)).entries() for L, y in pairs))
+    left = filtering.fading(sums(first, other), document)
+    for i in range(len(left) - 2, -1, -1):
+        left[i] = maxima(left[i], left[i + 1])
+    delay = arb(document.timing.get("delay", 0.0))
+    ages = (absolute(exponential(plant.A, delay + plant.h * j)[0]).entries() for j in range(late + 1))
+    carried = arb_mat(n, n, maxima(*ages))
+    known = [maxima(left[0], apart.entries())] * (missing - late) + [left[0]] * late + left
+    off = [(carried * column(known[min(i, len(known) - 1)])).entries() for i in range(count)]
+    needs = Needs(craft, memory, identity(n))
+    older, bent = needs.caused(off, True)
+    return sums(maxima(*needs.noise.summed(off)), older, bent, off[0])
 
 
 def _unmade(document: Document, craft: Craft, count: int) -> Differences:

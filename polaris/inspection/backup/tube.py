@@ -7,7 +7,7 @@ import numpy as np
 from ...model.checks import non_negative, of_kind
 from ...model.craft import Array, Craft
 from ...model.errors import ScenarioError
-from ...model.prediction import prediction_error
+from ...model.estimates.prediction import prediction_error
 from ...model.thrusters import Thrusters
 from ..inspection import Inspection
 from ..vectors import length

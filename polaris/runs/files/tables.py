@@ -137,7 +137,9 @@ def errors_of(system: Craft) -> dict[str, Any]:
     timing = {key: x for key, x in timing.items() if key not in unsaid and (x or key not in added)}
     timing = {"bit" if k == "on_time" else k: x["bit"] if k == "on_time" else x for k, x in timing.items()}
     observer = {} if system.observer is None else asdict(system.observer)
-    hidden = {"fading"} if observer.get("after") else {"fading", "after"}
+    hidden = {"fading", "horizon"} | ({"ages", "by_age"} if observer.get("by_age") is None else set())
+    hidden |= set() if observer.get("after") else {"after"}
+    hidden |= set() if observer.get("followed") else {"followed"}
     observer = {key: x for key, x in observer.items() if x is not None and key not in hidden}
     thrusters, layout = asdict(system.on_time) | {"bit": system.thrusters.bit}, system.nozzles
     del thrusters["shares"]

@@ -11,7 +11,7 @@ from ...model.allocation import MIXES, Allocation, axis_pairs
 from ...model.checks import MAX_STEPS
 from ...model.craft import Craft
 from ...model.errors import ScenarioError
-from ...model.prediction import predicting
+from ...model.estimates.prediction import predicting
 from ...model.system import Array, LinearSystem
 from ...model.thrusters import Nozzles
 from ...model.thrusters import Thrusters as Errors

@@ -8,7 +8,7 @@ import numpy as np
 from ...model import keys as f
 from ...model.craft import Craft
 from ...model.errors import ScenarioError
-from ...model.prediction import design, fading, observing
+from ...model.estimates.observer import design, observing
 from ...model.scene.keep_in import INSTANT, KeepInPolytope, during
 from ...model.system import Array, LinearSystem
 from ...model.timing import Timing
@@ -88,7 +88,8 @@ class Measurement(Sight):
     matrix: f.Matrix | None = unit("-", "What is measured in other systems, n numbers each.", default=None)
     error: f.LimitVector | None = unit("SI", "How far each of these may be off.", default=None)
     constant_share: f.Real = unit("-", default=0.0, ge=0, le=1)
-    """Share of these errors that is constant in a flight though unknown, as by the mounting of a camera."""
+    """Share of these errors that is constant in a flight though unknown, as by the mounting of a camera.
+    Errors of range and bearing turn with the line of sight: they have none."""
     initial: Estimate | None = unit("-", default=None)
     """Bounds on the errors of its first estimate, on which the first command rests. Without them it has long
     been at work when the flight starts."""
@@ -108,10 +109,16 @@ class Measurement(Sight):
             check_length(f"{path}.matrix", self.matrix[0], system.n)
             check_length(f"{path}.error", self.error, len(self.matrix))
             return np.array(self.matrix), np.array(self.error)
-        named = ("position_error_m", self.position_error_m or 0.0), (own[1], self.velocity_error_m_s)
-        noise = np.concatenate([per_axis(f"{path}.{k}", v, 3) for k, v in named if v is not None])
+        noise = self._fixed()
         noise[:3] += turned[2:]
         return np.eye(6)[: len(noise)], noise
+
+    def _fixed(self) -> Array:
+        """Bounds on errors of measurements in Hill's frame, those of range and bearing apart, shape (r,)."""
+        parts = {"position_error_m": self.position_error_m or 0.0}
+        if self.velocity_error_m_s is not None:
+            parts["velocity_error_m_s"] = self.velocity_error_m_s
+        return np.concatenate([per_axis(f"{PATH}.{k}", v, 3) for k, v in parts.items()])
 
     def known(
         self, system: Craft, horizon: tuple[int, float], period: float, timing: Timing, late: bool
@@ -122,18 +129,17 @@ class Measurement(Sight):
             raise ScenarioError("timing.missed_periods", timing.missed, rule)
         observer = design(system, *self.build(system), period, timing.missed, late or timing.missed > 0)
         if self.constant_share > 0:
-            if np.any(self.sight(system, PATH)):
-                rule = "must be 0 where errors turn with the line of sight: these are not constant"
+            fixed = self.error if system.mean_motion is None else self._fixed()
+            if not np.any(fixed):
+                rule = "must be 0 where only range and bearing have errors: these turn with the line of sight"
                 raise ScenarioError(f"{PATH}.constant_share", self.constant_share, rule)
-            observer = replace(observer, constant=observer.noise * self.constant_share)
+            observer = replace(observer, constant=np.asarray(fixed) * self.constant_share)
         first = np.zeros(system.n)
         if self.initial is not None:
             first = self.initial.build(system, "navigation.measurement.initial")
         if np.any(first):
-            observer, (steps, step) = replace(observer, initial=first), horizon
-            if not timing.missed:
-                left = fading(system, observer, period, steps, max(round(step / period), 1))
-                observer = replace(observer, fading=left)
+            steps, step = horizon
+            observer = replace(observer, initial=first, horizon=(steps, max(round(step / period), 1)))
         return replace(observing(system, observer, period), sights=self.sight(system, PATH)[None])
 
 

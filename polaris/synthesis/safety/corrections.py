@@ -120,15 +120,17 @@ class Corrections:
     def late(self, count: int) -> float:
         """Bound the thrust that a fault makes which is isolated late, and what answers to it [N].
 
-        Until then every command answers to no more than what it has moved by then.
+        Until then every command answers to no more than what it has moved by then. What an observer that
+        misses periods has not learned in an outage may add to every later command.
         """
         system, h, most = self.tracking.system, self.tracking.flow.h, 0.0
         for fault, difference, wrong in self._faults():
             sums = difference.along(self._answers).sum(axis=0)
             sums = sums + self._later(difference.along(np.eye(self.tracking.loop.N)), count)
             until = fault.lasts + system.timing.delay + h * (2 * system.timing.missed + 1)
-            predicted = not len(fault.thrust) and self.tracking.loop.settled is None
-            meanwhile = 0.0 if predicted else touched(until, h)
+            meanwhile = touched(until, h)
+            if not len(fault.thrust) and self.tracking.loop.settled is None:
+                meanwhile = 0 if system.observer is None else max(count, meanwhile)
             sums = sums + meanwhile * difference.along(self._answers[0])
             most = max(most, self._spent(sums) + wrong * fault.lasts / h)
         return most

@@ -91,9 +91,7 @@ class Spell:
 
 def _noise(law: AffineController, commands: Array, i: int) -> Array:
     """Bound what estimates add to a command in period i of a step, after commands within bounds, (m,)."""
-    lag = max((channel.lag for channel in law.closed.loop.channels), default=0)
-    before = commands[i - lag : i].max(axis=0) if i >= lag > 0 else None  # Proposition 7 (b)
-    return law.noise_after(before)
+    return law.noise_after(commands[:i])  # Proposition 7 (b)
 
 
 @dataclass(frozen=True, eq=False)

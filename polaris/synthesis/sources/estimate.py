@@ -1,11 +1,13 @@
 """Estimates of a navigation filter of which only the bounds on its errors are known."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from ...model.craft import Craft
-from ...model.prediction import when_measured
+from ...model.estimates.prediction import when_measured
 from ..tracker.channel import Channel, Share
 from ..tracker.loop import Array, Loop
 from .source import remembers
@@ -16,13 +18,12 @@ class Estimate:
     """Every estimate is within `error` (n,) of the state measured, however the difference changes.
 
     Errors of thrusters, which grow with commands as `grown` says, (..., m) to (..., k), add `unseen` (n, k)
-    times their size until they are measured, `lag` periods later, where that is not None.
+    times their size of so many periods before, by their number.
     """
 
     error: Array
     grown: Share | None = None
-    unseen: Array | None = None
-    lag: int = 0
+    unseen: Mapping[int, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, system: Craft, h: float) -> "Estimate | None":
@@ -32,7 +33,7 @@ class Estimate:
         if not remembers(system):
             least = known.estimate_off(np.zeros(known.m))
             if np.any(known.estimate_off(known.u_max) != least):
-                return cls(least, known.grown, np.array(timing.unseen), timing.hidden)
+                return cls(least, known.grown, known.unseen)
             return cls(least) if np.any(least) else None
         if system.observer is not None or not np.any(known.navigation):
             return None
@@ -41,15 +42,18 @@ class Estimate:
         return cls(np.maximum(known.navigation - system.carried_away, 0.0))
 
     def extend(self, loop: Loop) -> Loop:
-        """Add one channel of noise, carried over the delay."""
-        offset, share = loop.offset_measured, None if self.unseen is None else self.share
-        channel = Channel("estimate", self.error + offset, noise=loop.carry, share=share, lag=self.lag)
-        return replace(loop.with_channels(channel), navigated=offset)
+        """Add one channel of noise, carried over the delay, and one for each number of periods."""
+        offset = loop.offset_measured
+        channels = [Channel("estimate", self.error + offset, noise=loop.carry)]
+        for lag, added in self.unseen.items():
+            share = partial(self._share, added=added)
+            channels.append(Channel("estimate", 0 * self.error, noise=loop.carry, share=share, lag=lag))
+        return replace(loop.with_channels(*channels), navigated=offset)
 
-    def share(self, u: Array) -> Array:
-        """Return what commands u (..., m) add to errors of estimates until it is measured, (..., n)."""
-        assert self.unseen is not None and self.grown is not None
-        return np.asarray(self.grown(u) @ self.unseen.T)
+    def _share(self, u: Array, added: Array) -> Array:
+        """Return what commands u (..., m) add to errors of estimates, (..., n)."""
+        assert self.grown is not None
+        return np.asarray(self.grown(u) @ added.T)
 
 
 def displaced(system: Craft, h: float) -> Array:

@@ -7,11 +7,15 @@ import numpy as np
 from scipy.linalg import expm
 
 from ...model.craft import Array, Craft
-from ...model.prediction import prediction_error
+from ...model.estimates.observer import Filtering
+from ...model.estimates.prediction import prediction_error
 from ...model.timing import Transient
 from ...model.tolerances import ROUNDING
+from ..tracker.channel import Channel
 from ..tracker.loop import ClosedLoop
 from ..tracker.period_sets import rates_added, sampled_added
+from ..tracker.tightening import Tightening
+from .late_faults import touched
 from .observer import MEASUREMENT
 
 
@@ -59,6 +63,42 @@ def lost(
     carried = [np.abs(expm(system.A * h * i)) @ system.navigation for i in range(fault.unseen + 1)]
     first = np.max(carried, axis=0)
     return np.asarray((found + left(every, [Difference.within(first)])[-1, :, 0]) * (1 + ROUNDING))
+
+
+def unlearned(system: Craft, fault: Transient, limits: Tightening) -> Array:
+    """Bound what estimates of an observer that misses an outage make of the state, shape (n,).
+
+    They are compared with those it would have made if only as many periods had been missed as may be, with
+    measurements as close to what it expects as their errors allow (docs/theory.md, Proposition 8 (c)).
+    """
+    observer, timing, (h, A) = system.observer, system.timing, (limits.closed.loop.h, system.A)
+    assert observer is not None
+    late, count, gains = timing.missed, limits.horizon, (observer.gain, *observer.after)
+    measured, error = system.measured + system.displaced, system.thrusters.error(system.u_max)
+    expected = [prediction_error(system, measured, error, h * (j + 1)) for j in range(late + 1)]
+    seen = [np.abs(observer.measures) @ each for each in expected]
+    pairs = list(zip(gains, seen, strict=True))
+    each = np.max([np.abs(L) @ np.maximum(y - observer.noise, 0.0) for L, y in pairs], axis=0)
+    apart, lost = 0 * each, touched(fault.lasts, h) + 2 * late
+    for _ in range(lost // (late + 1)):
+        apart = np.abs(expm(A * h * (late + 1))) @ apart + each
+    steps = [observer.rests[-1] @ expm(A * h * (j + 1)) for j in range(late + 1)]
+    first = np.max([np.abs(step) @ apart for step in steps], axis=0)
+    first = first + np.max([np.abs(L - gains[-1]) @ (y + observer.noise) for L, y in pairs], axis=0)
+    settled = system.measured if observer.settled is None else observer.settled
+    left = Filtering(system, observer, h).fading(first * (1 + ROUNDING), settled)
+    left = np.maximum.accumulate(left[::-1])[::-1]
+    ages = timing.delay + h * np.arange(late + 1)
+    carried = np.max([np.abs(expm(A * age)) for age in ages.tolist()], axis=0)
+    known = np.vstack(
+        [np.tile(np.maximum(left[0], apart), (lost - late, 1)), left[:1].repeat(late, axis=0), left]
+    )
+    off = known[np.minimum(np.arange(count), len(known) - 1)] @ carried.T * (1 + ROUNDING)
+    every, channel = np.eye(system.n), Channel("outage", off[0], noise=np.eye(system.n))
+    response = limits.response(channel, every, every)
+    reached = response.at(off)[: count + 1].max(axis=0)
+    whole = np.linalg.solve(every - np.abs(limits.transitions[count]), reached)
+    return np.asarray((whole + response.between @ off[0] + off[0]) * (1 + ROUNDING))
 
 
 def unmade(closed: ClosedLoop, blind: ClosedLoop, u_max: Array, remembered: Array, count: int) -> Difference:

@@ -1,6 +1,6 @@
 """An affine feedback law: its data, and a period of its loop as a set, clipped or not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -94,20 +94,25 @@ class AffineLaw:
         """Bounds on the values of a channel under commands within a bound, or within the limits."""
         return self.tracking.tightening.sizes(channel, self.system.u_max if most is None else most)
 
-    def channels(self, before: Array | None = None) -> list[tuple[Channel, Array]]:
+    def channels(self, before: Sequence[Array] | Array = ()) -> list[tuple[Channel, Array]]:
         """The loop's channels with bounds on their values in any period of a cell.
 
-        Those that remember commands count ones within `before`, or within the limits of the thrusters.
+        Those that remember commands count bounds of the periods `before`, (m,) each and the last one last, or
+        the limits of the thrusters where they remember older ones.
         """
-        return [(c, self.sizes(c, before if c.lag else self.most)) for c in self.closed.loop.channels]
+
+        def most(lag: int) -> Array | None:
+            return self.most if lag == 0 else np.max(before[-lag:], axis=0) if lag <= len(before) else None
+
+        return [(c, self.sizes(c, most(c.lag))) for c in self.closed.loop.channels]
 
     @cached_property
     def noise(self) -> Array:
         """Bound on what errors of estimates add to a command in a cell, shape (m,)."""
-        return self.noise_after(None)
+        return self.noise_after(())
 
-    def noise_after(self, before: Array | None) -> Array:
-        """Return `noise` where commands that channels remember are within a bound, shape (m,)."""
+    def noise_after(self, before: Sequence[Array] | Array) -> Array:
+        """Return `noise` under bounds on commands of the periods before, shape (m,), see `channels`."""
         each = (self.closed.noise(channel) @ size for channel, size in self.channels(before))
         return np.asarray(sum(each, np.zeros(self.system.m)))
 

@@ -18,7 +18,7 @@ from ...model.tolerances import ROUNDING
 from ..sources.craft import craft_loop
 from ..sources.estimate import step_errors
 from ..sources.late_faults import moved, touched
-from ..sources.outages import Difference, lost, unmade
+from ..sources.outages import Difference, lost, unlearned, unmade
 from ..sources.source import remembers
 from .channel import Channel
 from .contraction import Contraction
@@ -189,8 +189,10 @@ class Tracking(Contraction):
                 for fault in system.transients:
                     if len(fault.thrust):
                         found += map(Difference.within, moved(system, fault, self.gain, self.loop))
-                    elif self.loop.settled is None:
+                    elif system.observer is None:
                         found.append(Difference.within(lost(system, fault, h, self.left)))
+                    elif self.loop.settled is None:
+                        found.append(Difference.within(unlearned(system, fault, self.tightening)))
                     else:
                         found.append(self._unmade(touched(fault.lasts, h)))
         except (ReachError, FloatingPointError) as error:

@@ -6,7 +6,7 @@ what uncertain inputs add. What is not the error moves by itself, whatever law f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -45,7 +45,6 @@ class Craft:
     box: list[arb]  # bounds on the states beside the error at the start of a flight, (N - n)
     carry: arb_mat  # from errors of estimates to what the law sees, shape (n, k)
     off: list[arb]  # bounds on these errors, commands apart, (k)
-    lag: int  # for how many periods commands add to these; 0 if they do not
     base: list[arb] | None  # bounds on errors of estimates beyond which they count by the step of the flight
     _along: dict[Directions, tuple[Along, Directions]] = field(default_factory=dict, repr=False)
 
@@ -101,11 +100,21 @@ class Craft:
         """Bounds on errors of estimates with some `more`, which there are only where nothing carries them."""
         return sums(self.off, more) if any(x > 0 for x in more) else self.off
 
+    @property
+    def lag(self) -> int:
+        """For how many periods at most commands add to errors of estimates; 0 if they do not."""
+        return max((periods for periods, _ in self.plant.unseen), default=0)
+
     def lagged(self, most: Sequence[arb]) -> list[arb]:
-        """Bounds on errors of estimates by commands up to some sizes that no measurement shows yet, (n)."""
-        if not self.lag:
-            return [arb(0)] * self.gain.ncols()
-        return (self.plant.unseen * column(self.plant.thruster_part(most))).entries()
+        """Bounds on errors of estimates by commands up to some sizes, (n)."""
+        return self.lagged_since(lambda periods: most)
+
+    def lagged_since(self, most: Callable[[int], Sequence[arb]]) -> list[arb]:
+        """Bounds on errors of estimates by commands, given the largest of so many periods before, (n)."""
+        found = [arb(0)] * self.gain.ncols()
+        for periods, added in self.plant.unseen:
+            found = sums(found, (added * column(self.plant.thruster_part(most(periods)))).entries())
+        return found
 
     def extra(self, document: Document, k: int) -> list[arb]:
         """Bounds on what estimates are off more in a step than in the loop, shape (n)."""

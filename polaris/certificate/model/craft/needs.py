@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from itertools import pairwise
 
 from flint import arb, arb_mat
@@ -120,9 +120,12 @@ class Needs:
         thrust = [plant.thruster_part(most) for most in profile]
         parts = [self._steady, self.thrust.summed([thrust[min(lag, last)] for lag in range(count)])]
         if craft.lag:  # what is commanded before a hand-over is limited by the thrusters alone
-            off = [craft.lagged(most) for most in (plant.u_max, *profile)]
-            since = (min(max(lag - craft.lag + 1, 0), last + 1) for lag in range(count))
-            parts.append(self.noise.summed([off[at] for at in since]))
+            most = [plant.u_max, *profile]
+
+            def before(lag: int, periods: int) -> list[arb]:
+                return most[min(max(lag - periods + 1, 0), last + 1)]
+
+            parts.append(self.noise.summed([craft.lagged_since(partial(before, i)) for i in range(count)]))
         return [[x.upper() for x in sums(*each)] for each in zip(*parts, strict=True)]
 
     def _split(self, stacked: list[arb]) -> list[list[arb]]:

@@ -1,5 +1,6 @@
 """Errors that depend on the time of the flight: of scheduled commands in proportion, and of navigation."""
 
+from functools import partial
 from math import ceil
 
 from flint import arb
@@ -52,11 +53,10 @@ class Scheduled:
     def along(self, needs: Needs, between: bool = True) -> Along:
         """Response to them along rows at every node of every step; between nodes, if asked, chords of it."""
         plant, q, off = self.craft.plant, self.craft.plant.q, self.off
-        parts, back = [], ceil(self.craft.lag / q)
+        parts = []
         if self.memory.profile:
             if self.craft.lag:
-                since = (self.commanded[max(k - back, 0) : k + 1] for k in range(len(off)))
-                lagged = (self.craft.lagged(self._clipped(maxima(*most))) for most in since)
+                lagged = [self.craft.lagged_since(partial(self._most, k)) for k in range(len(off))]
                 off = [sums(*pair) for pair in zip(off, lagged, strict=True)]
             thrust = [plant.thruster_part(self._clipped(most)) for most in self.commanded]
             parts.append((needs.thrust, [[x.upper() for x in each] for each in thrust], False))
@@ -77,6 +77,10 @@ class Scheduled:
         tail = [maxima(*pair) for pair in zip(at[T:], later, strict=True)]
         ends = [part[i : i + q + 1] for part in (at[: T + 1], tail) for i in range(0, len(part) - 1, q)]
         return [[sums(each, booked) for each in nodes] for nodes in ends]
+
+    def _most(self, k: int, periods: int) -> list[arb]:
+        """Bound commands in a step, and in so many periods before it."""
+        return self._clipped(maxima(*self.commanded[max(k - ceil(periods / self.craft.plant.q), 0) : k + 1]))
 
     def _clipped(self, most: list[arb]) -> list[arb]:
         return [smallest(pair) for pair in zip(most, self.craft.plant.u_max, strict=True)]

@@ -126,9 +126,7 @@ class States:
             enters[block] = -rest * now
         self.samples.append(({block: gain}, arb_mat(self.plant.B.ncols(), gain.ncols()), *noise))
 
-    def closed(
-        self, gain: arb_mat, steady: list[Push], noise: Noise, lag: int, base: list[arb] | None
-    ) -> Craft:
+    def closed(self, gain: arb_mat, steady: list[Push], noise: Noise, base: list[arb] | None) -> Craft:
         """Close the loop by a law."""
         plant, n, m = self.plant, self.sizes[0], self.plant.B.ncols()
         if self.carries:
@@ -145,7 +143,7 @@ class States:
             for adds, push, size, same in self.samples
         ]
         sees, given = self.beside(self.known, n), (steady, samples, self.box, *noise)
-        return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, lag, base)
+        return Craft(plant, gain, above(*rows), sees, drifts, parts, *given, base)
 
 
 def remembers(document: Document) -> bool:
@@ -163,11 +161,13 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
     n, m = plant.A.nrows(), plant.B.ncols()
     delay, stated = document.timing.get("delay", 0.0), document.observer
     if not remembers(document):
-        most = plant.unseen * column(plant.thruster_part(plant.u_max)) if plant.hidden else arb_mat(n, 1)
+        full = column(plant.thruster_part(plant.u_max))
+        most = sum((added * full for _, added in plant.unseen), arb_mat(n, 1))
         known = list(map(arb, document.calmest or [0.0] * n))
         off = [(x - y).abs_upper() for x, y in zip(known, most.entries(), strict=True)]
         noise = identity(n), off if document.estimate else [arb(0)] * n
-        return States.of(plant).closed(gain, plant.disturbances([]), noise, plant.hidden, known)
+        return States.of(plant).closed(gain, plant.disturbances([]), noise, known)
+    plant = replace(plant, unseen=[])  # states hold that
     along = arb(plant.along) * plant.carried
     offset = (absolute(plant.B) * column([along] * m)).entries()
     moved = carried_away(plant)
@@ -193,7 +193,7 @@ def craft_of(document: Document, plant: Plant, gain: arb_mat, observing: bool = 
         off = sums(measured, away)
     elif document.estimate:
         off = [_positive(arb(x) - y) + z for x, y, z in zip(document.calmest, moved, offset, strict=True)]
-    return states.closed(gain, steady, (carry, off), 0, base)
+    return states.closed(gain, steady, (carry, off), base)
 
 
 def _positive(x: arb) -> arb:

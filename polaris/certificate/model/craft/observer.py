@@ -1,0 +1,237 @@
+"""Errors of an observer's estimates by every pattern of missed periods, as a certificate states them."""
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from flint import arb, arb_mat
+
+from ...files.document import ROUNDED, Document
+from ...kernel.balls import (
+    absolute,
+    column,
+    exponential,
+    identity,
+    largest,
+    magnitude,
+    matrix,
+    maxima,
+    require,
+    smallest,
+    sums,
+)
+from ...kernel.motion import Motion, Plant, Push
+from ...kernel.verdict import Rejected
+from ..timing import displaced
+
+PARTS = 4  # parts of a period over each of which integrals are bounded by the trapezoid rule
+
+FORGOTTEN, LONGEST = 1e-9, 4096
+"""What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
+
+Bounds = list[arb]
+"""Bounds on errors, by state."""
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """What an observer does after some missed periods: what it leaves of errors, less what periods would."""
+
+    gain: arb_mat
+    rest: arb_mat
+    other: arb_mat
+    periods: int
+
+
+@dataclass(frozen=True, eq=False)
+class Filtering:
+    """An observer: all that updates may add so many periods later, by kinds of updates and what adds it.
+
+    Sources are numbered: 0 is all that does not grow with commands, and leads of pulses at full thrust; i + 1
+    is a unit of errors of input i.
+    """
+
+    plant: Plant
+    updates: list[Update]
+    loop: arb_mat  # what an update and the period before make of an error
+    noisy: arb_mat  # bounds on errors of what is measured, (r, 1)
+    part: Motion  # of a part of a period
+    pushes: list[Push]
+    powers: list[arb_mat] = field(default_factory=list)
+    turned: list[list[arb_mat]] = field(default_factory=list)  # by age and kind, of an error before
+    come: list[list[list[Bounds]]] = field(default_factory=list)  # by age, kind and source
+
+    @classmethod
+    def of(cls, document: Document, plant: Plant) -> "Filtering":
+        """Return the observer that a certificate states."""
+        stated, missed = document.observer or {}, document.timing.get("missed", 0)
+        n, one, M = plant.A.nrows(), identity(plant.A.nrows()), matrix(stated["measures"])
+        gains = [matrix(gain) for gain in (stated["gain"], *stated.get("after", ()))]
+        if len(gains) != missed + 1:
+            raise Rejected("system", f"the observer is not one of up to {missed} missed periods")
+        loop, updates = (one - gains[0] * M) * exponential(plant.A, plant.h)[0], []
+        for j, gain in enumerate(gains):
+            rest = one - gain * M
+            other = (
+                rest * exponential(plant.A, plant.h * (j + 1))[0] - loop ** (j + 1) if j else arb_mat(n, n)
+            )
+            updates.append(Update(gain, rest, other, j + 1))
+        away = absolute(M) * column(displaced(document, document.timing.get("delay", 0.0)))
+        noisy = column(sums(map(arb, stated["noise"]), away.entries()))
+        m = plant.B.ncols()
+        error = plant.thruster_error([arb(0)] * m)[:m] + plant.thruster_error(plant.u_max)[m:]
+        pushes = plant.disturbances(error)
+        return cls(plant, updates, loop, noisy, replace(plant, h=plant.h / PARTS).open, pushes, [one])
+
+    @property
+    def late(self) -> int:
+        """Most periods in a row that may be missed."""
+        return len(self.updates) - 1
+
+    def left(self, age: int) -> arb_mat:
+        """What so many periods leave of an error."""
+        while len(self.powers) <= age:
+            self.powers.append(self.powers[-1] * self.loop)
+        return self.powers[age]
+
+    def _known(self, age: int) -> None:
+        """Work out what updates up to so many periods ago add."""
+        for at in range(len(self.come), age + 1):
+            left, come = self.left(at), list[list[Bounds]]()
+            self.turned.append([magnitude(left * update.other) for update in self.updates])
+            for update in self.updates:
+                rows, count = left * update.rest, PARTS * update.periods
+                pushed, _ = self.part.gains_over(rows, self.pushes, count)
+                all_else = sums((magnitude(left * update.gain) * self.noisy).entries(), pushed)
+                units = self.part.unit_gains(rows, count).transpose().tolist()
+                come.append([[x.upper() for x in each] for each in (all_else, *units)])
+            self.come.append(come)
+
+    def adds(self, age: int, kind: int, source: int | None) -> Bounds:
+        """What an update adds so many periods later."""
+        self._known(age)
+        return [arb(0)] * self.loop.nrows() if source is None else self.come[age][kind][source]
+
+    def require(self, bounds: Bounds, source: int) -> None:
+        """Errors by a source stay within bounds, by every pattern of updates.
+
+        The observer has long been at work, or nothing came before. Every way back into the past comes by one
+        of as many periods in a row as there are kinds of updates.
+        """
+        n, known = len(bounds), column(bounds)
+        come = [[arb(0)] * n for _ in range(LONGEST + len(self.updates) + 1)]
+        passed, more = 0, [arb(0)] * n
+
+        def spare(age: int, before: Bounds) -> Bounds:
+            return [b * arb(1 + ROUNDED) - x - y for b, x, y in zip(bounds, come[age], before, strict=True)]
+
+        for age in range(LONGEST):
+            for i, x in enumerate(spare(age, [arb(0)] * n)):
+                require("system", x, f"error of the observer's state {i}: {bounds[i]}")
+            for kind, update in enumerate(self.updates):
+                to, adds = age + update.periods, self.adds(age, kind, source)
+                turned = (self.turned[age][kind] * known).entries()
+                come[to] = maxima(come[to], [x.upper() for x in sums(come[age], adds, turned)])
+            late = (magnitude(self.left(age + 1)) * known).entries()
+            more = spare(age + 1, late)
+            passed = passed + 1 if all(x >= 0 for x in more) else 0
+            if passed == len(self.updates):
+                return
+            if not passed and all(x <= FORGOTTEN * bound for x, bound in zip(late, bounds, strict=True)):
+                break
+        for i, x in enumerate(more):
+            require("system", x, f"error of the observer's state {i}: {bounds[i]}")
+
+    def after(self, first: Bounds, periods: int, source: int | None) -> list[Bounds]:
+        """Bounds so many periods after errors were within `first`, just after an update, by every pattern."""
+        n, found = len(first), [column(first)]
+        self._known(periods)
+        for age in range(1, periods + 1):
+            come = [arb_mat(n, 1)] * (age + 1)
+            for at in range(age):
+                for kind, update in enumerate(self.updates[: age - at]):
+                    to = at + update.periods
+                    more = come[at] + self.turned[at][kind] * found[age - to] if kind else come[at]
+                    if source is not None:
+                        more = more + column(self.come[at][kind][source])
+                    come[to] = more if at == 0 else column(maxima(come[to].entries(), more.entries()))
+            left = magnitude(self.left(age)) * found[0]
+            found.append(column([x.upper() for x in (come[age] + left).entries()]))
+        return [each.entries() for each in found]
+
+    def fading(self, first: Bounds, document: Document) -> list[Bounds]:
+        """Bounds so many periods after errors were within `first`, nothing being added, and ever after."""
+        near, settled = (document.observer or {}).get("followed", 0), settled_errors(document)
+        found, usual = (self.after(each, near + self.late, None) for each in (first, settled))
+        for bounds in usual[near:]:
+            for x, y in zip(bounds, settled, strict=True):
+                require("system", y - x, f"errors of an observer after {near} periods")
+        share = largest(x / y for each in found[near:] for x, y in zip(each, settled, strict=True))
+        return [*found[: near + 1], [x * share for x in maxima(*usual)]]
+
+    def check_settled(self, document: Document) -> Bounds:
+        """Check settled errors, and what a certificate states of those that thrusters make, by their age.
+
+        Returned are bounds on errors without what grows with commands, leads of pulses apart.
+        """
+        plant, stated, settled = self.plant, document.observer or {}, settled_errors(document)
+        full = column(plant.thruster_part(plant.u_max)[: plant.B.ncols()])
+        if "by_age" not in stated:
+            pushes = plant.disturbances(plant.thruster_error(plant.u_max))
+            replace(self, pushes=pushes, come=[], turned=[]).require(settled, 0)
+            return settled
+        ages, by_age = stated["ages"], [matrix(each) for each in stated["by_age"]]
+        falls = all(b - a >= 1 + self.late * (a == 0) for a, b in pairwise(ages))
+        if not (self.late and ages[0] == 0 and falls and ages[-1] <= stated.get("followed", 0) + self.late):
+            raise Rejected("system", "errors of thrusters are not told apart by their age")
+        rest = [x - y for x, y in zip(settled, (by_age[0] * full).entries(), strict=True)]
+        self.require(rest, 0)
+        for i in range(plant.B.ncols()):
+            each = [M.transpose().tolist()[i] for M in by_age]
+            self.require(each[0], i + 1)
+            left = self.fading(each[0], document)
+            for age, newer, older in zip(ages[1:], each, each[1:], strict=False):
+                most = maxima(*left[age - self.late :])  # the first update since may be so much later
+                for x, y, z, whole in zip(newer, older, most, each[0], strict=True):
+                    spare = smallest((x - y, y * arb(1 + ROUNDED) - smallest((z, whole))))
+                    require("system", spare, f"errors of thrusters by input {i} of {age} periods ago: {y}")
+        return rest
+
+    def by_step(self, document: Document, first: Bounds, alone: Bounds) -> list[Bounds]:
+        """What first errors add to settled ones in each step, and ever after.
+
+        Those that are `alone` are there without errors by commands.
+        """
+        q, total, late = document.q, document.steps * document.q, self.late
+        if not late:
+            return _fading(self.loop, column(first), document)
+        left = self.fading(first, document)
+        joint = self.after(first, len(left) - 2, 0)
+        for at, each in enumerate(joint):
+            left[at] = [smallest((x, y - z)) for x, y, z in zip(left[at], each, alone, strict=True)]
+        left += [left[-1]] * (total + 1 - len(left))
+        known = [maxima(*left[max(i - late, 0) : i + 1]) for i in range(total)]
+        steps = [maxima(*known[k * q : (k + 1) * q]) for k in range(document.steps)]
+        return [*steps, maxima(*left[max(total - late, 0) :])]
+
+
+def settled_errors(document: Document) -> Bounds:
+    """Bounds on the errors of an observer that has long been at work."""
+    stated = (document.observer or {}).get("settled") or document.measured
+    return list(map(arb, stated or [0.0] * len(document.A)))
+
+
+def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[arb]]:
+    """What first errors of an observer still add in each step, and ever after."""
+    left, each, first = identity(loop.nrows()), [], document.steps * document.q
+    for _ in range(first):
+        each.append((magnitude(left) * initial).entries())
+        left = left * loop
+    q = document.q
+    found = [list(map(largest, zip(*each[k * q : (k + 1) * q], strict=True))) for k in range(document.steps)]
+    ever, turn = (magnitude(left) * initial).entries(), loop
+    for _ in range(LONGEST):  # until so many periods make no more of what they begin with
+        if all(x <= y for x, y in zip((magnitude(turn) * column(ever)).entries(), ever, strict=True)):
+            return [*found, ever]
+        left, turn = left * loop, turn * loop
+        ever = [largest(pair) for pair in zip(ever, (magnitude(left) * initial).entries(), strict=True)]
+    raise Rejected("system", "the observer does not forget its first errors")

@@ -1,0 +1,1 @@
+"""How far estimates may be off: an observer's, and predictions from them."""

@@ -1,0 +1,349 @@
+"""Errors of an observer's estimates by every pattern of missed periods, and gains that keep them small.
+
+What enters adds up: bounds on responses to single sources add to a bound on the response to all of them
+(docs/theory.md, Proposition 7 (c)).
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NoReturn
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from reach.numerics.linear import powers
+from reach.tubes.flow import LinearFlow
+
+from ..craft import Array, Craft
+from ..errors import ScenarioError
+from ..timing import Observer
+
+IN_PERIOD = 4  # parts of a control period over each of which integrals are bounded by the trapezoid rule
+
+ROUNDED = 1e-9  # relative round-off of a bound, upwards
+
+SCATTER = 0.4
+"""Share of their bounds by which measurements scatter in the design of a gain; any gain is sound."""
+
+ROUNDS, SPARE = 100, 1e-3
+"""Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
+
+LEFT_OVER, LONGEST = 1e-3, 4096
+"""What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
+
+SHARES, CALM = (1.0, 0.3, 0.1, 0.05, 0.03), 0.02
+"""Shares of the thrust for whose errors gains are designed, and the one at which S flies once settled."""
+
+UNSEEN = 1e-6, 1e-4, 1e-3, 1e-2, 1e-1
+"""Shares of the thrust limits that are taken for unknown: the first one whose gain forgets soon enough."""
+
+FOLLOWED, LITTLE = 400, 0.01
+"""Most periods for which what is left of errors is followed, and the share that may be left then.
+
+With more periods the checker takes longer; with a larger share more of errors of thrusters counts for ever.
+"""
+
+FALLS = 0.6, 0.25, 0.08, 0.02
+"""Shares of errors of thrusters that are left at the ages at which they are stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Filtering:
+    """Errors of the estimates of an observer with updates every h [s], or fewer where periods are missed."""
+
+    system: Craft
+    observer: Observer
+    h: float
+
+    @cached_property
+    def _forgetting(self) -> tuple[Array, Array, int]:
+        """What a period makes of errors of the estimate, and bounds on what so many periods leave of them."""
+        system, observer = self.system, self.observer
+        loop, count = observer.rest @ np.asarray(expm(system.A * self.h)), 1
+        while True:
+            with np.errstate(over="ignore", invalid="ignore"):
+                last = np.abs(np.linalg.matrix_power(loop, count))
+            if np.all(np.isfinite(last)) and np.max(np.abs(np.linalg.eigvals(last))) <= LEFT_OVER:
+                return loop, last, count
+            if count >= LONGEST or not np.all(np.isfinite(last)):
+                rule = "leave errors of the estimate that no filter forgets"
+                raise ScenarioError("navigation.measurement", observer.measures.tolist(), rule)
+            count *= 2
+
+    @property
+    def count(self) -> int:
+        """Periods after which an error counts as forgotten."""
+        return self._forgetting[2]
+
+    @cached_property
+    def left(self) -> Array:
+        """What so many periods leave of an error, shape (count + kinds of updates, n, n)."""
+        return powers(self._forgetting[0], self.count + len(self.observer.after))
+
+    @cached_property
+    def turned(self) -> list[Array]:
+        """What an update adds to errors so many periods later, beside what periods leave, by its kind."""
+        loop, found = self._forgetting[0], [0 * self.left]
+        for j, rest in enumerate(self.observer.rests[1:], 2):
+            other = rest @ expm(self.system.A * self.h * j) - np.linalg.matrix_power(loop, j)
+            found.append(np.abs(self.left @ other))
+        return found
+
+    def added(self, noise: Array, w_max: float, E: Array | None) -> list[Array]:
+        """What an update adds so many periods later, by its kind, (count + kinds, n) each.
+
+        Of errors of measurements up to `noise` (r,), of the disturbance, and of rates in a box by columns E.
+        """
+        system, observer, found = self.system, self.observer, list[Array]()
+        flow = LinearFlow.continuous(system.A, system.D, w_max, self.h / IN_PERIOD, E)
+        for j, (gain, rest) in enumerate(zip((observer.gain, *observer.after), observer.rests, strict=True)):
+            pushed = flow.disturbance_support((self.left @ rest).reshape(-1, system.n), IN_PERIOD * (j + 1))[
+                -1
+            ]
+            found.append(pushed.reshape(self.left.shape[:2]) + np.abs(self.left @ gain) @ noise)
+        return found
+
+    def _summed(self, come: list[Array], known: Array) -> Array:
+        """What updates of so many periods add by the worst pattern, errors before within `known`, (., n)."""
+        kinds, count = len(self.turned), self.count
+        sums = np.zeros((count + kinds, self.system.n))
+        each = [more + off @ known for more, off in zip(come, self.turned, strict=True)]
+        for age in range(count):
+            for j, more in enumerate(each):
+                sums[age + j + 1] = np.maximum(sums[age + j + 1], sums[age] + more[age])
+        return sums
+
+    def largest(self, come: list[Array]) -> Array:
+        """Bound errors under what updates add, long after the start, shape (n,).
+
+        Just after a measurement, with every pattern of missed periods that may be.
+
+        Raises
+        ------
+        ScenarioError
+            If errors are not forgotten.
+        """
+        last, kinds = self._forgetting[1], len(come)
+
+        def most(known: Array) -> Array:
+            """Errors if those so many periods before were within `known`, by the worst pattern."""
+            sums = self._summed(come, known)
+            sums[self.count :] += np.abs(self.left[self.count :]) @ known
+            return np.asarray(np.max(sums[self.count * (kinds == 1) :], axis=0) * (1 + ROUNDED))
+
+        alone = np.linalg.solve(np.eye(self.system.n) - last, most(np.zeros(self.system.n)))
+        found = np.asarray(alone * (1 + ROUNDED))
+        for _ in range(ROUNDS if kinds > 1 else 0):
+            if np.all((more := most(found)) <= found):
+                return np.asarray(found)
+            found = np.maximum(found, more * (1 + SPARE))
+        if kinds > 1:
+            self._refuse()
+        return np.asarray(found)
+
+    def _refuse(self) -> NoReturn:
+        missed = len(self.observer.after)
+        raise ScenarioError("timing.missed_periods", missed, "leave errors that no observer forgets")
+
+    def after(self, first: Array, periods: int, come: list[Array]) -> Array:
+        """Bound errors so many periods after they were within `first` (n,), shape (periods + 1, n).
+
+        Just after an update, by every pattern of missed periods, if updates add `come`.
+        """
+        found = np.abs(powers(self._forgetting[0], periods)) @ first * (1 + ROUNDED)
+        for age in range(1, periods + 1):
+            before = found[:age][::-1, :, None]  # at once, one period before, ...
+            each = [(off[: age - j] @ before[j:])[..., 0] for j, off in enumerate(self.turned[:age])]
+            sums = np.zeros((age + 1, len(first)))
+            for at in range(age):
+                for j, more in enumerate(each[: age - at]):
+                    np.maximum(sums[at + j + 1], sums[at] + come[j][at] + more[at], out=sums[at + j + 1])
+            found[age] += sums[age] * (1 + ROUNDED)
+        return found
+
+    def usual(self, settled: Array) -> Array:
+        """Bound what is left of `settled` errors, (n,) positive, until little is, (near + late + 1, n).
+
+        With `late` periods that may be missed. Raises what `largest` does.
+        """
+        late, none = len(self.observer.after), [0 * self.left[..., 0]] * len(self.turned)
+        found = self.after(settled, min(self.count, FOLLOWED), none)
+        shares = np.max(found / settled, axis=1)
+        shares = np.max([shares[j : len(shares) - late + j] for j in range(late + 1)], axis=0)
+        if not shares[-1] < 1:
+            self._refuse()
+        near = int(np.argmax(shares <= LITTLE)) if shares[-1] <= LITTLE else len(shares) - 1
+        return found[: near + late + 1]
+
+    def fading(self, first: Array, settled: Array) -> Array:
+        """Bound what is left of errors within `first` (n,) so many periods later, and ever after.
+
+        Shape (near + 2, n). By every pattern of missed periods; what adds to errors meanwhile is apart. See
+        `usual`.
+        """
+        usual, none = self.usual(settled), [0 * self.left[..., 0]] * len(self.turned)
+        near = len(usual) - 1 - len(self.observer.after)
+        found = self.after(first, len(usual) - 1, none)
+        share = np.max(found[near:] / settled)
+        return np.vstack([found[: near + 1], share * usual.max(axis=0) * (1 + ROUNDED)])
+
+    def _fading_always_measured(self, first: Array, periods: int) -> Array:
+        """Bound the same without missed periods, so many periods later and ever after, (periods + 2, n)."""
+        loop, last, count = self._forgetting
+        left = np.abs(powers(loop, periods + count)) @ first * (1 + ROUNDED)
+        ever = np.linalg.solve(np.eye(len(first)) - last, left[periods:].max(axis=0)) * (1 + ROUNDED)
+        return np.vstack([left[: periods + 1], ever])
+
+    def alone(self, moved: Array | float = 0.0) -> list[Array]:
+        """Return what updates add if nothing is commanded, see `added`.
+
+        `moved` (n,) bounds by how much states are displaced when they are measured.
+        """
+        system, observer = self.system, self.observer
+        noise = observer.noise + np.abs(observer.measures) @ np.broadcast_to(moved, (system.n,))
+        return self.added(noise, system.w_max, system.error_map(system.thrusters.error(0 * system.u_max)))
+
+    def parts(self, moved: Array | float = 0.0) -> tuple[Array, Array]:
+        """Bound errors of estimates by all of `alone`, (n,), and by a unit of errors of thrusters, (n, m).
+
+        Long after the start. Raises what `largest` does.
+        """
+        found = self.largest(self.alone(moved))
+        if not self.system.thrusters.proportional:
+            return found, np.zeros((self.system.n, self.system.m))
+        none = 0 * self.observer.noise
+        units = [self.largest(self.added(none, 0.0, column[:, None])) for column in self.system.B.T]
+        return found, np.column_stack(units)
+
+    def by_age(self, settled: Array, units: Array, size: Array) -> tuple[tuple[int, ...], Array]:
+        """Return ages, and what errors of thrusters of so many periods ago or more make, (ages, n, m).
+
+        `units` (n, m) is what errors of any age make of estimates, those of a size (m,) telling which ages
+        matter; `settled` (n,) is all.
+        """
+        late = len(self.observer.after)
+        left = np.stack([self.fading(column, settled) for column in units.T], axis=-1)
+        left = np.minimum(np.maximum.accumulate(left[::-1])[::-1], units)
+        shares = (left @ size / np.maximum(units @ size, 1e-300)).max(axis=1)
+        begins = sorted({int(np.argmax(shares <= share)) for share in FALLS if shares[-1] <= share} - {0})
+        ages = (0, *(begin + late for begin in begins))  # the first update since may be so much later
+        return ages, np.array([units, *left[begins]])
+
+    def by_step(self, settled: Array, alone: Array, moved: Array | float) -> Array:
+        """Bound what first errors add to `settled` ones (n,) in every step, and ever after, shape (K + 1, n).
+
+        Of all estimates that commands in a step may rest on; less than nothing where first errors are smaller
+        than those that are `alone`, without errors by commands.
+        """
+        (steps, periods), first = self.observer.horizon, np.asarray(self.observer.initial)
+        late, total = len(self.observer.after), steps * periods
+        if late:
+            left = self.fading(first, settled)
+            joint = self.after(first, len(left) - 2, self.alone(moved)) - alone
+            left[:-1] = np.minimum(left[:-1], joint)
+        else:
+            left = self._fading_always_measured(first, total)
+        nodes = np.maximum(np.arange(total)[:, None] - np.arange(late + 1), 0)
+        known = left[np.minimum(nodes, len(left) - 1)].max(axis=1).reshape(steps, periods, -1).max(axis=1)
+        return np.vstack([known, left[min(max(total - late, 0), len(left) - 1) :].max(axis=0)])
+
+
+def observing(system: Craft, observer: Observer, h: float, moved: Array | float = 0.0) -> Craft:
+    """Return the system whose estimates are those of an observer; `moved` is that of `Filtering.alone`."""
+    filtering, observer = Filtering(system, observer, h), replace(observer, ages=(), by_age=None)
+    alone, units = filtering.parts(moved)
+    size = system.thrusters.part(system.u_max)
+    found = (alone + units @ size) * (1 + ROUNDED)
+    if observer.after:
+        observer = replace(observer, followed=len(filtering.usual(found)) - 1 - len(observer.after))
+        if np.any(units):
+            ages, by_age = filtering.by_age(found, units, size)
+            observer = replace(observer, ages=ages, by_age=by_age)
+    if observer.initial is None:
+        return replace(system, observer=observer, estimate_error=found)
+    left = filtering.by_step(found, alone, moved)
+    return replace(system, observer=replace(observer, settled=found, fading=left), error_by_step=found + left)
+
+
+def design(
+    system: Craft, measures: Array, noise: Array, h: float, missed: int = 0, boxed: bool = False
+) -> Observer:
+    """Design the observer of measurements (r, n) off by `noise` (r,) at most, with a steady Kalman gain.
+
+    Of gains made for shares of the thrust it takes the one with the least product of errors of all states
+    nearly without thrust; if `boxed`, those at full thrust count too, as a box for what was commanded stands
+    for the estimate then. After some of up to `missed` periods without any
+    measurement, either the gain that does at once what it would have done in each of them, or the Kalman
+    gain of then: whichever leaves smaller errors.
+
+    Raises
+    ------
+    ScenarioError
+        If measurements do not see a motion that does not decay.
+    """
+    first, *others = SHARES if system.thrusters.proportional else SHARES[:1]
+    found = [_designed(system, measures, noise, h, missed, first)]
+    for share in others:
+        with suppress(ScenarioError):
+            found.append(_designed(system, measures, noise, h, missed, share))
+    if len(found) == 1:
+        return found[0]
+    each = [Filtering(system, one, h).parts() for one in found]
+    full = system.thrusters.part(system.u_max)
+    parts = [full * CALM, *[full] * boxed]
+    sizes = np.array([[alone + units @ part for part in parts] for alone, units in each])
+    return found[int(np.argmin(np.log(np.maximum(sizes, 1e-300)).sum(axis=(1, 2))))]
+
+
+def _designed(system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float) -> Observer:
+    """Design an observer for errors of thrusters under a share of their limits, which forgets in time."""
+    for unseen in UNSEEN:
+        found = _made(system, measures, noise, h, missed, share, unseen)
+        filtering = Filtering(system, found, h)
+        with suppress(ScenarioError):
+            if not missed or len(filtering.usual(_size(system, found, h))):
+                break
+    return found
+
+
+def _made(
+    system: Craft, measures: Array, noise: Array, h: float, missed: int, share: float, unseen: float
+) -> Observer:
+    """Make an observer for errors of thrusters under a share of their limits, and a share that is unknown."""
+    unknown = np.hstack([system.D * system.w_max, system.B * system.thrusters.error(share * system.u_max)])
+    unknown = np.hstack([unknown, system.B * (unseen * system.u_max)])
+    step, excited = expm(system.A * h), expm(system.A * h / 2) @ unknown * h
+    covariance = np.diag((noise * SCATTER) ** 2)
+    try:
+        P = solve_discrete_are(step.T, measures.T, excited @ excited.T, covariance)
+        steady = Observer(measures, noise, _kalman(P, measures, covariance))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        rule = f"must see every motion that does not decay: there is no steady gain ({error})"
+        raise ScenarioError("navigation.measurement", measures.tolist(), rule) from error
+    if not missed:
+        return steady
+    loop, prompt, later = steady.rest @ step, [], []
+    for j in range(2, missed + 2):
+        P = step @ P @ step.T + excited @ excited.T
+        later.append(_kalman(P, measures, covariance))
+        whole = np.eye(system.n) - np.linalg.matrix_power(loop, j) @ expm(-system.A * h * j)
+        prompt.append(whole @ np.linalg.pinv(measures))
+    plain, found = _size(system, steady, h), list[tuple[float, Observer]]()
+    for after in (prompt, later):
+        observer = replace(steady, after=tuple(after))
+        with suppress(ScenarioError):
+            size = _size(system, observer, h) / np.maximum(plain, 1e-300)
+            found.append((float(size.sum()), observer))
+    return min(found, key=lambda each: each[0])[1] if found else observer
+
+
+def _kalman(P: Array, measures: Array, covariance: Array) -> Array:
+    """The gain of a Kalman filter with covariances of what is predicted and of what is measured."""
+    return np.asarray(np.linalg.solve(measures @ P @ measures.T + covariance, measures @ P).T)
+
+
+def _size(system: Craft, observer: Observer, h: float) -> Array:
+    """Bound errors of estimates under commands up to the limits of the thrusters, shape (n,)."""
+    alone, units = Filtering(system, observer, h).parts()
+    return np.asarray(alone + units @ system.thrusters.part(system.u_max))

@@ -1,0 +1,161 @@
+"""How far the state that flight software predicts may be from the true one; what instants and pulses add."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import expm
+
+from reach.numerics.errors import ReachError
+from reach.tubes.flow import LinearFlow
+
+from ..craft import Array, Craft, lead_of
+from ..errors import ScenarioError
+from ..timing import WHOLE, Timing
+from .observer import observing
+
+PARTS = 32  # parts of a prediction over each of which integrals are bounded by the trapezoid rule
+
+ROUNDED = 1e-9  # relative round-off of a bound, upwards
+
+AT_NODES = 1e-6
+"""Share of what pulses displace at most within a billionth of a period of its ends, where it is nothing."""
+
+PLACES = {"": (8, 32, 62), "start": (4, 54, 96), "staggered": (4, 32, 62)}
+"""By place of pulses, divisors of ``f h``, ``f h^2`` and ``f h^3`` that bound the impulse by which pulses of
+thrust f differ from held inputs, its integral without the mean, and the integral of the size of that."""
+
+
+def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float) -> Array:
+    """Bound on the error of the state predicted over tau [s] from an estimate, shape (n,).
+
+    The prediction follows the model under the commands in force, which are known: what is left is the error
+    of the estimate (n,) carried along, the disturbance, and errors of what is applied (m,), each at its
+    worst (docs/theory.md, Proposition 7 (a)). Rounded upwards; the estimate itself for tau = 0.
+    """
+    if not tau > 0:
+        return estimate
+    E = system.error_map(thruster)
+    flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS, E)
+    pushed = flow.disturbance_support(np.eye(system.n), PARTS)[-1]
+    carried = np.abs(np.linalg.matrix_power(flow.phi, PARTS)) @ estimate
+    return np.asarray((carried + pushed) * (1 + ROUNDED))
+
+
+def unseen_by(system: Craft, tau: float) -> Array:
+    """What a unit of errors that are `entering` may add to a prediction over tau [s], shape (n, k)."""
+    if not tau > 0:
+        return np.zeros(system.entering.shape)
+    flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)
+    gains = flow.input_gains(np.eye(system.n), system.entering, PARTS).sum(axis=0)
+    return np.asarray(gains * (1 + 10 * ROUNDED))
+
+
+def pulse_error(system: Craft, fired: Array, h: float) -> tuple[float, Array]:
+    """Bound what pulses of the thrust `fired` (m,) add to inputs held for h [s], leads apart.
+
+    Errors of the thrusters hold for a period.
+
+    Returns
+    -------
+    error : float
+        Of every input [N].
+    within : ndarray, shape (n,)
+        Displacement within a period, none at its ends.
+
+    Raises
+    ------
+    ScenarioError
+        If inputs that are linear in time cannot do that: too few of them for the states.
+    """
+    A, B, m = system.A, system.B, system.m
+    each = (fired * (h**power / by) for power, by in enumerate(PLACES[system.timing.placed], 1))
+    speed, way, lasting = (part + system.thrusters.part(part) for part in each)
+    inverse = _spreading(system, h)
+    growth, bent = expm(np.abs(A) * h), A @ A @ B
+    shape = np.abs(inverse @ bent) + h / 2 * np.abs(inverse) @ np.abs(A) @ growth @ np.abs(bent)
+    spread = (shape[:m] + shape[m:]) @ lasting * (1 + ROUNDED)
+    within = np.abs(B) @ speed + np.abs(A @ B) @ way + h * growth @ (np.abs(bent) @ way + np.abs(B) @ spread)
+    rounding = float(np.finfo(float).eps * fired.max())  # where next to nothing is left of larger numbers
+    return float(spread.max()) + rounding, np.asarray(within * (1 + ROUNDED))
+
+
+def _spreading(system: Craft, h: float) -> Array:
+    """Which inputs, constant and linear in time over a period of h [s], move the state at its middle."""
+    A, B, n = system.A, system.B, system.n
+    block = np.zeros((3 * n, 3 * n))
+    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, 2 * n :] = -A, np.eye(n), np.eye(n)
+    once, twice = (expm(block * h)[:n, i * n : (i + 1) * n] for i in (1, 2))
+    moments = expm(A * h / 2) @ np.hstack([once @ B, (once - 2 / h * twice) @ B])
+    if np.linalg.matrix_rank(moments) < n:
+        rule = "is not covered for a system with fewer inputs than half its states, or states that none moves"
+        raise ScenarioError("thrusters.pulse", system.timing.placed or "centred", rule)
+    return np.linalg.pinv(moments)
+
+
+def when_measured(timing: Timing, h: float, away: Array) -> Array:
+    """Add to displacements at nodes (n,) those by pulses of periods of h [s] when states are measured."""
+    off = abs(timing.delay - h * round(timing.delay / h)) > ROUNDED / 2 * h
+    return np.asarray(away + (1.0 if off else AT_NODES * bool(timing.delay)) * np.array(timing.pulsed or 0.0))
+
+
+def predicting(system: Craft, timing: Timing, period: float | None) -> Craft:
+    """The system whose controllers act on predictions, of every age that may occur, with jitter or pulses.
+
+    Raises
+    ------
+    ScenarioError
+        If the system is so unstable that nothing bounds a prediction.
+    """
+    h, exact = period or 0.0, system.thrusters
+    late = 0.0 if timing.fired or not timing.jitter else 2 * timing.jitter / h
+    layout = None if system.nozzles is None else system.m
+    thrusters, timing = exact.stretched(late, layout), replace(timing, on_time=exact, period=h)
+    if late and layout:  # which make more than is commanded of what they have left
+        thrusters = thrusters.raised(2 * late * timing.carried / h * (1 + ROUNDED))
+    system = replace(system, timing=timing, thrusters=thrusters)
+    away = moved = system.carried_away + np.abs(system.B) @ system.shifted * (1 + ROUNDED)
+    if timing.fired:
+        bit, within = pulse_error(system, np.array(timing.fired), h)
+        timing = replace(timing, pulsed=tuple(within.tolist()), lead=lead_of(system, h))
+        away, moved = when_measured(timing, h, moved), moved + within
+        system = replace(system, thrusters=exact.raised(bit))
+    timing = replace(timing, displaced=tuple(moved.tolist()))
+    system = replace(system, timing=timing)
+    if system.observer is not None:  # of the motion under inputs that are held
+        system = observing(system, system.observer, h, away)
+    steps = system.navigation[None] if system.error_by_step is None else system.error_by_step
+    timing = replace(timing, measured=tuple(np.max(steps, axis=0).tolist()))
+    least, ages = system.thrusters.error(0 * system.u_max), timing.delay + h * np.arange(timing.missed + 1)
+    hidden = int(np.ceil((ages[-1] / h) * (1 - WHOLE))) if h > 0 else 0
+    older, full = _older(system, ages.tolist()), system.grown(system.u_max)
+    steps = steps - (0.0 if system.observer is None else system.observer.by_command(full[: system.m]))
+    known, of_step = np.unique(steps + away, axis=0, return_inverse=True)
+    still = system if timing.lead is None else replace(system, timing=replace(timing, lead=timing.lead.least))
+    try:
+        errors = [[prediction_error(still, each, least, age) for each in known] for age in ages.tolist()]
+        unseen = unseen_by(system, ages[-1])
+    except ReachError as error:
+        rule = f"is too long for this system, a prediction over {ages[-1]:g} s has no bound: {error}"
+        raise ScenarioError("timing.delay_s", timing.delay, rule) from error
+    layers = [(hidden, unseen)] * (hidden > 0) + [(hidden + age, added) for age, added in older]
+    found = np.max(errors, axis=0) + sum(added @ full for _, added in layers)
+    told = tuple((age, tuple(map(tuple, added.tolist()))) for age, added in layers)
+    system = replace(system, timing=replace(timing, unseen=told))
+    by_step = None if len(steps) == 1 else found[of_step.ravel()]
+    return replace(system, estimate_error=np.max(found, axis=0), error_by_step=by_step)
+
+
+def _older(system: Craft, ages: Sequence[float]) -> list[tuple[int, Array]]:
+    """Return what errors of thrusters, so many periods back, make of predictions by an observer's estimates.
+
+    A unit of each error of thrusters, (n, k), predicted over whichever of some ages [s] makes the most of it.
+    Leads of pulses add nothing: they are among the observer's own errors at full thrust.
+    """
+    if system.observer is None or system.observer.by_age is None:
+        return []
+    observer = system.observer
+    carried = np.max([np.abs(expm(system.A * age)) for age in ages], axis=0) * (1 + ROUNDED)
+    leads = np.zeros((system.n, system.entering.shape[1] - system.m))
+    layers = zip(observer.ages[1:], observer.fallen, strict=True)
+    return [(age, np.hstack([carried @ added, leads])) for age, added in layers]
