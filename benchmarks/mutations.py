@@ -91,7 +91,7 @@ certificate/model/limits.py
 + if place == 0 and cell > 0 and first:
 ! test_recovery.py::test_a_limit_that_nothing_meets_is_noticed_wherever_it_is
 certificate/model/craft/needs.py
-- max(lag - craft.lag + 1, 0)
+- max(lag - periods + 1, 0)
 + max(lag + 1, 0)
 ! test_hand_over.py::test_no_flight_needs_more_after_a_hand_over_than_both_sides_say
 certificate/claims/continuation.py

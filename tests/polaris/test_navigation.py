@@ -301,7 +301,10 @@ def test_missed_periods_cost_what_the_theory_says():
     assert np.round(found, 2).tolist() == [1.04, 1.11]
 
 
-@pytest.mark.parametrize("more", [(), (SMALL, "timing.delay_s=0.3", "thrusters.pulse='centred'", NEAR)])
+LED = SMALL, "thrusters.pulse='start'", "thrusters.magnitude_error=0.01", "feedback.period_s=0.1"
+
+
+@pytest.mark.parametrize("more", [(), (SMALL, "timing.delay_s=0.3", "thrusters.pulse='centred'", NEAR), LED])
 def test_observers_go_with_missed_periods(more):
     schedule = observed("-".join(["missed", *more]), MISSED, *more)
     assert verify_document(certificate(schedule, "tiny")).outcome == "VERIFIED"

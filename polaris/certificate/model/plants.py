@@ -54,13 +54,19 @@ def plant_of(document: Document) -> Plant:
         plant = replace(plant, shares=layout.shares, weights=layout.weights)
     else:
         plant = replace(plant, along=document.shares[0], across=document.shares[1])
-    bias = [Push.in_box(D, [arb(x) for x in document.bias])] if document.bias else []
+    bias = [Push.in_box(*_constant(D, document.bias))] if any(document.bias) else []
     plant = replace(plant, bias=bias, unmeasured=delay + missed * h)
     plant = _out_of_time(document, plant)
     if document.transients:
         return plant
     unseen = [(hidden, plant.predicted)] * (hidden > 0)
     return replace(plant, unseen=unseen + [(hidden + age, added) for age, added in older(document, plant)])
+
+
+def _constant(D: arb_mat, bias: list[float]) -> tuple[arb_mat, list[arb]]:
+    """Return columns of D with the bounds of their constants, those of 0 left out as weights do."""
+    places = [i for i, x in enumerate(bias) if x]
+    return matrix([[row[i] for i in places] for row in D.tolist()]), [arb(bias[i]) for i in places]
 
 
 def older(document: Document, plant: Plant) -> list[tuple[int, arb_mat]]:

@@ -122,7 +122,8 @@ class FlightSpending:
         for run in self.runs:
             steps = self._steps(run, self.periods)
             if steps and sum(len(step.middle) for step in steps) <= LONGEST:
-                chosen = storage.weights(steps, self.spells[run[0]].start)
+                clipped = any(self.spells[k].tube.slopes is not None for k in run)
+                chosen = storage.weights(steps, self.spells[run[0]].start, clipped)
                 found[run[0] : run[0] + len(chosen)] = chosen
         return found
 

@@ -19,8 +19,9 @@ VECTOR = 6  # entries of the vectors in relaxed flights
 ASCENTS, STILL = 24, 4e-4  # most ascents, and the share by which one spends more that ends them
 FEW, TURNS = 64, 30  # generators of a start whose weights are looked for as those of values are, and how long
 LEAST = 1e-3  # least weight of a group of values, as a share of its mean: delays hide what enters last
-LOOSER, FACTORS, MARGIN = 1.02, 40, 1.004
-"""By how much weights rise until there is a storage, how often at most, and once more for a checker."""
+LOOSER, FACTORS, MARGIN, CLIPPED = 1.02, 40, 1.004, 1.02
+"""By how much weights rise until there is a storage, how often at most, and once more for a checker, or
+where commands are clipped: it finds their slopes from sets of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +102,17 @@ def bound(steps: Sequence[LinearStep], weights: Sequence[Weights], start: Zonoto
     return np.inf if first is None else largest(first, start)
 
 
-def weights(steps: Sequence[LinearStep], start: Zonotope) -> list[Weights]:
-    """Return weights for each step, with which the bound is nearly the least; none if there is no bound."""
+def weights(steps: Sequence[LinearStep], start: Zonotope, clipped: bool = False) -> list[Weights]:
+    """Return weights for each step, with which the bound is nearly the least; none if there is no bound.
+
+    Some commands may be `clipped`.
+    """
     worst = _Relaxed(steps, start).ascend()
     for number in range(1, FACTORS):
         tried = [each * LOOSER**number for each in worst]
         *_, first = storage(steps, tried)
         if first is not None:
-            return [each * MARGIN for each in tried]
+            return [each * (CLIPPED if clipped else MARGIN) for each in tried]
     return []
 
 
