@@ -231,7 +231,7 @@ class Continuation(RecoverableSet):
         ahead = self._ahead(at, sets, bow, sizes, 1.0)
         met = ahead.met()
         if not met.all():
-            ahead.work_out(~met.all(axis=0))
+            ahead.work_out(np.asarray(~met.all(axis=0)))
             met = ahead.met()
         return np.asarray(np.all(met, axis=1))
 

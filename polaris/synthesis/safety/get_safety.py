@@ -217,6 +217,7 @@ def _proven(
         recoverable = get_recover(problem.recoverable, clearance, bounds)  # line 9: GetRecover
         if attempts.settled(reference, recoverable):
             break
+    assert s is not None
     attempts.require_start(recoverable)
     clock.lap("recoverable")
     proven = attempts.start, attempts.margin, attempts.end, clock.laps, attempts.cut_by_clock

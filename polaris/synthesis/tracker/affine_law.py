@@ -218,7 +218,7 @@ class AffineLaw:
                 return np.asarray(LEVELS[0] * u_max)
             higher = raised(most, asked.max(axis=0), u_max)
             if np.all(higher <= most):
-                return most
+                return np.asarray(most)
             most = higher
 
     def command(self, k: int, xi: Array, own: Array, x: Array) -> Array:

@@ -188,7 +188,9 @@ class _Relaxed:
         each = [[np.mean(part, axis=0) for part in zip(*step, strict=True)] for step in sums]
         limits = [FLOOR * step.inputs[0].craft.u_max for step in self.steps]
         values = [np.sqrt(worth / size) for _, worth, size in each]
-        least = LEAST * np.mean(values, axis=0) + 1e-300
+        least, inputs = LEAST * np.mean(values, axis=0) + 1e-300, self.steps[0].inputs[0]
+        known = slice(inputs.group[inputs.held - 1] + 1)  # a checker's values need not be 0 where these are
+        least[known] = np.maximum(least[known], FLOOR * np.mean(values, axis=0)[known].max(initial=0.0))
         return [
             Weights(np.maximum(r, limit), np.maximum(b, least))
             for (r, *_), b, limit in zip(each, values, limits, strict=True)
