@@ -127,14 +127,14 @@ class ScheduleScenario(Scenario):
         if model.navigation is not None:
             horizon, late = (self.steps, self.step), any(x.build().isolation > 0 for x in model.faults)
             system = model.navigation.known(system, horizon, period, timing, late)
-        return timed(system, timing, period, model.thrusters, limits)
+        return timed(system, timing, period, model.thrusters, limits, model.faults)
 
     @kept
     def allocation(self) -> Allocation | None:
         """What the thrusters make of the inputs in every fault, where anything is said of it."""
         thrusters, faults = self.model.thrusters, self.model.faults
         made = allocation(thrusters, faults, self.model.system.build().u_max)
-        return made if thrusters is None else thrusters.in_turn(made, self.period())
+        return made if thrusters is None else thrusters.in_turn(made, self.period(), faults)
 
     @kept
     def period(self) -> float:

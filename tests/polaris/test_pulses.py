@@ -576,3 +576,46 @@ def test_no_random_scene_is_broken_by_what_flies_early_or_late():
     scenes = [each for each in found if each is not None]
     assert len(scenes) >= len(found) / 2
     assert all(least > 0 and 0 < most <= 1 for _, least, most in scenes)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.7])
+def test_staggered_pulses_of_a_weaker_thruster_fit_into_a_period(share):
+    """Whichever of them is weaker: what every corner of the inputs asks of it takes it longer."""
+    lost = [f'faults=[{{kind="loss",share={share}}}]'] if share else []
+    scenario = load_scenario(TINY, [*LAYOUT, "thrusters.pulse=staggered", *lost])
+    made, strengths = scenario.allocation(), [1.0, 1 - share]
+    corners = np.array([[a, b] for a in (-1, 1) for b in (-1, 1)]) * made.u_max
+    assert len(made.mixes) == 1 + len(made.limits) * (share > 0)
+    for case, mix in enumerate(made.mixes):
+        top = np.array(made.limits)
+        if case:
+            top[case - 1] *= strengths[1]
+        thrusts = np.maximum(corners, 0) @ mix[0] + np.maximum(-corners, 0) @ mix[1]
+        assert (thrusts / top).sum(axis=1).max() <= 1, case
+
+
+@pytest.mark.parametrize("pulse", ["centred", "start", "staggered"])
+@pytest.mark.parametrize("weaker", [False, True], ids=["whole", "weaker"])
+@pytest.mark.parametrize("count", [4.0, 1.6, 2.4])
+def test_pulses_that_round_up_to_more_than_a_period_are_refused(pulse, weaker, count):
+    """In both programs; of a weaker thruster, too. A rest that is carried never is more than there is."""
+    arb = pytest.importorskip("flint").arb
+    from polaris.certificate.kernel.verdict import Rejected
+    from polaris.certificate.model.timing import _require_whole, _strengths
+
+    whole, lost = 0.25 * 2.0, ['faults=[{kind="loss",share=0.25}]'] * weaker
+    given = ["feedback.period_s=0.25", "system.input_max=2.0", f"thrusters.pulse={pulse}", *lost]
+    scene = load_scenario(TINY, [*given, f"thrusters.impulse_bit_N_s={whole / count}"])
+    assert scene.with_assignments(["thrusters.remainder=carried"]).system().timing.fired
+    document = {"faults": [{"kind": "loss", "share": 0.25}] * weaker}
+    impulses = [arb(whole) * x for x in _strengths(document)]
+    thrusters = {"impulse_bit_N_s": whole / count}
+    if count == 4.0 or (count == 2.4 and not weaker):  # 3 of 3 bits with a quarter less; of 1.8 there are 2
+        assert scene.system().timing.fired
+        _require_whole(thrusters, impulses)
+    else:
+        with pytest.raises(ScenarioError, match="whole number of bits"):
+            scene.system()
+        with pytest.raises(Rejected):
+            _require_whole(thrusters, impulses)
+    _require_whole(thrusters | {"remainder": "carried"}, impulses)

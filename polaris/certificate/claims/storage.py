@@ -102,6 +102,8 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
 
 def _periods(step: Flown, weights: Vector, count: int) -> list[Period]:
     """Return the first periods of a step as those of its loop about the middle, with their weights."""
+    if step.pilot.law.kind not in ("safety", "affine", "saturated_affine"):
+        raise Rejected("goal", "weights belong to steps of affine laws")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
     found, known = list[Period](), dict[tuple[float, ...], MeanCommands]()

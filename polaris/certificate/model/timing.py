@@ -1,12 +1,25 @@
 """What delays, missed periods, jitter and pulses add to other errors: controllers act on predictions."""
 
 from dataclasses import replace
+from math import floor
 from typing import Any
 
 from flint import arb, arb_mat
 
 from ..files.document import ROUNDED, Document
-from ..kernel.balls import above, absolute, beside, column, identity, largest, matrix, require, row_sums, sums
+from ..kernel.balls import (
+    above,
+    absolute,
+    beside,
+    column,
+    identity,
+    largest,
+    matrix,
+    require,
+    row_sums,
+    smallest,
+    sums,
+)
 from ..kernel.motion import PARTS, Plant
 from ..kernel.verdict import Rejected
 from .allocation import Nozzles, per_axis
@@ -20,6 +33,21 @@ NEAR = 1e-9  # share of a period
 PLACES = {"centred": (8, 32, 62), "start": (4, 54, 96), "staggered": (4, 32, 62)}
 """By place of pulses, divisors of bounds on the impulse by which they differ from held inputs, on its
 integral without the mean, and on the integral of the size of that."""
+
+
+def _strengths(scenario: dict[str, Any]) -> list[arb]:
+    """Return the shares of its thrust that a thruster may have, if it has any."""
+    lost = [fault["share"] for fault in scenario.get("faults", []) if fault["kind"] == "loss"]
+    return [arb(1), *(1 - arb(share) for share in lost)]
+
+
+def _require_whole(thrusters: dict[str, Any], impulses: list[arb]) -> None:
+    """Refuse nearest multiples of a bit above what full thrust makes in a period, by impulses [N s]."""
+    bit = thrusters.get("impulse_bit_N_s", 0.0)
+    kinds = thrusters.get("remainder", "dropped"), thrusters.get("resolution", "bit")
+    for whole in impulses if bit > 0 and kinds == ("dropped", "bit") else []:
+        nearest = floor(float((whole / bit).mid()) + 0.5 + NEAR) * arb(bit)
+        require("system", whole * arb(1 + 2 * NEAR) - nearest, f"pulses of {nearest} N s in a period")
 
 
 def check_timing(document: Document, scenario: dict[str, Any], measured: list[list[float]]) -> None:
@@ -54,8 +82,13 @@ def check_timing(document: Document, scenario: dict[str, Any], measured: list[li
         if placed == "staggered":
             bit = arb(thrusters.get("impulse_bit_N_s", 0.0)) / plant.h
             bit *= 1 if thrusters.get("remainder", "dropped") == "carried" else 0.5
-            share = layout.in_turn(document.u_max, bit)
+            share = layout.in_turn(document.u_max, bit) / smallest(_strengths(scenario))
             require("system", 1 - share, f"pulses one after another take {share} periods")
+    if pulsed and not (placed == "staggered" and "directions" in thrusters):
+        tops = per_axis(top, len(document.u_max))
+        if "directions" in thrusters:
+            tops = per_axis(thrusters["thrust_max_N"], len(thrusters["directions"]))
+        _require_whole(thrusters, [x * y * plant.h for x in map(arb, tops) for y in _strengths(scenario)])
     fine = thrusters.get("resolution", "bit") != "bit" and thrusters.get("impulse_bit_N_s", 0.0) > 0
     if document.timing.get("fine", False) != fine:
         raise Rejected("system", "sizes of impulses are not those of the scenario")

@@ -79,12 +79,15 @@ class Thrusters(ScenarioPart):
         carried = self.remainder == "carried"
         return Nozzles.of(made, *errors, self.impulse_bit_N_s, carried, self.pulse != "held")
 
-    def in_turn(self, made: Allocation | None, period: float) -> Allocation | None:
-        """Return an allocation whose box is as large as pulses one after another fill a `period` [s]."""
+    def in_turn(self, made: Allocation | None, period: float, faults: Sequence[Fault]) -> Allocation | None:
+        """Return an allocation whose box is as large as pulses one after another fill a `period` [s].
+
+        A thruster that is weaker by a fault fires for longer.
+        """
         layout = self.nozzles(made)
         if self.pulse != "staggered" or made is None or layout is None:
             return made
-        longest, rounded = layout.in_turn(period)
+        longest, rounded = (x / min(strengths(faults)) for x in layout.in_turn(period))
         if not rounded < 0.5:
             rule = f"must leave half of a period of {period:g} s to more than the bits of staggered pulses"
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
@@ -109,13 +112,32 @@ class Thrusters(ScenarioPart):
         return replace(found, bit=2 * bit * found.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9))
 
 
+def strengths(faults: Sequence[Fault]) -> list[float]:
+    """Return the shares of its thrust that a thruster may have, if it has any."""
+    return [1.0, *(left for fault in faults if 0 < (left := fault.build().left) < 1)]
+
+
 class Timing(Described, makes=Delays):
     """See `polaris.model.timing.Timing`."""
 
 
-def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | None, limits: Array) -> Craft:
-    """The system, its controllers acting on predictions; limits of its thrusters, before faults [N]."""
+def timed(
+    system: Craft,
+    timing: Delays,
+    period: float,
+    thrusters: Thrusters | None,
+    limits: Array,
+    faults: Sequence[Fault],
+) -> Craft:
+    """Return the system whose controllers act on predictions; `limits` [N] of inputs are those before faults.
+
+    Raises
+    ------
+    ScenarioError
+        If pulses do not fit into a period.
+    """
     made, layout = thrusters or Thrusters(), system.nozzles
+    _require_whole(made, limits if layout is None else layout.allocation.limits, period, faults)
     in_turn = made.pulse == "staggered"
     fired = () if made.pulse == "held" else tuple((limits * (len(limits) if in_turn else 1)).tolist())
     carried = made.impulse_bit_N_s if made.remainder == "carried" else 0.0
@@ -132,6 +154,21 @@ def timed(system: Craft, timing: Delays, period: float, thrusters: Thrusters | N
     timing = replace(timing, fine=fine, fired=fired, placed=placed, carried=carried)
     timing = replace(timing, edge=max(made.rise_s, made.fall_s))
     return system if timing == Delays() else predicting(system, timing, period)
+
+
+def _require_whole(thrusters: Thrusters, limits: Array, period: float, faults: Sequence[Fault]) -> None:
+    """Refuse pulses whose nearest multiple of the bit may be more than full thrust makes in a period."""
+    bit, given = thrusters.impulse_bit_N_s, thrusters
+    fits = given.directions is not None and given.pulse == "staggered"  # bits are counted in `in_turn`
+    if not bit or given.pulse == "held" or (given.remainder, given.resolution) != ("dropped", "bit") or fits:
+        return
+    for whole in np.outer(strengths(faults), limits).ravel() * period:
+        if np.floor(whole / bit + 0.5 + 1e-9) * bit > whole * (1 + 1e-9):
+            rule = (
+                f"must not round {whole:.6g} N s, which full thrust makes in a period, up to more than that: "
+            )
+            rule += "a whole number of bits serves, or a rest that is carried (thrusters.remainder)"
+            raise ScenarioError("thrusters.impulse_bit_N_s", bit, rule)
 
 
 def allocation(given: Thrusters | None, faults: Sequence[Fault], u_max: Array) -> Allocation | None:
