@@ -437,7 +437,8 @@ def test_what_errors_do_within_a_period_is_answered_in_the_next():
     plant = replace(plant, bits=[e], q=2)
     craft = loop_of_errors(plant, matrix([[0.0, k]]))
     spell = Spell(arb(0), arb_mat(1, 1), [arb(0)], -craft.commands, [arb(0)])
-    start, pilot = Zonotope(arb_mat(2, 1), arb_mat(2, 0)), SimpleNamespace(craft=craft, plant=plant)
+    law, start = SimpleNamespace(kind="affine"), Zonotope(arb_mat(2, 1), arb_mat(2, 0))
+    pilot = SimpleNamespace(craft=craft, plant=plant, law=law)
     flight = SimpleNamespace(pilot=pilot, start=start, spells=[spell, spell])
     loop = MeanCommands(craft, [arb(e)], arb_mat(1, 1))
     answers = [abs(float(x.mid())) + 1e-9 for x in (craft.commands * loop.enter).entries()]

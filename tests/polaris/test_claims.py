@@ -178,7 +178,7 @@ def test_the_order_of_states_changes_no_claim(change, orders, tmp_path):
         claims.append(made.summary["guarantee"]["goal"])
         assert claims[-1].pop("drift_m_per_orbit") is None
     for claim in claims:
-        assert claim == pytest.approx(claims[0], rel=1e-4)
+        assert claim == pytest.approx(claims[0], rel=1e-3)  # weights of sums are found by ascent
     assert claims[0]["velocity_time_s"] == 3.0  # a quarter of 12 s
 
 

@@ -232,7 +232,7 @@ def test_a_share_of_thrust_is_chosen_at_the_price_of_s_alone(monkeypatch):
         own = replace(safety, plan=replace(safety.plan, delta_v=spent))
         made = {"share": lambda mode=1: share, "delta_v_middle": spent, "switches": 2, "safety": own}
         known = {"controllers": schedule.controllers[:2], "keeps": lambda rules: rules.affords(spent)}
-        return SimpleNamespace(**made, **known, arrival=SimpleNamespace(reached=True))
+        return SimpleNamespace(**made, **known, approach=SimpleNamespace(reached=True))
 
     search, unit = Search.over(scenario, safety, None, SwitchingRules(), None), safety.plan.delta_v
     for share, best in ((0.93, 0.9), (0.97, 0.97)):  # for as much more as S spends alone: 6 % of the time

@@ -235,6 +235,8 @@ def checked(system, sat, delta, cells, thrust):
         **{"estimate": [], "shares": [0.0] * 3, "bits": [], "prompt_bits": [], "timing": {}, "carried": 0.0},
         **{"transients": [], "mass": system.mass, "mean_motion": system.mean_motion, "bias": []},
         system_kind="linear" if system.mean_motion is None else "clohessy_wiltshire",
+        placed="",
+        observer=None,
         allocation=None,
     )
     offsets = found.offsets.swapaxes(0, 1).tolist()
