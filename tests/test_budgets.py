@@ -20,13 +20,13 @@ LINES = {
     ("polaris/certificate",): (9768, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9150, 5000),
-    ("polaris/model", "polaris/simulation"): (8465, 5200),
+    ("polaris/model", "polaris/simulation"): (8468, 5200),
     ("polaris/rta",): (4877, 4300),
     ("polaris/inspection",): (5412, 4500),
     ("polaris/scenario", "polaris/runs"): (9489, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (7509, 6400),
     ("polaris/planning",): (2503, 2200),
-    ("polaris", "reach"): (66418, 48000),
+    ("polaris", "reach"): (66421, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 

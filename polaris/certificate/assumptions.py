@@ -22,7 +22,7 @@ PLACES = {
     "start": "from the start of it on",
     "staggered": "one after another from the start of it on, in their order and without a gap",
 }
-"""Where the pulses of a period lie, by name."""
+"""Places of the pulses of a period, by name."""
 
 ALLOCATIONS = {
     "least_thrust_mixes": "the sum of a fixed mix for each input and sign",

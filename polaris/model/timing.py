@@ -78,8 +78,8 @@ class Timing:
     fine: bool = False  # impulses above the bit may be of any size
     period: float = 0.0  # if any is [s]
     unseen: tuple[tuple[int, tuple[tuple[float, ...], ...]], ...] = ()
-    """What a unit of errors of thrusters, of up to so many periods before a command, may add to the error of
-    the estimate it rests on and no measurement has shown: periods and numbers (n, k)."""
+    """Bounds on what a unit of errors of thrusters, of up to so many periods before a command, adds to the
+    error of the estimate it rests on and no measurement has shown: periods and numbers (n, k)."""
 
     @property
     def instant(self) -> bool:
@@ -106,7 +106,7 @@ class Observer:
     constant: Array | None = None  # part of `noise` that is one value for the whole flight, (r,)
     ages: tuple[int, ...] = ()  # in periods, from 0 on, if periods may be missed
     by_age: Array | None = None
-    """What a unit of errors of thrusters of so many periods before an update, and more, makes, (., n, m)."""
+    """Errors by a unit of errors of thrusters of so many periods before an update, and more, (., n, m)."""
 
     def errors(self, signs: Array, first: Array) -> Array:
         """Return measurement errors at their bounds: by `signs`, the constant part by `first`."""

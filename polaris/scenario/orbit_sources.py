@@ -1,4 +1,4 @@
-"""What follows from the target's elements or from files of orbits, put into a scenario in their place.
+"""Values derived from the target's elements or from files of orbits, put into a scenario in their place.
 
 A scenario that is loaded holds numbers alone: the mean motion, how far the target may be off ellipses of it,
 elements at the time 0, and the start set. So a run folder needs no other file, and its checker reads what

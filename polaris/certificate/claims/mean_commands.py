@@ -158,7 +158,7 @@ class Period:
         self.cost = sum([*bits, *paid, *spent], arb(0)) / 2
 
     def spare(self, P: arb_mat) -> arb_mat:
-        """What weights of values exceed what values count by."""
+        """Return the matrix of weights of values, less the matrix by which values raise storage and cost."""
         S = self.b - self.enter.transpose() * P * self.enter - self.known
         return (S + S.transpose()) * 0.5
 

@@ -1,4 +1,4 @@
-"""What thrusters spend at most: period by period from sets, and of linear laws all periods at once."""
+"""Bounds on the thrust spent: period by period from sets, and under affine laws all periods at once."""
 
 from __future__ import annotations
 

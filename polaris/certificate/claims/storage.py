@@ -37,13 +37,13 @@ class Storage:
         within, along = start.G.transpose() * self.P * start.G, start.G.transpose() * self.p
         within = (within + within.transpose()) * 0.5
         apart = sum(map(abs, within.entries()), arb(0)) / 2 + sum(map(abs, along.entries()), arb(0))
-        found, sizes = [apart], _sizes(within, along) if 0 < start.count <= FEW else []
+        bounds, sizes = [apart], _sizes(within, along) if 0 < start.count <= FEW else []
         for i in range(1, TURNS) if sizes else ():
             weights = diagonal([x * LOOSER**i for x in sizes])
             if pivots(weights - within) is not None:
                 paid = (along.transpose() * (weights - within).solve(along))[0, 0]
-                found.append((sum(sizes) * arb(LOOSER) ** i + paid) / 2)
-        return self.cost + smallest(found)
+                bounds.append((sum(sizes) * arb(LOOSER) ** i + paid) / 2)
+        return self.cost + smallest(bounds)
 
     def before(self, period: Period, middle: arb_mat) -> Storage:
         """Return the storage before a period, in whose middle a command is given (m, 1)."""
@@ -106,15 +106,15 @@ def _periods(step: Flown, weights: Vector, count: int) -> list[Period]:
         raise Rejected("goal", "weights belong to steps of affine laws")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
-    found, known = list[Period](), dict[tuple[float, ...], MeanCommands]()
+    periods, known = list[Period](), dict[tuple[float, ...], MeanCommands]()
     for spell in step.spells[:count]:
         key = tuple(float(x.mid()) for x in (*spell.bands, *spell.K.entries()))
         if key not in known:
             known[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
         loop, middle = known[key], map(float, map(abs, spell.middle.mid().entries()))
         r = [x + y for x, y in zip(weights[:m], middle, strict=True)]
-        found.append(Period(loop, r, _columns(loop, weights[m:])))
-    return found
+        periods.append(Period(loop, r, _columns(loop, weights[m:])))
+    return periods
 
 
 def _columns(loop: MeanCommands, weights: Vector) -> list[float]:

@@ -85,8 +85,8 @@ class Plant:
     unmeasured: arb = field(default_factory=lambda: arb(0))  # for how long errors may be [s]
     bias: list[Push] = field(default_factory=list)  # inputs that are constant in a whole flight
     unseen: list[tuple[int, arb_mat]] = field(default_factory=list)
-    """What a unit error of thrusters, of up to so many periods before a command, adds to errors of estimates
-    at most, (n, k), where commands of the meantime are told apart."""
+    """Bounds on what a unit error of thrusters, of up to so many periods before a command, adds to errors of
+    estimates, (n, k), where commands of the meantime are told apart."""
     shifted: tuple[arb, ...] = ()  # impulses of inputs that jitter brings forward or puts off [N s], if any
     lead: Lead | None = None  # of pulses that are not centred
 
@@ -282,7 +282,7 @@ class Motion:
         return found, rows
 
     def unit_gains(self, rows: arb_mat, count: int) -> arb_mat:
-        """The same of a unit of each error of thrusters alone, shape (r, k)."""
+        """Bound what a unit of each error of thrusters alone adds, shape (r, k)."""
         units = (Push.in_box(column(each), [arb(1)]) for each in self.plant.entering.transpose().tolist())
         return arb_mat([self.gains_over(rows, [push], count)[0] for push in units]).transpose()
 

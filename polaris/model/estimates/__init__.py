@@ -1,1 +1,1 @@
-"""How far estimates may be off: an observer's, and predictions from them."""
+"""Bounds on errors of estimates: an observer's, and of predictions from them."""

@@ -30,7 +30,7 @@ ROUNDS, SPARE = 100, 1e-3
 """Most rounds until a bound holds that allows for the errors which it causes, and what each adds to it."""
 
 LEFT_OVER, LONGEST = 1e-3, 4096
-"""What of an error counts as forgotten, as a share of itself, and the most periods that may take."""
+"""Share of an error that counts as forgotten, and the most periods that may take."""
 
 SHARES, CALM = (1.0, 0.3, 0.1, 0.05, 0.03), 0.02
 """Shares of the thrust for whose errors gains are designed, and the one at which S flies once settled."""
@@ -58,7 +58,7 @@ class Filtering:
 
     @cached_property
     def _forgetting(self) -> tuple[Array, Array, int]:
-        """What a period makes of errors of the estimate, and bounds on what so many periods leave of them."""
+        """Return the map of errors over a period, and bounds on those over so many periods."""
         system, observer = self.system, self.observer
         loop, count = observer.rest @ np.asarray(expm(system.A * self.h)), 1
         while True:
@@ -78,12 +78,12 @@ class Filtering:
 
     @cached_property
     def left(self) -> Array:
-        """What so many periods leave of an error, shape (count + kinds of updates, n, n)."""
+        """Maps of an error over so many periods, shape (count + kinds of updates, n, n)."""
         return powers(self._forgetting[0], self.count + len(self.observer.after))
 
     @cached_property
     def turned(self) -> list[Array]:
-        """What an update adds to errors so many periods later, beside what periods leave, by its kind."""
+        """Maps by which an update adds to errors so many periods later, periods apart, by its kind."""
         loop, found = self._forgetting[0], [0 * self.left]
         for j, rest in enumerate(self.observer.rests[1:], 2):
             other = rest @ expm(self.system.A * self.h * j) - np.linalg.matrix_power(loop, j)
@@ -91,7 +91,7 @@ class Filtering:
         return found
 
     def added(self, noise: Array, w_max: float, E: Array | None) -> list[Array]:
-        """What an update adds so many periods later, by its kind, (count + kinds, n) each.
+        """Bounds on what an update adds so many periods later, by its kind, (count + kinds, n) each.
 
         Of errors of measurements up to `noise` (r,), of the disturbance, and of rates in a box by columns E.
         """
@@ -105,7 +105,7 @@ class Filtering:
         return found
 
     def _summed(self, come: list[Array], known: Array) -> Array:
-        """What updates of so many periods add by the worst pattern, errors before within `known`, (., n)."""
+        """Bound what updates add by the worst pattern, by periods, errors before within `known`, (., n)."""
         kinds, count = len(self.turned), self.count
         sums = np.zeros((count + kinds, self.system.n))
         each = [more + off @ known for more, off in zip(come, self.turned, strict=True)]

@@ -1,4 +1,4 @@
-"""How far the state that flight software predicts may be from the true one; what instants and pulses add."""
+"""Bounds on errors of the state that flight software predicts, and on what instants and pulses add."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,7 +43,7 @@ def prediction_error(system: Craft, estimate: Array, thruster: Array, tau: float
 
 
 def unseen_by(system: Craft, tau: float) -> Array:
-    """What a unit of errors that are `entering` may add to a prediction over tau [s], shape (n, k)."""
+    """Bound what a unit of errors that are `entering` adds to a prediction over tau [s], shape (n, k)."""
     if not tau > 0:
         return np.zeros(system.entering.shape)
     flow = LinearFlow.continuous(system.A, system.D, system.w_max, tau / PARTS)

@@ -45,7 +45,7 @@ class Thrusters(ScenarioPart):
     resolution: Literal["bit", "continuous"] = unit("-", default="bit")
     """Which impulses are made: multiples of the bit, or any that is not smaller than the bit."""
     pulse: Literal["held", "centred", "start", "staggered"] = unit("-", default="held")
-    """How the impulse of a period is made: by a thrust that is held, or by one pulse of the full
+    """Form of the impulse of a period: a thrust that is held, or by one pulse of the full
     `system.thrust_max_N` (`input_max`), with `directions` of each thruster's own limit, and as long as it
     takes. Pulses lie in the middle of the period (`centred`), all begin with it (`start`), or follow one
     another without a gap from its start on, in the order of the inputs or `directions`, so that one thruster

@@ -7,7 +7,7 @@ from pydantic import Field
 from ...model import keys as f
 from ...simulation.orbit.environment import Environment
 from ...simulation.orbit.inertial import state_of_elements
-from ...simulation.orbit.oem import FRAMES, TIME_SYSTEMS, parse_epoch
+from ...simulation.orbit.oem import Frame, TimeSystem, parse_epoch
 from .fields import Described, ScenarioPart, unit
 
 Below = Annotated[f.Real, Field(ge=0, lt=0.2)]
@@ -24,8 +24,8 @@ class Elements(ScenarioPart):
     ascending_node_deg: Turn = unit("deg", "Right ascension of the ascending node.")
     perigee_deg: Turn = unit("deg", "Argument of perigee.")
     true_anomaly_deg: Turn = unit("deg", "Angle from perigee to the target.")
-    frame: Literal[FRAMES] = unit("-", "Inertial frame of the elements.", default="EME2000")  # type: ignore[valid-type]
-    time_system: Literal[TIME_SYSTEMS] = unit("-", "Time system of the epoch.", default="UTC")  # type: ignore[valid-type]
+    frame: Frame = unit("-", "Inertial frame of the elements.", default="EME2000")
+    time_system: TimeSystem = unit("-", "Time system of the epoch.", default="UTC")
 
     def state(self) -> Any:
         """Inertial state (6,) [m, m/s]."""
@@ -43,7 +43,7 @@ class Orbit(Described, makes=Environment):
     """See `Environment`."""
 
     elements: Elements | None = unit("-", default=None)
-    """Where the target is in inertial axes, for `polaris export oem`."""
+    """State of the target in inertial axes, for `polaris export oem`."""
 
 
 class OrbitSource(ScenarioPart):

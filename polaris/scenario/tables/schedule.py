@@ -178,8 +178,8 @@ class ScenarioModel(Head):
 
     system: System = unit("-", "The controlled system.")
     orbit: Orbit | None = unit("-", default=None)
-    """What the linear model of a spacecraft leaves out; needed by `polaris model-error`. Its numbers and the
-    mean motion may follow from elements or files ([real orbits](orbits.md))."""
+    """Sources of what the linear model of a spacecraft leaves out; needed by `polaris model-error`. Its
+    numbers and the mean motion may follow from elements or files ([real orbits](orbits.md))."""
     navigation: Navigation | None = unit(
         "-", "How well it knows its state; exactly without it.", default=None
     )

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.interpolate import KroghInterpolator
@@ -20,9 +21,11 @@ from ...model.system import Array
 from ...model.version import version
 
 LARGEST_FILE = 100_000_000  # bytes
-FRAMES = ("EME2000", "GCRF", "ICRF", "J2000", "TEME", "TOD", "MOD")
+Frame = Literal["EME2000", "GCRF", "ICRF", "J2000", "TEME", "TOD", "MOD"]
+FRAMES: tuple[str, ...] = get_args(Frame)
 """Reference frames that do not turn with the Earth."""
-TIME_SYSTEMS = ("UTC", "TAI", "TT", "TDB", "GPS")
+TimeSystem = Literal["UTC", "TAI", "TT", "TDB", "GPS"]
+TIME_SYSTEMS: tuple[str, ...] = get_args(TimeSystem)
 NODES = 8  # states about an epoch between which positions and velocities are interpolated
 APART_S = 600.0  # longest time between states about an epoch: beyond it the polynomial is off by metres
 SECOND = 1_000_000_000

@@ -51,7 +51,7 @@ class Approach:
 
 @dataclass(frozen=True)
 class Arrival(Approach):
-    """What is proven of the goal, and what is spent until then."""
+    """Proof of the goal, and bound on what is spent until then."""
 
     delta_v: float  # velocity change until then, at most [m/s]
 

@@ -206,7 +206,7 @@ class Schedule:
 
     @cached_property
     def arrival(self) -> Arrival:
-        """What is proven of the goal, with the velocity change until then."""
+        """Proof of the goal, with the velocity change until then."""
         known = {each.name: getattr(self.approach, each.name) for each in fields(self.approach)}
         return Arrival(**known, delta_v=self.spending.goal)
 

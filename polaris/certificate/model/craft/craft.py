@@ -111,10 +111,10 @@ class Craft:
 
     def lagged_since(self, most: Callable[[int], Sequence[arb]]) -> list[arb]:
         """Bounds on errors of estimates by commands, given the largest of so many periods before, (n)."""
-        found = [arb(0)] * self.gain.ncols()
+        errors = [arb(0)] * self.gain.ncols()
         for periods, added in self.plant.unseen:
-            found = sums(found, (added * column(self.plant.thruster_part(most(periods)))).entries())
-        return found
+            errors = sums(errors, (added * column(self.plant.thruster_part(most(periods)))).entries())
+        return errors
 
     def extra(self, document: Document, k: int) -> list[arb]:
         """Bounds on what estimates are off more in a step than in the loop, shape (n)."""

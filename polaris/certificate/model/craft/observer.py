@@ -26,7 +26,7 @@ from ..timing import displaced
 PARTS = 4  # parts of a period over each of which integrals are bounded by the trapezoid rule
 
 FORGOTTEN, LONGEST = 1e-9, 4096
-"""What of an observer's error counts as forgotten, as a share of itself, and the most periods for it."""
+"""Share of an observer's error that counts as forgotten, and the most periods for it."""
 
 Bounds = list[arb]
 """Bounds on errors, by state."""
@@ -34,7 +34,7 @@ Bounds = list[arb]
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """What an observer does after some missed periods: what it leaves of errors, less what periods would."""
+    """Update of an observer after missed periods: the share of errors it leaves, less that of periods."""
 
     gain: arb_mat
     rest: arb_mat
@@ -88,7 +88,7 @@ class Filtering:
         return len(self.updates) - 1
 
     def left(self, age: int) -> arb_mat:
-        """What so many periods leave of an error."""
+        """Return the map of an error over so many periods."""
         while len(self.powers) <= age:
             self.powers.append(self.powers[-1] * self.loop)
         return self.powers[age]
@@ -107,7 +107,7 @@ class Filtering:
             self.come.append(come)
 
     def adds(self, age: int, kind: int, source: int | None) -> Bounds:
-        """What an update adds so many periods later."""
+        """Bound the error that an update adds so many periods later."""
         self._known(age)
         return [arb(0)] * self.loop.nrows() if source is None else self.come[age][kind][source]
 
@@ -197,7 +197,7 @@ class Filtering:
         return rest
 
     def by_step(self, document: Document, first: Bounds, alone: Bounds) -> list[Bounds]:
-        """What first errors add to settled ones in each step, and ever after.
+        """Bound the errors that first errors add to settled ones in each step, and ever after.
 
         Those that are `alone` are there without errors by commands.
         """
@@ -221,7 +221,7 @@ def settled_errors(document: Document) -> Bounds:
 
 
 def _fading(loop: arb_mat, initial: arb_mat, document: Document) -> list[list[arb]]:
-    """What first errors of an observer still add in each step, and ever after."""
+    """Bound the errors that first errors of an observer still add in each step, and ever after."""
     left, each, first = identity(loop.nrows()), [], document.steps * document.q
     for _ in range(first):
         each.append((magnitude(left) * initial).entries())
