@@ -17,7 +17,7 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9219, 8400),
-    ("polaris/certificate",): (9768, 4600),
+    ("polaris/certificate",): (9769, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9150, 5000),
     ("polaris/model", "polaris/simulation"): (8468, 5200),
@@ -26,7 +26,7 @@ LINES = {
     ("polaris/scenario", "polaris/runs"): (9489, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (7509, 6400),
     ("polaris/planning",): (2503, 2200),
-    ("polaris", "reach"): (66421, 48000),
+    ("polaris", "reach"): (66422, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 
