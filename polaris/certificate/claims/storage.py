@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, hypot
 from operator import mul
-from typing import Any
 
 from flint import arb, arb_mat
 
@@ -40,10 +39,10 @@ class Storage:
         apart = sum(map(abs, within.entries()), arb(0)) / 2 + sum(map(abs, along.entries()), arb(0))
         bounds, sizes = [apart], _sizes(within, along) if 0 < start.count <= FEW else []
         for i in range(1, TURNS) if sizes else ():
-            weights = diagonal([x * arb(LOOSER) ** i for x in sizes])
+            weights = diagonal([x * LOOSER**i for x in sizes])
             if pivots(weights - within) is not None:
                 paid = (along.transpose() * (weights - within).solve(along))[0, 0]
-                bounds.append((sum(map(arb, sizes), arb(0)) * arb(LOOSER) ** i + paid) / 2)
+                bounds.append((sum(sizes) * arb(LOOSER) ** i + paid) / 2)
         return self.cost + smallest(bounds)
 
     def before(self, period: Period, middle: arb_mat) -> Storage:
@@ -67,7 +66,7 @@ class Storage:
         more = sum((x * y for x, y in zip(moved.entries(), jump.entries(), strict=True)), arb(0))
         along = sum((abs(x) * y for x, y in zip(self.p.entries(), jump.entries(), strict=True)), arb(0))
         cost = self.cost + along + more * (1 + 1 / arb(APART)) / 2
-        return _rounded(self.P * (1 + arb(APART)), self.p, cost)
+        return Storage((self.P * (1 + arb(APART))).mid() + self.P * GROWN, self.p, cost)
 
 
 def _sizes(M: arb_mat, p: arb_mat) -> list[float]:
@@ -107,9 +106,9 @@ def _periods(step: Flown, weights: Vector, count: int) -> list[Period]:
         raise Rejected("goal", "weights belong to steps of affine laws")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
-    periods, known = list[Period](), dict[Any, MeanCommands]()
+    periods, known = list[Period](), dict[tuple[float, ...], MeanCommands]()
     for spell in step.spells[:count]:
-        key = tuple(part.man_exp() for x in (*spell.bands, *spell.K.entries()) for part in (x.mid(), x.rad()))
+        key = tuple(float(x.mid()) for x in (*spell.bands, *spell.K.entries()))
         if key not in known:
             known[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
         loop, middle = known[key], map(float, map(abs, spell.middle.mid().entries()))
