@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, hypot
 from operator import mul
+from typing import Any
 
 from flint import arb, arb_mat
 
@@ -21,7 +22,7 @@ GROWN, APART = 1e-7, 1e-4
 the reference, to hold what that adds."""
 FEW, TURNS, VECTOR, LOOSER, TINY = 64, 30, 6, 1.02, 1e-300
 """Generators of a start whose weights are looked for, how long, and in vectors of how many entries. By how
-much weights rise until they are enough, and the least weight."""
+much weights rise until they are enough, and the least weight and growth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +40,10 @@ class Storage:
         apart = sum(map(abs, within.entries()), arb(0)) / 2 + sum(map(abs, along.entries()), arb(0))
         bounds, sizes = [apart], _sizes(within, along) if 0 < start.count <= FEW else []
         for i in range(1, TURNS) if sizes else ():
-            weights = diagonal([x * LOOSER**i for x in sizes])
+            weights = diagonal([x * arb(LOOSER) ** i for x in sizes])
             if pivots(weights - within) is not None:
                 paid = (along.transpose() * (weights - within).solve(along))[0, 0]
-                bounds.append((sum(sizes) * arb(LOOSER) ** i + paid) / 2)
+                bounds.append((sum(map(arb, sizes), arb(0)) * arb(LOOSER) ** i + paid) / 2)
         return self.cost + smallest(bounds)
 
     def before(self, period: Period, middle: arb_mat) -> Storage:
@@ -66,7 +67,7 @@ class Storage:
         more = sum((x * y for x, y in zip(moved.entries(), jump.entries(), strict=True)), arb(0))
         along = sum((abs(x) * y for x, y in zip(self.p.entries(), jump.entries(), strict=True)), arb(0))
         cost = self.cost + along + more * (1 + 1 / arb(APART)) / 2
-        return Storage((self.P * (1 + arb(APART))).mid() + self.P * GROWN, self.p, cost)
+        return _rounded(self.P * (1 + arb(APART)), self.p, cost)
 
 
 def _sizes(M: arb_mat, p: arb_mat) -> list[float]:
@@ -92,7 +93,7 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     """Return a storage of exact numbers that is at least as large."""
     P = (P + P.transpose()) * 0.5
     size = [float(P[i, i].mid()) for i in range(P.nrows())]
-    more = [GROWN * (x + FLOOR * max(size)) for x in size]
+    more = [GROWN * (x + FLOOR * max(size)) or TINY for x in size]  # of no storage too
     exact, middle = (P + diagonal(more)).mid(), p.mid()
     if pivots(exact - P - diagonal([x / 2 for x in more])) is None:
         raise Undecided("goal", "a storage is not bounded by rounded numbers")
@@ -106,9 +107,9 @@ def _periods(step: Flown, weights: Vector, count: int) -> list[Period]:
         raise Rejected("goal", "weights belong to steps of affine laws")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
-    periods, known = list[Period](), dict[tuple[float, ...], MeanCommands]()
+    periods, known = list[Period](), dict[Any, MeanCommands]()
     for spell in step.spells[:count]:
-        key = tuple(float(x.mid()) for x in (*spell.bands, *spell.K.entries()))
+        key = tuple(part.man_exp() for x in (*spell.bands, *spell.K.entries()) for part in (x.mid(), x.rad()))
         if key not in known:
             known[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
         loop, middle = known[key], map(float, map(abs, spell.middle.mid().entries()))
