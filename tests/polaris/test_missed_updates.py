@@ -42,6 +42,13 @@ def random_observer(seed, along=0.05, initial=False):
     return observing(craft, observer, h), h, missed
 
 
+def test_an_observer_may_forget_within_fewer_periods_than_may_be_missed():
+    plain = Craft(np.diag([1.0], 1), np.array([[0.0], [1.0]]), np.array([[0.0], [1.0]]), np.ones(1), 1e-2)
+    craft = replace(plain, thrusters=Thrusters(0.05))
+    observer = design(craft, np.eye(2), np.full(2, 1e-3), 1.0, 12, boxed=True)
+    assert observing(craft, observer, 1.0).observer.followed > 0
+
+
 def patterns(rng, missed, periods, count):
     """Yield numbers of periods between updates, the last one first, that come to so many periods."""
     for i in range(count):

@@ -168,7 +168,7 @@ class Filtering:
         With `late` periods that may be missed. Raises what `largest` does.
         """
         late, none = len(self.observer.after), [0 * self.left[..., 0]] * len(self.turned)
-        found = self.after(settled, min(self.count, FOLLOWED), none)
+        found = self.after(settled, min(self.count, FOLLOWED) + late, none)  # late ones may follow
         shares = np.max(found / settled, axis=1)
         shares = np.max([shares[j : len(shares) - late + j] for j in range(late + 1)], axis=0)
         if not shares[-1] < 1:
