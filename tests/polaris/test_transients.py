@@ -206,6 +206,22 @@ def test_what_a_fault_needs_is_what_a_flight_with_it_reaches(given):
     assert np.all(np.abs(x) <= box) and abs(x[2]) > 0.4 * box[2]
 
 
+@pytest.mark.parametrize(
+    "given", [["timing.jitter_s=0.03"], ["thrusters.pulse=start", "thrusters.fall_s=0.03"]]
+)
+def test_a_thruster_fails_for_as_long_as_commands_without_it_are_late(given):
+    """Commanded at its limit, in a period and until the commands of the next one take effect."""
+    late = 'faults=[{kind="loss",share=0.1,isolation_s=0.25}]'
+    schedule = synthesize(load_scenario(TINY).with_assignments([*SOFT, late, *given]))
+    told = Document(json.loads(json.dumps(certificate(schedule, "scene"))))
+    with flint.ctx.workprec(2 * PRECISION):
+        derived = Argument(told, Record(), Stated()).upsets
+    for box in (*(each.added[0].sum(axis=1) for each in schedule.safety.tracking.upsets), *derived):
+        sizes = [float(x) for x in (box.entries() if isinstance(box, flint.arb_mat) else box)]
+        assert max(sizes[2:4]) >= 0.1 * (0.25 + 0.03) * (1 - 1e-6)
+    assert checked(schedule)
+
+
 OBSERVED = "navigation.measurement={matrix=[[1,0,0,0],[0,1,0,0]],error=[0.002,0.002]}"
 
 

@@ -85,6 +85,7 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
 
     They hold at the node where S takes over, until no command rests on an older state, and for states of the
     plant also in the period before. A black box may answer with any command, a law with its steepest gain.
+    Commands that are made without the thruster take effect as late as any do.
     """
     plant, found = craft.plant, list[arb_mat]()
     gains = [absolute(matrix(law.gain)) for law in document.laws if law.gain is not None]
@@ -94,7 +95,8 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
     delay, missed = document.timing.get("delay", 0.0), document.timing.get("missed", 0)
     hidden = 0 if remembers(document) else _periods(plant, delay) + missed
     for fault in (each for each in document.transients if each.get("pushes")):
-        count, lasts = _periods(plant, fault["lasts"]), arb(fault["lasts"])
+        lasts = fault["lasts"] + document.timing.get("jitter", 0.0) + document.timing.get("edge", 0.0)
+        count, lasts = _periods(plant, lasts), arb(lasts)
         first, later = list[arb_mat](), list[arb_mat]()  # by periods since: of errors, and of commands beside
         begun, power = craft.last(lasts - (count - 1) * plant.h), identity(craft.free.nrows())
         while len(first) < count + hidden:
@@ -104,7 +106,7 @@ def moved(document: Document, craft: Craft, networks: list[Policy]) -> list[arb_
             power = power * craft.free
         for push in fault["pushes"]:
             size = [arb(x) for x in push]
-            off = sums(size, plant.prompt.thruster_part(size))
+            off = sums(size, plant.thruster_part(size)[: len(size)])
             wrong = column([*off, *[arb(0)] * (plant.entering.ncols() - len(off))])
             found.append(_spread(craft, gain, (first, later), wrong, count))
     return found

@@ -22,11 +22,13 @@ def touched(seconds: float, h: float) -> int:
 def moved(system: Craft, fault: Transient, gain: Array, loop: Loop) -> Array:
     """Bound what wrong thrust adds to the loop state until S flies, whoever flies meanwhile, shape (J, N).
 
-    One row for each kind of wrong thrust. Where a box stands for estimates, commands that do not know of it
-    go on for as long as estimates are late.
+    One row for each kind of wrong thrust. Commands that are made without the thruster take effect as late as
+    any do. Where a box stands for estimates, commands that do not know of it go on for as long as estimates
+    are late.
     """
-    lasting = touched(fault.lasts, loop.h)
-    pushed = [fault.lasts - (lasting - 1) * loop.h] + [loop.h] * (lasting - 1)
+    lasts = fault.lasts + system.timing.jitter + system.timing.edge
+    lasting = touched(lasts, loop.h)
+    pushed = [lasts - (lasting - 1) * loop.h] + [loop.h] * (lasting - 1)
     late = 0 if remembers(system) else _late(system, loop.h)
     found = _added(system, fault, loop, pushed + [0.0] * late, gain)[lasting:].max(axis=0)
     if fault.after > 0:  # meanwhile nobody's answer counts
