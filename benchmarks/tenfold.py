@@ -144,6 +144,14 @@ def together(found: Mapping[str, Found], scenes: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def renew(page: str, place: str, told: str) -> str:
+    """Return the page with new rows in a table; those of other scenes stay if its columns are the same."""
+    head, line, *new = told.splitlines()
+    old = page.split(f"<!-- table {place} -->\n\n")[1].split("\n\n<!-- end -->")[0].splitlines()
+    rows = {tuple(row.split("|")[1:3]): row for row in [*(old[2:] if old[0] == head else ()), *new]}
+    return put(page, place, "\n".join([head, line, *rows.values()]))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
@@ -153,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/tenfold"))
     parser.add_argument("--kept", action="store_true", help="tell what has been found, and compute nothing")
     parser.add_argument("--together", action="store_true", help="all errors at once, not each alone")
-    parser.add_argument("--write", action="store_true", help="put the table into the page")
+    parser.add_argument("--write", action="store_true", help="put the rows into the page")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     kept, errors = given.out / "tenfold.json", given.only or list(ERRORS)
@@ -182,7 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     print(f"\n{told}")
     if given.write:
-        TRADEOFFS.write_text(put(TRADEOFFS.read_text(encoding="utf-8"), place, told), encoding="utf-8")
+        TRADEOFFS.write_text(renew(TRADEOFFS.read_text(encoding="utf-8"), place, told), encoding="utf-8")
 
 
 if __name__ == "__main__":

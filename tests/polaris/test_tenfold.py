@@ -33,6 +33,14 @@ def test_rows_are_told_of_what_has_been_found():
     assert "thrusters.magnitude_error=0.49" in tenfold.settings("magnitude", 10.0)
 
 
+def test_new_rows_replace_their_own_and_other_columns_the_whole_table():
+    page = "a\n<!-- table t -->\n\n| S | E | x |\n|-|\n| s | e | 1 |\n| s | f | 2 |\n\n<!-- end -->\nb"
+    more = tenfold.renew(page, "t", "| S | E | x |\n|-|\n| s | f | 3 |\n| r | e | 4 |")
+    assert more == page.replace("| s | f | 2 |", "| s | f | 3 |\n| r | e | 4 |")
+    other = tenfold.renew(page, "t", "| S | E | y |\n|-|\n| s | f | 3 |")
+    assert other == page.replace("x |\n|-|\n| s | e | 1 |\n| s | f | 2 |", "y |\n|-|\n| s | f | 3 |")
+
+
 def test_the_page_has_every_cell_and_each_is_confirmed():
     told = (
         tenfold.TRADEOFFS.read_text(encoding="utf-8")
