@@ -11,6 +11,12 @@ SATELLITES = (
 )
 """Assumed where there are any."""
 
+STATES = (
+    "limits on the whole state: they limit the states of the model, of the point that is navigated, at times "
+    "of the schedule"
+)
+"""Assumed where there are any."""
+
 ALLOCATED = (
     "faults: of the thrusters at most one fails, in a way that is declared and known at once, and what is "
     "commanded is allocated to the others"
@@ -65,6 +71,7 @@ class Premises:
     bias: Iterable[float] = ()  # bounds on a constant that adds to w, by column of D
     resting: bool = True  # whether any unsafe set is at rest
     satellites: bool = False  # whether any is another satellite
+    of_state: bool = False  # whether any limits the whole state
     horizon: str = "none"  # how long safety is claimed
     until: float | None = None  # last instant of a claim of one further period [s]
     estimate: Iterable[float] = ()  # bounds on the errors of the states' estimates, before any prediction
@@ -104,6 +111,7 @@ class Premises:
             "perception: every unsafe set lies in its timed polytope",
             *([f"sets at rest: they stay at rest{ever}"] if self.resting else []),
             *([SATELLITES] if self.satellites else []),
+            *([STATES] if self.of_state else []),
             *self._of_hardware(),
             "experimental controllers: each obeys its declared model, and what it is told of obstacles "
             "agrees with their declared motion",

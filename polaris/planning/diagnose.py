@@ -72,9 +72,9 @@ def blocked(rows: Rows, deadline: float) -> NoReturn:
 
 def _start(problem: PlanProblem) -> None:
     """The start itself may be too close; no plan mends that."""
-    p = problem.system.position @ problem.x0
     for i, body in enumerate(problem.unsafe):
-        clear, required = body.normals @ p - problem.offsets(i)[0, 0], problem.required(i)[0]
+        clear = body.rows(problem.system) @ problem.x0 - problem.offsets(i)[0, 0]
+        required = problem.required(i)[0]
         best = int(np.argmax(clear - required))
         if (short := float(required[best] - clear[best])) > 0:
             if body.keep_in:

@@ -199,7 +199,7 @@ class Plan:
     tail_facets : ndarray of int, shape (n_o, tail_cells)
         The same for the coasting tail.
     margin : float
-        Smallest clearance [m] beyond `margins`, over all planned cells and continuous time.
+        Smallest clearance [m] in position beyond `margins`, over all planned cells and continuous time.
     extra : ndarray, shape (n_o, K)
         Clearance [m] beyond `margins` per unsafe set and cell.
     wanted : ndarray, shape (n_o, K)

@@ -60,25 +60,25 @@ def known_plan(reference: Reference, K: int, facets: np.ndarray) -> Plan:
 def path_bounds(problem: PlanProblem, path: Reference) -> list[Array]:
     """Certified lower bounds [m] on the clearance from every facet over every cell, each (cells, F)."""
     system, arcs, h = problem.system, ARCS, problem.delta / ARCS
-    C, A, B = system.position, system.A, system.B
+    A, B = system.A, system.B
     x = path.fine(arcs)  # (cells, arcs+1, n)
     u = path.nu[:, None, :]
-    p, v = x @ C.T, x @ (C @ A).T + u @ (C @ B).T
-    CA3 = C @ np.linalg.matrix_power(A, 3)
+    v, A3 = x @ A.T + u @ B.T, np.linalg.matrix_power(A, 3)
     # |x(t_j + s) | <= e^{|A| h} |x_j| + int e^{|A| s} |B u| elementwise
     _, forced = discretize(np.abs(A), np.abs(B), h)
     size = np.abs(x[:, :-1]) @ growth(A, h).T + np.abs(u) @ forced.T
-    fourth = size @ np.abs(CA3 @ A).T + np.abs(u) @ np.abs(CA3 @ B).T  # (cells, arcs, d)
-    lead, trail = p[:, :-1] + h / 3 * v[:, :-1], p[:, 1:] - h / 3 * v[:, 1:]
-    points = np.stack([p[:, :-1], lead, trail, p[:, 1:]])  # (4, cells, arcs, d)
+    fourth = size @ np.abs(A3 @ A).T + np.abs(u) @ np.abs(A3 @ B).T  # (cells, arcs, n)
+    lead, trail = x[:, :-1] + h / 3 * v[:, :-1], x[:, 1:] - h / 3 * v[:, 1:]
+    points = np.stack([x[:, :-1], lead, trail, x[:, 1:]])  # (4, cells, arcs, n)
     share = ((np.arange(arcs) + np.arange(4)[:, None] / 3) / arcs)[:, None, :, None]
-    reach = np.max(np.abs(points), axis=(0, 2))  # (cells, d)
+    reach = np.max(np.abs(points), axis=(0, 2))  # (cells, n)
     lows = []
     for i, body in enumerate(problem.unsafe):
         b = problem.offsets(i)
         offset = b[:, 0, None] * (1 - share) + b[:, 1, None] * share
-        size = np.abs(body.normals).T
-        low = np.min(points @ body.normals.T - offset, axis=0) - h**4 / 384 * (fourth @ size)
+        rows = body.rows(system)
+        size = np.abs(rows).T
+        low = np.min(points @ rows.T - offset, axis=0) - h**4 / 384 * (fourth @ size)
         slack = ROUNDING * (reach @ size + np.max(np.abs(b), axis=1))
         lows.append(np.min(low, axis=1) - slack)
     return lows
@@ -110,7 +110,7 @@ def certified(
         nu=nu,
         facets=facets[:, :K],
         tail_facets=facets[:, K:],
-        margin=float(np.min(extra, initial=np.inf)),
+        margin=float(np.min(extra[[not body.of_state for body in problem.unsafe]], initial=np.inf)),
         extra=extra,
         wanted=wanted,
         delta_v=float(np.sum(np.abs(nu)) * problem.delta / problem.system.mass),

@@ -54,6 +54,7 @@ class Rows:
         self.length = max(1e-3, float(np.max(np.abs(system.position @ problem.x0), initial=0.0)) / 10)
         self.free = np.einsum("kij,j->ki", powers(self.Ad, problem.cells), problem.x0)
         self._impulse = powers(self.Ad, problem.K) @ (self.Bd * system.u_max)
+        self._normals = [body.rows(system) for body in problem.unsafe]
         self._offsets = [problem.offsets(i) for i in range(len(problem.unsafe))]
         self._required = [problem.required(i) for i in range(len(problem.unsafe))]
         self.extra = [np.zeros((problem.cells, 1)) for _ in problem.unsafe]
@@ -71,31 +72,33 @@ class Rows:
     @cached_property
     def segments(self) -> int:
         """Cubic arcs per cell, so many that the remainder of each is small."""
+        system, unsafe = self.problem.system, self.problem.unsafe
+        measured = np.abs(np.vstack([system.position, *(u.rows(system) for u in unsafe if u.of_state)]))
         for q in SEGMENTS:
-            if np.max(self._remainder(q)) <= max(20 * SOLVER_BOOK_M, 2e-5 * self.length):
+            if np.max(measured @ self._remainder(q)) <= max(20 * SOLVER_BOOK_M, 2e-5 * self.length):
                 return q
         return SEGMENTS[-1]
 
     def _remainder(self, q: int) -> Array:
-        """Rough bound [m] per axis on what a cubic arc over delta / q leaves out; re-checked later."""
+        """Rough bound per state, (n,), on what a cubic arc over delta / q leaves out; re-checked later."""
         system, h = self.problem.system, self.problem.delta / q
-        CA3 = system.position @ np.linalg.matrix_power(system.A, 3)
+        A3 = np.linalg.matrix_power(system.A, 3)
         reach = np.max(np.abs(self.free), axis=0) * 1.5
         grow = growth(system.A, h)
-        rate = np.abs(CA3 @ system.A) @ (grow @ reach) + np.abs(CA3 @ system.B) @ system.u_max
+        rate = np.abs(A3 @ system.A) @ (grow @ reach) + np.abs(A3 @ system.B) @ system.u_max
         return np.asarray(rate * h**4 / 384)
 
     @cached_property
     def control_points(self) -> tuple[Array, Array, Array]:
-        """Bezier control points ``P x_k + Q u_k`` of the path in a cell, and their shares of the cell.
+        """Bezier control points ``P x_k + Q u_k`` of the states in a cell, and their shares of the cell.
 
-        Shapes (R, d, n), (R, d, m), (R,). The path lies in their hull, up to the remainder of a cubic arc.
+        Shapes (R, n, n), (R, n, m), (R,). The path lies in their hull, up to the remainder of a cubic arc.
         """
         system, q, h = self.problem.system, self.segments, self.problem.delta / self.segments
-        C, CA, CB = system.position, system.velocity, system.position @ system.B
+        A, B = system.A, system.B
         E, F = map(np.array, zip(*(discretize(system.A, system.B, h * i) for i in range(q + 1)), strict=True))
         found = []
-        for at, lead in ((C @ E, h / 3 * CA @ E), (C @ F, h / 3 * (CA @ F + CB))):
+        for at, lead in ((E, h / 3 * A @ E), (F, h / 3 * (A @ F + B))):
             arcs = np.stack([at[:-1], at[:-1] + lead[:-1], at[1:] - lead[1:]], axis=1)
             found.append(np.concatenate([arcs.reshape(-1, *at.shape[1:]), at[-1:]]))
         return found[0], found[1], np.array([(i // 3 + i % 3 / 3) / q for i in range(3 * q + 1)])
@@ -119,8 +122,8 @@ class Rows:
         Control points that no input moves are known exactly: only what a re-check asked for is booked.
         """
         asked = self.booking[i][cells][:, None]
-        moved = self._modelled[0] | (np.asarray(cells)[:, None] > 0)
-        return np.asarray(asked + np.where(moved[:, :, None], self._modelled[1][i], 0.0))
+        moved = self._moved[i] | (np.asarray(cells)[:, None, None] > 0)
+        return np.asarray(asked + np.where(moved, self._modelled[i], 0.0))
 
     def surplus(self, path: Reference) -> tuple[Array, ...]:
         """Room [m] of a path, coasting included, beyond what the rows of a cell ask for without extra.
@@ -130,13 +133,13 @@ class Rows:
         """
         P, Q, share = self.control_points
         cells = self.problem.cells
-        points = np.einsum("rdn,kn->krd", P, path.chi[:cells]) + np.einsum("rdm,km->krd", Q, path.nu[:cells])
+        points = np.einsum("rin,kn->kri", P, path.chi[:cells]) + np.einsum("rim,km->kri", Q, path.nu[:cells])
         found = []
-        for i, body in enumerate(self.problem.unsafe):
+        for i, normals in enumerate(self._normals):
             b = self._offsets[i]
             offset = b[:, 0, None] * (1 - share[:, None]) + b[:, 1, None] * share[:, None]
             need = offset + self._required[i][:, None] + self._booked(i, np.arange(cells))
-            found.append(np.min(points @ body.normals.T - need, axis=1))
+            found.append(np.min(points @ normals.T - need, axis=1))
         return tuple(found)
 
     def _options(self, key: Key) -> Disjunction:
@@ -147,8 +150,8 @@ class Rows:
             g, h, least = N[:, None], np.zeros((len(N), 1, problem.system.m)), c[:, None]
         else:
             P, Q, share = self.control_points
-            normals, b = problem.unsafe[i].normals, self._offsets[i][k]
-            g, h = np.einsum("fd,rdn->frn", normals, P), np.einsum("fd,rdm->frm", normals, Q)
+            normals, b = self._normals[i], self._offsets[i][k]
+            g, h = np.einsum("fi,rin->frn", normals, P), np.einsum("fi,rim->frm", normals, Q)
             least = b[0][:, None] * (1 - share) + b[1][:, None] * share + self._required[i][k][:, None]
         if k >= problem.K:  # coasting: a condition on the last state
             g, h = g @ np.linalg.matrix_power(self.Ad, k - problem.K), h * 0.0
@@ -160,11 +163,16 @@ class Rows:
         return Disjunction(a, least - free, 0.0, at, g, h, free)
 
     @cached_property
-    def _modelled(self) -> tuple[Any, list[Array]]:
-        """Which control points an input moves, (R,); length [m] booked on every facet of each unsafe set."""
+    def _modelled(self) -> list[Array]:
+        """Length [m] booked on every facet of each unsafe set."""
         book = 2 * self._remainder(self.segments)
-        models = [SOLVER_BOOK_M + np.abs(body.normals) @ book for body in self.problem.unsafe]
-        return np.any(self.control_points[1] != 0, axis=(1, 2)), models
+        return [SOLVER_BOOK_M + np.abs(normals) @ book for normals in self._normals]
+
+    @cached_property
+    def _moved(self) -> list[Any]:
+        """Mask of the control points that an input moves along the facets of each unsafe set, (R, F)."""
+        Q = self.control_points[1]
+        return [np.any(np.einsum("fi,rim->rfm", normals, Q) != 0, axis=2) for normals in self._normals]
 
     def extreme(self, a: Array, budget: float = np.inf) -> Array:
         """Largest ``a z`` over the input limits and a velocity change of at most `budget`, per row."""

@@ -220,19 +220,22 @@ class PathSearch:
 def set_targets(search: PathSearch, base: Candidate) -> float | None:
     """Fill in the extra margin wanted per cell, ``rows.extra * s``; return the top of the margin variable s.
 
-    `base` is the cheapest path without unsafe sets. None if no path to the goal can keep some cell clear.
+    It is wanted of sets in position; of limits on the whole state the margins required are enough. `base` is
+    the cheapest path without unsafe sets. None if no path to the goal can keep some cell clear.
     """
     problem, extras = search.rows.problem, search.rows.extra
     surplus, want = search.look(base).surplus, problem.extra_margin
+    bodies = [i for i, body in enumerate(problem.unsafe) if not body.of_state]
     if problem.objective == "distance":
-        for extra in extras:
-            extra[: problem.K] = 1.0
+        for i in bodies:
+            extras[i][: problem.K] = 1.0
         # the first cell starts at a known place, which bounds the distance whatever the plan
-        reach = [max(float(np.max(s[0])), _room(search, i, 0, np.inf)) for i, s in enumerate(surplus)]
+        reach = [max(float(np.max(surplus[i][0])), _room(search, i, 0, np.inf)) for i in bodies]
         cap = max(min(reach, default=0.0), 0.0)
         return min(cap, want) if want > 0 else cap
-    want = want if problem.objective == "margin_then_fuel" else 0.0
+    wanted = want if problem.objective == "margin_then_fuel" else 0.0
     for i, extra in enumerate(extras):
+        want = wanted if i in bodies else 0.0
         extra[: problem.K] = want
         for cells in (range(problem.K), range(problem.K - 1, -1, -1)):
             for k in cells:
@@ -244,7 +247,7 @@ def set_targets(search: PathSearch, base: Candidate) -> float | None:
                 extra[k] = min(extra[k, 0], room)
                 if room >= want:
                     break
-    return 1.0 if want > 0 else 0.0
+    return 1.0 if wanted > 0 and bodies else 0.0
 
 
 def _room(search: PathSearch, i: int, k: int, want: float) -> float:

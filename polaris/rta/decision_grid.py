@@ -185,19 +185,21 @@ class DecisionGrid:
 
         Returns
         -------
-        normals : ndarray, shape (F, d)
+        rows : ndarray, shape (F, n)
+            Their normals as rows of the state.
         offsets : ndarray, shape (nodes + 1, F)
             At every node [m].
         first : ndarray of int, shape (o,)
             Where each set's facets begin.
         """
-        polytopes, none = self.unsafe, np.zeros((len(self.xi), 0))
+        polytopes = self.unsafe
         first = np.cumsum([0, *(len(unsafe.normals) for unsafe in polytopes)])[:-1]
-        normals = np.vstack([np.zeros((0, self.system.d)), *(unsafe.normals for unsafe in polytopes)])
+        none, system = np.zeros((len(self.xi), 0)), self.system
+        rows = np.vstack([np.zeros((0, system.n)), *(unsafe.rows(system) for unsafe in polytopes)])
         # Sets may be perceived for longer than the reference and its tail last.
         fine = (unsafe.fine(self.clearance.q)[: self.clearance.cells] for unsafe in polytopes)
         offsets = [_at_nodes(arcs) for arcs in fine]
-        return normals, np.hstack([none, *offsets]), first.astype(np.intp)
+        return rows, np.hstack([none, *offsets]), first.astype(np.intp)
 
     def nearest(self, room: Array) -> Array:
         """Distance to the nearest unsafe set, by its farthest facet, from those to all facets (..., F)."""

@@ -140,12 +140,12 @@ class TrainingFlights:
             mode = np.where((found > 0) & finite, FILTERED, 0)
         u = np.where(finite[:, None], u, 0.0)
         distance, spent = np.full(len(chosen), np.inf), np.zeros(len(chosen))
-        normals, offsets, _ = grid.facets
+        rows, offsets, _ = grid.facets
         self.engine.left = self._owed[chosen] if grid.system.timing.carried else None
         for node in range(k * grid.nodes, (k + 1) * grid.nodes):
             x, _, _, thrust = self.engine.step(node, mode, u, x, self._w[node, chosen])
             spent += thrust * self.engine.dt
-            room = x @ (normals @ grid.system.position).T - offsets[node + 1]
+            room = x @ rows.T - offsets[node + 1]
             distance = np.minimum(distance, grid.nearest(room))
         self.x[chosen], self.k[chosen], self._flown[chosen] = x, k + 1, mode != 0
         if self.engine.left is not None:

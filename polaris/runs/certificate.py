@@ -72,6 +72,7 @@ def _sets(schedule: Schedule, cells: int) -> list[dict[str, Any]]:
             known, cells = branch.safety.clearance.unsafe, branch.safety.reference.cells
     return [
         {"name": item.name, "keep_in": item.keep_in, "normals": item.normals, "offsets": item.offsets[:cells]}
+        | ({"of_state": True} if item.of_state else {})
         for item in known
     ]
 

@@ -11,6 +11,7 @@ from reach.sets.zonotope import Zonotope
 
 from ..model.craft import Craft
 from ..model.scene.obstacle import Obstacle
+from ..model.scene.state_limits import StateLimit
 from ..model.system import Array, LinearSystem
 from ..planning.reference import Reference
 from ..simulation.baselines import Flights
@@ -111,6 +112,11 @@ class Picture:
     slices: SlicePicture | None = None
     reached: float | None = None  # by when the goal is proven to be reached [s]
     delta_v_max: float | None = None  # bound on the velocity change until then [m/s]
+
+    def __post_init__(self) -> None:
+        """Leave limits on the whole state out: they have no place in a picture of positions."""
+        placed = tuple(item for item in self.obstacles if not isinstance(item, StateLimit))
+        object.__setattr__(self, "obstacles", placed)
 
     @property
     def frame(self) -> Frame:

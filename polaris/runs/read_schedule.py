@@ -234,7 +234,8 @@ def _claims(document: Document, schedule: Schedule) -> list[tuple[str, Any, Any]
     safety, derived = schedule.safety, flown(schedule)
     start, unsafe, end = safety.problem.initial_set, safety.clearance.unsafe, safety.end
     profile, cells = safety.tracking.profile, safety.reference.cells
-    sets, others = ([(u.name, u.keep_in, u.normals) for u in each] for each in (document.unsafe, unsafe))
+    both = document.unsafe, unsafe
+    sets, others = ([(u.name, u.keep_in, u.of_state, u.normals) for u in each] for each in both)
     offsets = [np.stack([each.start, each.end], axis=1)[:cells] for each in document.unsafe]
     drift, passive = document.drift, schedule.passive
     clear = [] if drift is None else [parts is not None for parts in drift.steps]

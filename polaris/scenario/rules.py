@@ -18,7 +18,9 @@ from ..model.keys import keys_of
 from ..model.scene.keep_in import KeepIn
 from ..model.scene.obstacle import Obstacle, directions
 from ..model.scene.satellite import SatelliteObstacle
+from ..model.scene.state_limits import StateLimit
 from ..model.system import Array, LinearSystem
+from ..model.tolerances import TIME
 from .tables import scene as scene
 from .tables import schedule as models
 from .tables.fields import check_length, in_file_terms, whole_parts
@@ -76,7 +78,15 @@ def check_shapes(model: models.ScenarioModel, system: LinearSystem) -> None:
                     check_length(f"{path}.normals[{row}]", normal, d)
                 check_length(f"{path}.offsets_m", part.offsets_m, len(given))
             elif key.per and given is not None:
-                check_length(f"{path}.{key.name}", given, count)
+                named = {f"{path}.{key.name}": given}
+                if isinstance(given[0], tuple):
+                    named = {f"{path}.{key.name}[{row}]": each for row, each in enumerate(given)}
+                for field, each in named.items():
+                    check_length(field, each, count)
+            elif key.name == "max_m_s" and isinstance(given, tuple):
+                check_length(f"{path}.max_m_s", given, d)
+            elif key.name == "bounds":
+                check_length(f"{path}.bounds", given, len(part.rows))
     for path, spec in model.controllers():
         if not isinstance(spec, scene.Affine):
             continue
@@ -138,6 +148,10 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
             with in_file_terms(path, part):
                 item.pushes(system)
                 directions(system.d, item.facets)
+        T = model.horizon.duration_s
+        if isinstance(item, StateLimit) and max(item.begins * (1 + TIME), item.ends or 0.0) > T * (1 + TIME):
+            rule = f"must begin and end within duration_s = {T:g} (without until_s it holds for ever)"
+            raise ScenarioError(f"{path}.from_s", [item.begins, item.ends], rule)
         if (speed := float(np.linalg.norm(velocity))) > MAX_SPEED_M_S:
             rule = f"must move at most at {MAX_SPEED_M_S:g} m/s"
             raise ScenarioError(f"{path}.{moving}", f"{speed:.4g} m/s", rule)
@@ -158,6 +172,16 @@ def check_start_and_goal(
     """
     place, end = system.position @ theta, model.horizon.duration_s
     for (path, _), item in zip(model.scene_parts(), unsafe, strict=False):  # those of navigation hold later
+        if isinstance(item, StateLimit):
+            spots = {"initial_set.center": (model.initial_set.center, item.begins > 0)}
+            if isinstance(model.goal, StationaryGoal):
+                spots["goal.state"] = (model.goal.state, item.ends is not None)
+            for field, (state, later) in spots.items():
+                slack = float(item.slack(np.array(state), system))
+                if not later and slack < -_TOUCH_M:
+                    rule = f"must be a state that {path} ({item.name}) allows, is {-slack:.4g} m beyond it"
+                    raise ScenarioError(field, list(state), rule)
+            continue
         kept = isinstance(item, KeepIn)
         side, into, wrong = ("inside", "out of it", "outside") if kept else ("outside", "into it", "inside")
         named = f"{side} {path} ({item.name})"

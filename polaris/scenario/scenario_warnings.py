@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.linalg import expm
 
+from ..model.scene.state_limits import StateLimit
 from ..model.system import LinearSystem
 from .base import Scenario
 from .schedule import ScheduleScenario
@@ -97,6 +98,8 @@ def _size(scenario: ScheduleScenario, system: LinearSystem) -> float:
     """Largest distance [m] between the start, the frame's origin and the obstacles; 0 if there is none."""
     places = [np.zeros(system.d), system.position @ scenario.initial_set().c]
     for unsafe in scenario.obstacles():
+        if isinstance(unsafe, StateLimit):
+            continue
         at = np.asarray(unsafe.centre(0.0, system), dtype=float)
         if np.all(np.isfinite(at)):
             places.append(at)

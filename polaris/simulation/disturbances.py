@@ -70,7 +70,7 @@ def _piecewise(steps: int, n: int, p: int, longest: int, rng: np.random.Generato
 def limit_rows(schedule: Schedule) -> Array:
     """Directions of states in which the limits lie: every facet, then every input up and down."""
     safety = schedule.safety
-    facets = [-u.normals @ safety.tracking.system.position for u in safety.clearance.unsafe]
+    facets = [-u.rows(safety.tracking.system) for u in safety.clearance.unsafe]
     return np.vstack([*facets, safety.tracking.gain, -safety.tracking.gain])
 
 

@@ -1,7 +1,8 @@
 """What simulated runs amount to: distances, times to collision, usage and velocity change per run."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from ..model.checks import of_kind
 from ..model.scene.distances import Closest, closest, count_switches, mode_shares, ray_ttc, signed_distances
 from ..model.scene.free_drift import drift_ttc
 from ..model.scene.satellite import true_states
+from ..model.scene.state_limits import StateLimit
 from ..model.system import Array, LinearSystem
 from ..synthesis.schedule.schedule import Schedule
 from .failing import Failing
@@ -119,7 +121,8 @@ def drift_horizon(system: LinearSystem, duration: float) -> float:
 def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
     """Metrics of so few runs that all their distances fit into memory."""
     problem = runs.schedule.safety.problem
-    system, obstacles, times, x = problem.system, tuple(problem.unsafe), runs.times, runs.states
+    system, times, x = problem.system, runs.times, runs.states
+    obstacles, limits = _placed(problem.unsafe)
     R, N = x.shape[0], x.shape[1] - 1
     h, q = float(times[1] - times[0]), N // len(runs.modes)
     truth = true_states(obstacles, system, times, R, rng) | dict(runs.bodies)
@@ -140,6 +143,7 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
         starts = {name: states[:, ::q] for name, states in truth.items()}
         drift = drift_ttc(obstacles, system, times[::q], x[:, ::q], horizon, starts, tolerance=0.05)
         drift = drift.min(axis=(0, 2))
+    collided |= (signed_distances(limits, times, x, system) <= 0).any(axis=(0, 2))
     who = runs.flown
     modes = who[:, ::q] if runs.failing is None else who
     return Metrics(
@@ -164,6 +168,12 @@ def _measured(runs: Runs, rng: np.random.Generator, controller: str) -> Metrics:
     )
 
 
+def _placed(unsafe: Iterable[Any]) -> tuple[tuple[Any, ...], tuple[StateLimit, ...]]:
+    """Unsafe sets in position, to which there are distances, and limits on the whole state."""
+    limits = tuple(item for item in unsafe if isinstance(item, StateLimit))
+    return tuple(item for item in unsafe if not isinstance(item, StateLimit)), limits
+
+
 def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest, parts: int = 8) -> Closest:
     """A closer approach in the two periods about the closest node, if there is one."""
     problem, times = runs.schedule.safety.problem, runs.times
@@ -183,7 +193,7 @@ def _refined(runs: Runs, truth: Mapping[str, Array], found: Closest, parts: int 
 
     t = (times[left][..., None] + s * h).reshape(len(left), -1)
     states = {name: between(known) for name, known in truth.items()}
-    obstacles = tuple(problem.unsafe)
+    obstacles, _ = _placed(problem.unsafe)
     finer = closest(
         signed_distances(obstacles, t, between(runs.states) @ system.position.T, system, states), t
     )

@@ -15,6 +15,7 @@ from ..model.errors import ScenarioError
 from ..model.scene.obstacle import Obstacle, RigidObstacle
 from ..model.scene.obstacles import BallObstacle, BoxObstacle
 from ..model.scene.satellite import SatelliteObstacle
+from ..model.scene.state_limits import StateLimit
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import TIME
 from .model import SAFETY, UNTRUSTED, AgentTrace, AnySet, BallTrace, PolytopeTrace, RectangleTrace, Trace
@@ -107,6 +108,8 @@ def _sets(
 ) -> tuple[dict[str, AnySet], str | None]:
     """Sets of a trace for one obstacle, and what to say about them."""
     name = obstacle.name
+    if isinstance(obstacle, StateLimit):
+        return {}, f"{name}: a limit on the whole state, left out of traces of positions"
     if isinstance(obstacle, SatelliteObstacle) and name in satellites:
         true, radii = satellites[name], np.full(len(t), obstacle.radius)
         centre, velocity = obstacle.motion(t, system, true)

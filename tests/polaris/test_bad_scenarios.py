@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polaris.model.errors import ScenarioError
-from polaris.model.keys import keys_of
+from polaris.model.keys import PositivePerAxis, keys_of
 from polaris.scenario.reading import MAX_BYTES
 from polaris.scenario.scenario import Scenario, load_scenario
 from polaris.scenario.tables import goals as goal_tables
@@ -577,7 +577,8 @@ def test_the_length_of_every_vector_is_checked():
     parts = [table for union in unions for table in get_args(get_args(union)[0])]
     for key in (key for table in parts for key in keys_of(table.MAKES).values()):
         lists = "tuple[" in str(key.type)
-        assert lists == (key.per in ("axis", "state") or key.name == "offsets_m"), key
+        others = key.name in ("offsets_m", "bounds", "axes") or key.type is PositivePerAxis
+        assert lists == (key.per in ("axis", "state") or others), key
     assert {name for part in get_args(get_args(tables.InitialSet)[0]) for name in part.model_fields} == {
         *("kind", "center", "half_widths", "position_radius_m", "velocity_radius_m_s", "generators")
     }

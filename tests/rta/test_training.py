@@ -201,9 +201,9 @@ def test_reward_pays_for_being_near_and_for_idle_thrusters():
 def towards(flights):
     """Full thrust towards the nearest facet, of shape (R, m): bang-bang into what is near."""
     grid, k = flights.grid, flights.k
-    normals, offsets, _ = grid.facets
+    rows, offsets, _ = grid.facets
     room = flights.x @ (normals @ grid.system.position).T - offsets[k * grid.nodes]
-    starts = np.r_[grid.facets[2], len(normals)]
+    starts = np.r_[grid.facets[2], len(rows)]
     best = [room[:, i:j].argmax(axis=1) + i for i, j in zip(starts, starts[1:], strict=False)]
     farthest = np.stack(best, axis=1)
     nearest = farthest[np.arange(len(room)), np.take_along_axis(room, farthest, axis=1).argmin(axis=1)]

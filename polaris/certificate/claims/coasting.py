@@ -7,7 +7,7 @@ from flint import arb, arb_mat
 from ..files.document import Document
 from ..files.parts import UnsafeSet, Vector
 from ..kernel.arcs import Arc, Path
-from ..kernel.balls import column, largest, magnitude, matrix, require
+from ..kernel.balls import column, largest, magnitude, require
 from ..kernel.motion import Plant
 from ..kernel.verdict import Imprecise, Rejected
 from ..model.craft.memory import Memory
@@ -46,7 +46,7 @@ def prolonged(document: Document, path: Path, memory: Memory) -> tuple[Path, lis
 
 def _widest_facet(item: UnsafeSet, arc: Arc) -> int:
     """The facet of a set at rest that leaves an arc most room."""
-    rows, offsets = -(matrix(item.normals) * arc.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
+    rows, offsets = -item.rows(arc.plant.C), [(arb(b), arb(b)) for b in item.end[-1]]
     room = arc.room(rows, offsets)
     least = [min(float(node[f].mid()) for node in room) for f in range(len(offsets))]
     return least.index(max(least))

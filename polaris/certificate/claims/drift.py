@@ -144,7 +144,7 @@ class Drifts:
         key = item, facet
         if key not in self._known:
             motion = self._motion
-            row = -(matrix([self.document.unsafe[item].normals[facet]]) * self.plant.C)
+            row = -self.document.unsafe[item].rows(self.plant.C, [facet])
             rows = matrix([(row * M).entries() for M in self._powers[:-1]])
             gained = motion.push_gain(rows, self.plant.disturbance)
             pushed = list(accumulate(gained, lambda a, b: (a + b).upper()))

@@ -166,8 +166,8 @@ class Document:
         return self.error_by_step[min(k, self.steps)] if self.error_by_step else self.estimate
 
     def moves(self, item: UnsafeSet) -> bool:
-        """Whether an unsafe set moves; what is to be stayed inside from a step on does not, after T."""
-        return not (item.rests_from(self.steps) if item.keep_in else item.resting)
+        """Whether an unsafe set moves; limits that hold from or until a step do not, after T."""
+        return not (item.rests_from(self.steps) if item.keep_in or item.of_state else item.resting)
 
     @cached_property
     def calmest(self) -> Vector:
@@ -195,7 +195,7 @@ class Document:
                     raise ValueError(f"{where} has {length} items, where {sizes[size]} ({size}) are needed")
 
     def _take_claims(self, read: dict[str, Any]) -> None:
-        self.unsafe = [unsafe_set(item) for item in read["unsafe_sets"]]
+        self.unsafe = [unsafe_set(item, len(self.A), len(self.C)) for item in read["unsafe_sets"]]
         self.modes: list[int] = read["modes"]
         caused = any(x > 0 for x in self.shares) or self.late or bool(self.placed)
         self.profile: Matrix = (read.get("profile") or [self.u_max]) if caused else []
@@ -223,6 +223,7 @@ class Document:
             self.bias,
             resting=any(item.resting for item in self.unsafe),
             satellites=self.satellites,
+            of_state=any(item.of_state for item in self.unsafe),
             horizon=self.horizon,
             until=self.until,
             estimate=self.measured,

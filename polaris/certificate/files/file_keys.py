@@ -88,7 +88,8 @@ CERTIFICATE = {
     "sampling": {"step": ABOVE_0, **every(Whole(1), "steps nodes_per_step")},
     "initial_set": {"center": grid("n"), "generators": grid("* n")},
     "unsafe_sets": Items({
-        "name": NAME, "keep_in": bool, "normals": grid("* d"), "offsets": grid("covered two *"),
+        "name": NAME, "keep_in": bool, "of_state?": bool, "normals": grid("* *"),
+        "offsets": grid("covered two *"),
     }, size="sets"),
     "facets": grid("cells sets", Whole()),
     "reference": {"states": grid("cells+1 n"), "inputs": grid("cells m")},

@@ -1,9 +1,13 @@
 """What a certificate is made of: unsafe sets, controllers and their networks, what is said of drifts."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from flint import arb_mat
+
+from ..kernel.balls import matrix
 from ..kernel.verdict import Rejected
 
 
@@ -57,13 +61,19 @@ Matrix = list[list[float]]
 
 @dataclass(frozen=True)
 class UnsafeSet:
-    """One timed polytope: ``normals p <= b(t)``, b linear within each cell."""
+    """One timed polytope: ``normals p <= b(t)``, b linear within each cell, p the position or the state."""
 
     name: str
     keep_in: bool  # whether it is the outside of one facet of a keep-in set
     normals: Matrix
     start: Matrix  # b at the start of every cell, shape (cells, F)
     end: Matrix  # and at its end
+    of_state: bool = False  # whether it lies in the state
+
+    def rows(self, position: arb_mat, facets: Sequence[int] | None = None) -> arb_mat:
+        """Return some or all normals as rows of the state, shape (F, n)."""
+        chosen = self.normals if facets is None else [self.normals[f] for f in facets]
+        return matrix(chosen) if self.of_state else matrix(chosen) * position
 
     @property
     def resting(self) -> bool:
@@ -191,17 +201,19 @@ def powered_of(item: dict[str, Any], delta: float, sets: list[int]) -> Powered:
     return Powered(within, budget, branches, steps)
 
 
-def unsafe_set(item: dict[str, Any]) -> UnsafeSet:
-    """A timed polytope from its item; normals must be unit vectors."""
-    normals, offsets = item["normals"], item["offsets"]
+def unsafe_set(item: dict[str, Any], n: int, d: int) -> UnsafeSet:
+    """A timed polytope of n states or d positions from its item; normals of positions have length 1."""
+    normals, offsets, of_state = item["normals"], item["offsets"], item.get("of_state") or False
     for normal in normals:
+        if len(normal) != (n if of_state else d):
+            raise ValueError(f"normals of {item['name']} have {len(normal)} numbers")
         # Everything measures distances along normals, and slacks are relative to them.
-        if not abs(math.fsum(x * x for x in normal) - 1) <= UNIT:
+        if not of_state and not abs(math.fsum(x * x for x in normal) - 1) <= UNIT:
             raise Rejected("unsafe_sets", f"a normal of {item['name']!r} is no unit vector")
     if any(len(row) != len(normals) for pair in offsets for row in pair):
         raise ValueError(f"offsets of {item['name']} must have one number for every normal")
     first, last = ([pair[place] for pair in offsets] for place in (0, 1))
-    return UnsafeSet(item["name"], item["keep_in"], normals, first, last)
+    return UnsafeSet(item["name"], item["keep_in"], normals, first, last, of_state)
 
 
 def abort_of(drift: dict[str, Any], q: int) -> Abort:

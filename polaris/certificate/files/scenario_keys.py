@@ -54,6 +54,8 @@ _ORBITS: dict[str, dict[str, Any]] = {
     "stationary": {**_GOAL, "state": VECTOR},
 }
 _BODY = {"name": NAME, "velocity_m_s?": VECTOR}
+_WINDOW = {"from_s?": NOT_NEGATIVE, "until_s?": POSITIVE}
+_STATES = {"name": NAME, "rows": MATRIX, "bounds": VECTOR, **_WINDOW}
 _POLYTOPE = {"name": NAME, "normals": MATRIX, "offsets_m": VECTOR}
 
 SCENARIO = {
@@ -144,11 +146,17 @@ SCENARIO = {
         "polytope": {**_BODY, **_POLYTOPE, "unbounded?": bool},
         "satellite": {"name": NAME, "state": VECTOR, "state_half_widths": WIDTHS, "radius_m": POSITIVE,
                       "thrust_accel_max_m_s2?": NOT_NEGATIVE, "facets?": FACETS},
+        "states": _STATES,
     }), 0, 64),
     "keep_in?": Items(Kinds({
         "polytope": _POLYTOPE,
         "cone": {"name": NAME, "apex_m": VECTOR, "axis": VECTOR, "half_angle_deg": Real(least=0.1, most=89),
                  "facets?": FACETS, "length_m?": POSITIVE},
+        "states": _STATES,
+        "speed": {"name": NAME, "max_m_s": PER_AXIS, "per_distance_1_s?": NOT_NEGATIVE, "facets?": FACETS,
+                  "towards?": MATRIX, **_WINDOW},
+        "speed_polygon": {"name": NAME, "max_m_s": POSITIVE, "sides?": Whole(3, 64),
+                          "axes?": Items(Whole(0, 99), 2, 2), **_WINDOW},
     }), 0, 16),
     "experimental": Items(Kinds({
         "affine": _AFFINE,
@@ -186,8 +194,9 @@ def check_keys(scenario: Any) -> None:
             raise Rejected("scenario", f"experimental[{i}] must have either a gain or Q and R")
     bodies = [*scenario.get("obstacles", ()), *scenario.get("keep_in", ())]
     for spec in bodies:
-        if spec["kind"] == "polytope" and len(spec["normals"]) != len(spec["offsets_m"]):
-            raise Rejected("scenario", f"{spec['name']} must have one offset for every normal")
+        rows, bounds = ("rows", "bounds") if spec["kind"] == "states" else ("normals", "offsets_m")
+        if rows in spec and len(spec[rows]) != len(spec[bounds]):
+            raise Rejected("scenario", f"{spec['name']} must have one number in {bounds} for each of {rows}")
     for what, specs in (("unsafe sets", bodies), ("controllers", scenario["experimental"])):
         names = [spec["name"] for spec in specs]
         if len(set(names)) < len(names):

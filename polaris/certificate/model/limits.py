@@ -9,8 +9,9 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.document import Document
+from ..files.parts import UnsafeSet
 from ..kernel.arcs import Path
-from ..kernel.balls import TINY, above, magnitude, matrix, sums
+from ..kernel.balls import TINY, above, magnitude, sums
 from ..kernel.zonotopes import Directions
 from .craft.craft import Craft
 from .craft.needs import Needs
@@ -57,7 +58,7 @@ class Barrier:
         """
         facets = list(zip(document.unsafe, chosen, strict=True))
         if (key := tuple(chosen)) not in known:
-            known[key] = Directions(_against([item.normals[f] for item, f in facets], position))
+            known[key] = Directions(_against(facets, position))
         ends = [
             (item.start[cell][f], item.end[cell][f]) if cell < document.cells else (item.end[-1][f],) * 2
             for item, f in facets
@@ -65,9 +66,10 @@ class Barrier:
         return cls([item.name for item, _ in facets], known[key], [(arb(a), arb(b)) for a, b in ends])
 
 
-def _against(normals: list[list[float]], position: arb_mat) -> arb_mat:
-    """``-n C`` of some normals, maybe none."""
-    return -(matrix(normals) * position) if normals else arb_mat(0, position.ncols())
+def _against(facets: list[tuple[UnsafeSet, int]], position: arb_mat) -> arb_mat:
+    """``-n C`` of some facets, maybe none, ``-n`` of sets of states."""
+    rows = [item.rows(position, [f]) for item, f in facets]
+    return -above(*rows) if rows else arb_mat(0, position.ncols())
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class Limits:
         plant = path.plant
         pairs = sorted({(o, f) for row in chosen for o, f in enumerate(row)})
         index = {pair: i for i, pair in enumerate(pairs)}
-        facets = _against([document.unsafe[o].normals[f] for o, f in pairs], plant.C)
+        facets = _against([(document.unsafe[o], f) for o, f in pairs], plant.C)
         targets, known = [], dict[Any, Directions]()
         for cell, arc in enumerate(path.arcs):
             barrier = Barrier.of(document, plant.C, cell, chosen[cell], known)

@@ -17,6 +17,7 @@ from ..kernel.verdict import Rejected
 from .allocation import per_axis
 from .navigation import holding
 from .satellites import Satellite
+from .state_limits import KINDS, check_states
 
 SLOPE = 1e-6  # least sine of the angle of a cone, and of the angle between two of its facets
 
@@ -44,13 +45,19 @@ def check_unsafe(document: Document, scenario: dict[str, Any]) -> int:
     for spec in obstacles:
         if not left or left[0].name != spec["name"] or left[0].keep_in:
             raise Rejected("unsafe_sets", f"{spec['name']} is missing")
-        _check_obstacle(document, left.pop(0), spec)
+        if spec["kind"] in KINDS:
+            check_states(document, [left.pop(0)], spec, inside=False)
+        else:
+            _check_obstacle(document, left.pop(0), spec)
     for spec in kept:
         facets: list[UnsafeSet] = []
         while left and left[0].keep_in and left[0].name == f"{spec['name']}[{len(facets)}]":
             facets.append(left.pop(0))
+        if spec["kind"] in KINDS:
+            check_states(document, facets, spec, inside=True)
+            continue
         for item in facets:
-            if len(item.normals) != 1 or not item.resting:
+            if item.of_state or len(item.normals) != 1 or not item.resting:
                 raise Rejected("unsafe_sets", f"{item.name} must be one halfspace at rest")
         _check_keep_in(document, facets, spec)
     navigation = scenario.get("navigation", {})
@@ -76,7 +83,7 @@ def _speed(spec: dict[str, Any], clock: arb) -> arb:
 
 def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, Any]:
     """What the scenario says of a set, its facets moved outwards, or inwards if negative."""
-    if radius == 0:
+    if radius == 0 or spec["kind"] in KINDS:
         return spec
     if spec["kind"] == "box":
         return spec | {"half_widths_m": [x + radius for x in spec["half_widths_m"]]}
@@ -99,6 +106,8 @@ def _grown(document: Document, spec: dict[str, Any], radius: arb) -> dict[str, A
 
 
 def _check_obstacle(document: Document, item: UnsafeSet, spec: dict[str, Any]) -> None:
+    if item.of_state:
+        raise Rejected("unsafe_sets", f"{item.name} is a set of positions, not of states")
     if spec["kind"] == "satellite":
         _check_count(item, _directions(document, spec))
         Satellite(document, item, spec).check()
@@ -198,7 +207,7 @@ def _check_within(
         raise Rejected("unsafe_sets", f"within_m of {name}: from {begins:g} s on, with {len(half)} sides")
     for f, item in enumerate(facets):
         outward = [(-1.0 if f < d else 1.0) * (j == f % d) for j in range(d)]
-        if item.name != f"{name}[{f}]" or not item.keep_in or item.normals != [outward]:
+        if item.name != f"{name}[{f}]" or item.of_state or not item.keep_in or item.normals != [outward]:
             raise Rejected("unsafe_sets", f"{item.name} is no side of the box within_m of {name}")
         most = half[f % d] - size
         for k in range(len(item.start)):

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..errors import ScenarioError
 from ..system import Array, LinearSystem
 from .obstacle import Obstacle
+from .state_limits import StateLimit
 
 UNKNOWN = -1  # mode number of samples whose mode is not known
 
@@ -29,11 +30,15 @@ def signed_distances(
     """Distance (O, ...) [m] of positions p (..., d) at times t (...) to true unsafe sets, negative inside.
 
     Keep-in sets count as the distance to leaving them. A system is needed if another satellite is among the
-    obstacles; `states` are true states (..., n) of these by name, by default their nominal ones.
+    obstacles; `states` are true states (..., n) of these by name, by default their nominal ones. Limits on
+    the whole state need states (..., n) of the system for p, and count as their slack.
     """
     out = np.empty((len(obstacles), *np.broadcast_shapes(np.shape(t), np.shape(p)[:-1])))
+    whole = system is not None and system.n != system.d and np.shape(p)[-1] == system.n
+    place = np.asarray(p) @ system.position.T if whole and system is not None else p
     for o, obstacle in enumerate(obstacles):
-        out[o] = obstacle.signed_distance(t, p, system, (states or {}).get(obstacle.name))
+        at = p if isinstance(obstacle, StateLimit) else place
+        out[o] = obstacle.signed_distance(t, at, system, (states or {}).get(obstacle.name))
     return out
 
 

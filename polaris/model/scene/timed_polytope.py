@@ -6,30 +6,32 @@ import numpy as np
 
 from reach.brief import brief
 
-from ..system import Array
+from ..system import Array, LinearSystem
 
 
 @brief
 @dataclass(frozen=True, eq=False)
 class TimedPolytope:
-    """An over-approximation of one unsafe set in position and time.
+    """An over-approximation of one unsafe set in position and time, or in the whole state and time.
 
     At time ``t`` in cell k the set is ``{p : normals p <= b(t)}`` where b runs linearly from
     ``offsets[k, 0]`` at the start of the cell to ``offsets[k, 1]`` at its end. A point is certainly
-    safe when one row reads ``normals[f] p > b_f(t)``.
+    safe when one row reads ``normals[f] p > b_f(t)``. Sets `of_state` have the state for p.
 
     Attributes
     ----------
     name : str
         Of the unsafe set that it covers.
-    normals : ndarray, shape (F, d)
-        Unit outward facet normals, the same at all times.
+    normals : ndarray, shape (F, d), of states (F, n)
+        Outward facet normals, the same at all times; unit vectors in position.
     offsets : ndarray, shape (cells, 2, F)
         Facet offsets [m] at the two ends of every cell.
     keep_in : bool
         True if this is one facet of a keep-in set (the unsafe side of one halfspace, F = 1).
     static : bool
         True if the offsets are the same at all times, now and for ever.
+    of_state : bool
+        True if the set lies in the state: normals are of states, offsets lengths by `state_lengths`.
     """
 
     name: str
@@ -37,6 +39,11 @@ class TimedPolytope:
     offsets: Array
     keep_in: bool = False
     static: bool = True
+    of_state: bool = False
+
+    def rows(self, system: LinearSystem) -> Array:
+        """Return the facet normals as rows of the state, shape (F, n)."""
+        return self.normals if self.of_state else self.normals @ system.position
 
     @property
     def cells(self) -> int:

@@ -66,6 +66,9 @@ class ExplicitASIF(Method):
         if not np.any(self.push):
             rule = "the input moves the position only by its third derivative"
             raise ScenarioError("method", self.key, rule)
+        if states := [u.name for u in grid.unsafe if u.of_state]:
+            rule = f"brakes before sets of positions: {states[0]} limits the whole state"
+            raise ScenarioError("method", self.key, rule)
         self.balls = [o for o in grid.schedule.safety.problem.unsafe if isinstance(o, BallObstacle)]
         span = float(np.abs(grid.xi @ self.drift.T).max(initial=0.0))
         parts = np.split(grid.facets[1], grid.facets[2][1:], axis=1)

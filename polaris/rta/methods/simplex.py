@@ -78,9 +78,8 @@ class ImplicitSimplex(Latched):
         super().__init__(grid, buffer)
         grid = self.grid
         tracking, system = grid.tracking, grid.system
-        normals, offsets, _ = grid.facets
+        facets, offsets, _ = grid.facets
         self.lags = len(tracking.transitions)
-        facets = normals @ system.position
         self.facets = (facets @ tracking.transitions).reshape(-1, system.n).T.copy()
         self.thrust = (tracking.gain @ tracking.transitions).reshape(-1, system.n).T.copy()
         # Of the reference itself; beyond the end of the tail the last instant counts.

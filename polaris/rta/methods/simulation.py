@@ -80,8 +80,8 @@ class Simulation(Method):
 
     def _room(self, node: int, x: Array, step: int) -> Array:
         """Distance to the nearest perceived unsafe set at a node, by its farthest facet, (R,)."""
-        normals, offsets, _ = self.grid.facets
-        out = x @ (normals @ self.grid.system.position).T - offsets[node]
+        rows, offsets, _ = self.grid.facets
+        out = x @ rows.T - offsets[node]
         return self.grid.nearest(out if self.spread is None else out - self.spread[step])
 
 
@@ -108,7 +108,7 @@ class ForwardReachability(Simulation):
         gain = law.gain if isinstance(law, AffineController) else np.zeros((grid.system.m, grid.system.n))
         error = grid.system.input_error(gain, grid.system.u_max)
         flow = grid.tracking.feedback.flow(grid.system, gain, grid.tracking.delta, error)
-        rows, out = grid.facets[0] @ grid.system.position, []
+        rows, out = grid.facets[0], []
         added = np.zeros(len(rows))
         for _ in range(self.count + 1):
             out.append(np.abs(rows) @ grid.half_widths + added)

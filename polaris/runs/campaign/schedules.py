@@ -243,7 +243,7 @@ def _trajectory(task: Task, runs: Runs, run: int) -> Replayed:
         truth = true_states(obstacles, system, runs.times, min(PART, task.runs - first), rng)
     truth = {name: states[run % PART] for name, states in truth.items()}
     truth |= {name: states[run] for name, states in runs.bodies.items()}
-    distances = signed_distances(obstacles, runs.times, runs.positions[run], system, truth)
+    distances = signed_distances(obstacles, runs.times, runs.states[run], system, truth)
     names = tuple(obstacle.name for obstacle in obstacles)
     arrays = {
         "times_s": runs.times,

@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 from ...model import keys as f
-from ...model.scene import keep_in, obstacles, satellite
+from ...model.scene import keep_in, obstacles, satellite, state_limits
 from .fields import BY_KIND, Described, ScenarioPart, unit
 
 
@@ -27,7 +27,15 @@ class SatelliteObstacle(Described, makes=satellite.SatelliteObstacle, kind="sate
     """See `satellite.SatelliteObstacle`."""
 
 
-Obstacle = Annotated[BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle, *BY_KIND]
+class StateObstacle(
+    Described, makes=state_limits.StateObstacle, kind="states", says="Positions and velocities."
+):
+    """See `state_limits.StateObstacle`."""
+
+
+Obstacle = Annotated[
+    BoxObstacle | BallObstacle | PolytopeObstacle | SatelliteObstacle | StateObstacle, *BY_KIND
+]
 
 
 class KeepInPolytope(
@@ -40,7 +48,23 @@ class KeepInCone(Described, makes=keep_in.KeepInCone, kind="cone", says="Cone to
     """See `keep_in.KeepInCone`."""
 
 
-KeepIn = Annotated[KeepInPolytope | KeepInCone, *BY_KIND]
+class KeepInStates(
+    Described, makes=state_limits.KeepInStates, kind="states", says="Positions and velocities to stay inside."
+):
+    """See `state_limits.KeepInStates`."""
+
+
+class SpeedLimit(Described, makes=state_limits.SpeedLimit, kind="speed", says="Speed, by distance."):
+    """See `state_limits.SpeedLimit`."""
+
+
+class SpeedPolygon(
+    Described, makes=state_limits.SpeedPolygon, kind="speed_polygon", says="Polygon of velocities."
+):
+    """See `state_limits.SpeedPolygon`."""
+
+
+KeepIn = Annotated[KeepInPolytope | KeepInCone | KeepInStates | SpeedLimit | SpeedPolygon, *BY_KIND]
 
 
 class SharedReference(ScenarioPart):

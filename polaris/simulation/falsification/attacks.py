@@ -185,7 +185,7 @@ class Attacker:
         if limit < len(claims.unsafe):
             period = min(node, claims.cells * claims.q - 1)
             offsets = claims.offsets[limit][int(node > period)][period]
-            left = claims.unsafe[limit].normals @ (self.flight.system.position @ x) - offsets
+            left = claims.unsafe[limit].rows(self.flight.system) @ x - offsets
             return np.asarray(self.rows[self.first[limit] + int(np.argmax(left))])
         axis = limit - len(claims.unsafe)
         return np.asarray(self.rows[self.first[-1] + axis + m * int(self.rng.integers(0, 2))])

@@ -86,7 +86,8 @@ class Claims:
         Without what the polytopes are grown by because of what is carried: that is flown.
         """
         grown = np.linalg.norm(np.abs(self.system.position) @ self.moved)
-        fine = [u.fine(self.q)[: self.cells] - grown for u in self.unsafe]
+        sizes = (np.abs(u.normals) @ self.moved if u.of_state else grown for u in self.unsafe)
+        fine = [u.fine(self.q)[: self.cells] - size for u, size in zip(self.unsafe, sizes, strict=True)]
         return [(self._flat(part[:, :-1]), self._flat(part[:, 1:])) for part in fine]
 
     @cached_property
@@ -95,7 +96,7 @@ class Claims:
         safety, out = self.schedule.safety, []
         for u in self.unsafe:
             room = facet_room(safety.tracking, safety.reference, u)[: self.cells]
-            need, bow = self._needs(-u.normals @ self.system.position)
+            need, bow = self._needs(-u.rows(self.system))
             left = room - need
             out.append(self._flat(np.minimum(left[:, :-1], left[:, 1:]) - bow))
         return out
@@ -162,14 +163,14 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
     """Measure runs against the limits of a schedule; where something fails, one step per node was flown."""
     system, shape = claims.system, (len(runs.states), len(claims.names))
     out = Attained(np.full(shape, np.inf), np.zeros(shape), np.full(shape, -np.inf))
-    p = (runs.states @ system.position.T).reshape(-1, system.d).T
+    x = runs.states.reshape(-1, system.n).T
     smooth = not (np.any(system.position @ system.B) or np.any(system.position @ system.D))
     # How far a path may bow away from its chords, by the accelerations seen.
     change = np.abs(np.diff(runs.states @ system.velocity.T, axis=1)).max(axis=(1, 2), keepdims=True)[:, 0]
     bow = 2 * claims.h / 8 * np.sqrt(system.d) * change
     every = np.arange(shape[0])
     for o, u in enumerate(claims.unsafe):
-        along = (u.normals @ p).reshape(-1, *runs.states.shape[:2])
+        along = (u.rows(system) @ x).reshape(-1, *runs.states.shape[:2])
         before, after = claims.offsets[o]
         at = np.max(along[:, :, :-1] - before.T[:, None], axis=0)
         ends = np.minimum(at, np.max(along[:, :, 1:] - after.T[:, None], axis=0))
@@ -177,7 +178,7 @@ def attained(claims: Claims, runs: Runs, failing: Failing | None = None) -> Atta
         out.margin[:, o] = ends[every, best]
         out.when[:, o] = runs.times[np.where(at[every, best] <= ends[every, best], best, best + 1)]
         out.below[:, o] = np.max(claims.floor[:, o] - ends, axis=1)
-        if smooth:
+        if smooth and not u.of_state:
             few = min(LOOKED_AT, ends.shape[1])
             near = np.argpartition(ends, few - 1, axis=1)[:, :few]
             run, place = np.nonzero(np.take_along_axis(ends, near, axis=1) < out.margin[:, o, None] + bow)

@@ -35,28 +35,28 @@ def drifted(
     out = np.empty((len(run), len(flight.sets)))
     ahead = np.arange(flight.abort.horizon / flight.delta * flight.parts + 1e-9) * flight.delta / flight.parts
     moved = powers(expm(flight.system.A * flight.delta / flight.parts), len(ahead) - 1)
-    position = flight.system.position @ moved
-    place = np.einsum("jdn,sn->sjd", position, runs.states[run, node])
+    place = np.einsum("jin,sn->sji", moved, runs.states[run, node])
     for o, item in enumerate(flight.sets):
         offsets = item.at(node[:, None] * h + ahead, flight.delta)
-        pushed = _pushes(flight.system, item.normals, position, ahead)
-        best = (place @ item.normals.T - offsets).argmax(axis=-1)
+        rows = item.rows(flight.system)
+        pushed = _pushes(flight.system, rows, moved, ahead)
+        best = (place @ rows.T - offsets).argmax(axis=-1)
         hit = place + pushed[best, np.arange(len(ahead))]
-        out[:, o] = (hit @ item.normals.T - offsets).max(axis=-1).min(axis=1)
+        out[:, o] = (hit @ rows.T - offsets).max(axis=-1).min(axis=1)
     stop, least = np.unravel_index(int(out.argmin()), out.shape)
     found = float(runs.times[node[stop]]), float(out.min()), passive.least or 0.0
     return Failure("drift", flight.sets[least].name, *found), int(run[stop])
 
 
-def _pushes(system: LinearSystem, normals: Array, position: Array, ahead: Array) -> Array:
-    """Return the largest displacement against each normal by disturbance and constant, (F, J, d)."""
-    kicks = position @ system.D
-    ways = np.einsum("fd,jdp->fjp", normals, kicks)
+def _pushes(system: LinearSystem, rows: Array, moved: Array, ahead: Array) -> Array:
+    """Return the largest displacement along each row by disturbance and constant, (F, J, n)."""
+    kicks = moved @ system.D
+    ways = np.einsum("fi,jip->fjp", rows, kicks)
     ways = ways / np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), 1e-300)
-    rate = -system.w_max * np.einsum("jdp,fjp->jfd", kicks, ways)
-    moved, constant = _integrated(rate, ahead), _integrated(position @ system.biases, ahead)
-    signs = np.sign(np.einsum("fd,jdc->jfc", normals, constant))
-    return np.asarray((moved - np.einsum("jfc,jdc->jfd", signs, constant)).swapaxes(0, 1))
+    rate = -system.w_max * np.einsum("jip,fjp->jfi", kicks, ways)
+    pushed, constant = _integrated(rate, ahead), _integrated(moved @ system.biases, ahead)
+    signs = np.sign(np.einsum("fi,jic->jfc", rows, constant))
+    return np.asarray((pushed - np.einsum("jfc,jic->jfi", signs, constant)).swapaxes(0, 1))
 
 
 def _integrated(rate: Array, ahead: Array) -> Array:

@@ -122,7 +122,7 @@ class Attempts:
             return None
         caused, rows = Scheduled(self.tracking, last, K), self.tracking.commands
         margins = tuple(
-            margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.normals @ system.position).max(axis=1)
+            margin + np.clip(bow, 0, 1.1 * short) + caused.along(-each.rows(system)).max(axis=1)
             for each, margin, bow in zip(asked.unsafe, asked.margins, bows, strict=True)
         )
         limit = np.maximum(asked.u_limit - caused.along(rows[: len(asked.system.u_max)]).max(axis=1), 0.0)
@@ -191,7 +191,7 @@ def plan_problem(problem: Problem, tracking: Tracking, sets: tuple[TimedPolytope
     # Errors as large as the thrusters can correct at all must be forgotten by the time they have left
     # the loop's memory, or a tight place late in the flight would bind early recoverable sets.
     largest = float(np.min(tracking.most / np.linalg.norm(tracking.gain @ tracking.W_inverse, axis=1)))
-    rows = tracking.commands, *(-unsafe.normals @ system.position for unsafe in sets)
+    rows = tracking.commands, *(-unsafe.rows(system) for unsafe in sets)
     tubes = (error_tube(tracking, start, each) for each in rows)
     thrust, *margins = (np.maximum(tube.over_cells(K, q), tube.left_over(largest)) for tube in tubes)
     needed = np.maximum(thrust[:, : system.m], thrust[:, system.m :]) + tracking.worst_noise

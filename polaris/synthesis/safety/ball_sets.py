@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from reach.sets.zonotope import Zonotope
 
+from ...model.errors import ScenarioError
 from ...model.system import Array
 from ...model.tolerances import ROUNDING
 from ..tracker.error_bounds import ErrorBounds
@@ -30,6 +31,9 @@ class BallSets(RecoverableSet):
     def _needs(self) -> tuple[Array, Array]:
         """Need of every row per unit of the norm, and besides: disturbance, faults, round-off; (r,) each."""
         bounds, tracking, limits = self.bounds, self.clearance.tracking, self.clearance.limits
+        if states := [body.name for body in self.clearance.unsafe if body.of_state]:
+            rule = f"must be 'polytope': balls bound errors of positions, {states[0]} limits whole states"
+            raise ScenarioError("recoverable.kind", "ball", rule)
         rows, o = limits.rows[:, : tracking.system.n], limits.facets
         gamma, gain = np.full(len(rows), bounds.gamma_position), np.full(len(rows), bounds.gain_position)
         gamma[o:], gain[o:] = np.tile(bounds.gamma_input, 2), np.tile(bounds.gain_input, 2)

@@ -71,12 +71,12 @@ class Clearance:
         rows : ndarray, shape (r, n)
         index : ndarray of int, shape (cells, o)
         """
-        normals = [u.normals[self.facets[:, o]] for o, u in enumerate(self.unsafe)]
-        d = self.tracking.system.d
-        flat = np.concatenate(normals) if normals else np.zeros((0, d))
+        system = self.tracking.system
+        normals = [u.rows(system)[self.facets[:, o]] for o, u in enumerate(self.unsafe)]
+        flat = np.concatenate(normals) if normals else np.zeros((0, system.n))
         distinct, index = np.unique(flat, axis=0, return_inverse=True)
         index = np.asarray(index).reshape(len(self.unsafe), self.cells).T
-        return -distinct @ self.tracking.system.position, index
+        return -distinct, index
 
     @cached_property
     def room(self) -> Array:
@@ -228,10 +228,10 @@ def facet_room(tracking: Tracking, reference: Reference, unsafe: TimedPolytope) 
     """
     system, q = tracking.system, tracking.feedback.nodes_per_cell
     nodes, offsets = reference.fine(q), unsafe.fine(q)[: reference.cells]
-    across = np.abs(unsafe.normals @ system.position @ system.A)
-    bow = at_nodes((reference.delta / q) ** 2 / 8 * reference.rates(nodes) @ across.T)
-    distance = (nodes @ system.position.T) @ unsafe.normals.T - offsets
-    size = np.abs(nodes @ system.position.T).sum(axis=-1, keepdims=True) + np.abs(offsets)
+    rows = unsafe.rows(system)
+    bow = at_nodes((reference.delta / q) ** 2 / 8 * reference.rates(nodes) @ np.abs(rows @ system.A).T)
+    size = np.abs(nodes) @ np.abs(rows).T + np.abs(offsets)
+    distance = nodes @ rows.T - offsets
     return np.asarray(distance - bow - ROUNDING * size)
 
 
@@ -241,7 +241,7 @@ def best_facets(
     """For every cell and set the facet that leaves most room beyond S's tube, shape (cells, o)."""
     chosen, q = np.zeros((reference.cells, len(unsafe)), dtype=int), tracking.feedback.nodes_per_cell
     for o, polytope in enumerate(unsafe):
-        tube = error_tube(tracking, start, -polytope.normals @ tracking.system.position)
+        tube = error_tube(tracking, start, -polytope.rows(tracking.system))
         room = facet_room(tracking, reference, polytope).min(axis=1)
         chosen[:, o] = np.argmax(room - tube.over_cells(reference.cells, q), axis=1)
     return chosen

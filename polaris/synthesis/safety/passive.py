@@ -103,7 +103,7 @@ class FreeFlight:
     def _rows(self) -> tuple[Array, Array, Array]:
         """Rows ``-n C e^{A t}`` of all sets, what bends in a part per state, what disturbs by its end."""
         system, h = self.system, self.delta / self.parts
-        rows = -np.vstack([np.zeros((0, system.d)), *(item.normals for item in self.sets)]) @ system.position
+        rows = -np.vstack([np.zeros((0, system.n)), *(item.rows(system) for item in self.sets)])
         flow, carried = LinearFlow.continuous(system.A, system.D, system.w_max, h), rows @ self._powers
         bend = h**2 / 8 * np.abs(rows @ system.A @ system.A) @ growth(system.A, h)
         pushed = flow.disturbance_support(rows, len(carried) - 1)[1:]

@@ -41,7 +41,7 @@ class HandOvers:
 
     @cached_property
     def _rows(self) -> CarriedRows:
-        normals = [-body.normals @ self.tracking.system.position for body in self.unsafe]
+        normals = [-body.rows(self.tracking.system) for body in self.unsafe]
         return CarriedRows.of(self.tracking, np.vstack([*normals, np.zeros((0, self.tracking.system.n))]))
 
     def _by_set(self, found: Array) -> list[Array]:

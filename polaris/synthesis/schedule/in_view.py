@@ -124,7 +124,7 @@ class Windows:
         demand = np.abs(law.gain @ safety.tracking.error(safety.start).G).sum(axis=-1) / system.u_max
         feedback, delta = safety.tracking.feedback, safety.problem.delta
         own, q = Tracking(system, law.gain, feedback, delta, float(demand.max())), feedback.nodes_per_cell
-        rows = (-body.normals @ system.position for body in safety.clearance.unsafe)
+        rows = (-body.rows(system) for body in safety.clearance.unsafe)
         return [error_tube(own, safety.start, each).over_cells(self.K, q) for each in rows]
 
     def _ask(self, asked: PlanProblem, deadline: float) -> None:

@@ -210,7 +210,7 @@ class BranchSearch:
             return np.asarray(most + safety.clearance.scheduled(rows).max(axis=(0, 1)))
 
         margins = [
-            np.maximum(known[b:], needed(-body.normals @ system.position))
+            np.maximum(known[b:], needed(-body.rows(system)))
             for body, known in zip(asked.unsafe, asked.margins, strict=True)
         ]
         thrust = needed(tracking.commands).reshape(asked.K - b, 2, -1).max(axis=1)

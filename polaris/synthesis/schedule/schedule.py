@@ -14,6 +14,7 @@ from reach.sets.zonotope import Zonotope
 from ...model.errors import ScenarioError
 from ...model.scene.obstacle import chaser_radius
 from ...model.scene.satellite import SatelliteObstacle
+from ...model.scene.state_limits import StateLimit
 from ...model.system import Array
 from ..controllers.black_box import FittedSegment, Statement
 from ..controllers.controllers import Controller, TubeSegment, construct_s
@@ -135,6 +136,7 @@ class Schedule:
             assumed(problem.system, problem.delta / safety.clearance.q),
             resting=any(bool(np.all(b == b[0, 0])) for b in offsets),
             satellites=any(isinstance(unsafe, SatelliteObstacle) for unsafe in problem.unsafe),
+            of_state=any(isinstance(unsafe, StateLimit) for unsafe in problem.unsafe),
             horizon=end.horizon,
             until=end.until if np.isfinite(end.until) else None,
             chaser=chaser_radius(problem.unsafe),

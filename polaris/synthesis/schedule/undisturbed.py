@@ -54,7 +54,7 @@ class Flights:
         push = flow.input_zonotope(system.B, np.diag(system.u_max), np.abs(system.B) @ system.u_max).G
         moved = [np.linalg.matrix_power(flow.phi, j) for j in range(PARTS + 1)]
         self.moved, self.push = moved[PARTS], np.hstack([part @ push for part in moved[:PARTS]])
-        self.normals = [unsafe.normals for unsafe in sets]
+        self.rows = [unsafe.rows(system) for unsafe in sets]
         ends = [unsafe.offsets[:K] for unsafe in sets]
         # The set of both cells that meet at a node: less than either.
         self.offsets = [np.minimum(b[:, 1], np.vstack([b[1:, 0], b[-1:, 1]])) for b in ends]
@@ -149,15 +149,14 @@ class _Clear:
     """The facets beyond which a flight can be: rows ``a g >= need`` over the shares g of its generators."""
 
     def __init__(self, flights: Flights, c: Array, G: Array, size: Array) -> None:
-        position = flights.system.position
-        centre, spread, reach = c @ position.T, position @ G, size @ np.abs(position).T
+        reach = size @ np.abs(flights.system.position).T
         self.unit, self.programs, self.never = float(reach.max()), 0, False
         self.ways: list[tuple[Array, Array]] = []
         only = [(np.zeros((0, G.shape[2])), np.zeros(0))]
-        for normals, offsets in zip(flights.normals, flights.offsets, strict=True):
-            a, b = np.einsum("fd,kdg->kfg", normals, spread), offsets[: len(c)]
-            need, most = b - centre @ normals.T, np.abs(a).sum(axis=2)
-            need = need - ROUNDING * (reach @ np.abs(normals).T + np.abs(b) + most)
+        for rows, offsets in zip(flights.rows, flights.offsets, strict=True):
+            a, b = np.einsum("fd,kdg->kfg", rows, G), offsets[: len(c)]
+            need, most = b - c @ rows.T, np.abs(a).sum(axis=2)
+            need = need - ROUNDING * (size @ np.abs(rows).T + np.abs(b) + most)
             can, open_ = most >= need, np.all(-most < need, axis=1)
             self.never |= bool(np.any(~np.any(can, axis=1)))
             one = open_ & (np.sum(can, axis=1) == 1)

@@ -1,0 +1,132 @@
+"""Limits on the whole state: the certificate's sets of states contain those that the scenario describes."""
+
+import math
+from itertools import product
+from typing import Any
+
+from flint import arb, arb_mat
+
+from ..files.document import ROUNDED, Document
+from ..files.parts import UnsafeSet
+from ..kernel.balls import absolute_dot, dot, identity, magnitude, matrix, require
+from ..kernel.verdict import Rejected
+from .navigation import holding
+
+KINDS = "states", "speed", "speed_polygon"
+"""Kinds of sets of states, which the tables of obstacles and of keep-in sets have."""
+
+Facet = tuple[arb_mat, arb_mat, arb]
+"""Row of the state (1, n), sizes (1, n) that its rounding is relative to, and bound: ``row x <= bound``."""
+
+
+def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any], inside: bool) -> None:
+    """Check that sets of states cover the complement of a limit to stay `inside`, or a set to stay out of.
+
+    In every step in which it holds; each grows by how far true states may be from the model's within it.
+    """
+    name, begins, ends = spec["name"], spec.get("from_s", 0.0), spec.get("until_s", math.inf)
+    T, moved = document.steps * document.delta, document.displaced
+    if begins >= T or (ends < math.inf and ends > T * (1 + ROUNDED)):
+        raise Rejected("unsafe_sets", f"{name} does not begin and end within {T:g} s")
+    wanted = _of_kind(document, spec, inside)
+    if len(items) != len(wanted):
+        raise Rejected("unsafe_sets", f"{name} has {len(items)} sets of states, not {len(wanted)}")
+    for item, facets in zip(items, wanted, strict=True):
+        if not item.of_state or len(item.normals) != len(facets):
+            raise Rejected("unsafe_sets", f"{item.name} must be a set of states with {len(facets)} facets")
+        for f, facet in enumerate(facets):
+            share = _share(item.normals[f], facet, item.name)
+            bound, more = share * facet[2], absolute_dot([arb(x) for x in item.normals[f]], moved)
+            for k in range(len(item.start)):
+                if holding(document, begins, ends, min(k, document.steps)):
+                    for offset in (item.start[k][f], item.end[k][f]):
+                        spare = offset - bound - more + (abs(bound) + more) * ROUNDED
+                        require("unsafe_sets", spare, f"{item.name}, facet {f}, in step {k}")
+
+
+def _share(normal: list[float], facet: Facet, name: str) -> arb:
+    """Return how many times as long as the scenario's row a normal is; both point the same way."""
+    row, sizes = (part.entries() for part in facet[:2])
+    lengths = [float(abs(x).mid()) for x in row]
+    at = lengths.index(max(lengths))
+    share = normal[at] / row[at]
+    require("unsafe_sets", share, f"a row of {name} is turned around")
+    for x, given, size in zip(normal, row, sizes, strict=True):
+        require("unsafe_sets", ROUNDED * share * size - abs(x - share * given), f"a row of {name} is turned")
+    return share
+
+
+def _of_kind(document: Document, spec: dict[str, Any], inside: bool) -> list[list[Facet]]:
+    """Return polytopes of states, by facets, whose union is unsafe."""
+    if spec["kind"] == "states":
+        given = zip(spec["rows"], spec["bounds"], strict=True)
+        facets = [(matrix([row]), magnitude(matrix([row])), arb(bound)) for row, bound in given]
+        return [[(-row, size, -bound)] for row, size, bound in facets] if inside else [facets]
+    C, A = matrix(document.C), matrix(document.A)
+    for moved in (matrix(document.B), matrix(document.D)):
+        if any(not x.is_zero() for x in (C * moved).entries()):
+            raise Rejected("unsafe_sets", f"{spec['name']} limits a velocity that is no part of the state")
+    d, V, growth = len(document.C), C * A, arb(spec.get("per_distance_1_s", 0.0))
+    sizes, top = matrix([[1.0] * d]) * magnitude(V), spec["max_m_s"]
+    if spec["kind"] == "speed_polygon":
+        first, second = spec.get("axes", (0, 1))
+        if first == second or max(first, second) >= d:
+            raise Rejected("unsafe_sets", f"{spec['name']} has no two axes of the velocity")
+        sides = int(spec.get("sides", 8))
+        E = [[x * (i == first) + y * (i == second) for i in range(d)] for x, y in _around(sides)]
+        return [[(-(_row(e) * V), sizes, -arb(top))] for e in E]
+    count = spec.get("facets")
+    if isinstance(top, list):
+        E, share = [*identity(d).tolist(), *(-identity(d)).tolist()], arb(1)
+        tops = [arb(x) for x in top * 2]
+        if len(top) != d:
+            raise Rejected("unsafe_sets", f"{spec['name']} must have {d} speeds")
+    else:
+        E, share = directions(d, count)
+        tops = [arb(top)] * len(E)
+    if growth.is_zero():
+        return [[(-(_row(e) * V), sizes, -share * most)] for e, most in zip(E, tops, strict=True)]
+    aims = spec["towards"] if "towards" in spec else directions(d, count)[0]
+    aims = [[arb(x) for x in aim] for aim in aims]
+    far = [_row([x * share * growth / dot(aim, aim).sqrt() for x in aim]) * C for aim in aims]
+    sizes = sizes + matrix([[1.0] * d]) * magnitude(C) * growth
+    pairs = zip(E, tops, strict=True)
+    return [[(row - _row(e) * V, sizes, -share * most) for row in far] for e, most in pairs]
+
+
+def _row(entries: list[arb]) -> arb_mat:
+    return arb_mat(1, len(entries), entries)
+
+
+def _around(count: int) -> list[tuple[arb, arb]]:
+    """Return unit vectors at equal angles in a plane."""
+    angles = [2 * arb.pi() * i / count for i in range(count)]
+    return [(angle.cos(), angle.sin()) for angle in angles]
+
+
+def directions(d: int, facets: int | None) -> tuple[list[list[arb]], arb]:
+    """Return unit vectors e and c: v has a length of at most 1 if ``e v <= c`` for all of them.
+
+    In space they are those of a cube's faces, corners and edges. All signs and orders of their entries are
+    among them, so the largest e v is that of the e with entries in v's order; and for v in the cone
+    x >= y >= z >= 0 these three bounds leave a polytope whose longest corner is 1/c.
+    """
+    if d == 1:
+        return [[arb(1)], [arb(-1)]], arb(1)
+    if d == 2:
+        count = facets or 12
+        return [[x, y] for x, y in _around(count)], (arb.pi() / count).cos()
+    one, two, three = arb(1), arb(2).sqrt(), arb(3).sqrt()
+    known = {
+        6: ((1,), 3 * one),
+        14: ((1, 3), 1 + (three - 1) ** 2),
+        18: ((1, 2), arb(3) / 2),
+        26: ((1, 2, 3), 1 + (two - 1) ** 2 + (three - two) ** 2),
+    }
+    count = facets or 26
+    if count not in known:
+        raise Rejected("unsafe_sets", f"{count} directions in space, not 6, 14, 18 or 26")
+    wanted, longest = known[count]
+    grid = [way for way in product((1, 0, -1), repeat=3) if sum(map(abs, way)) in wanted]
+    grid.sort(key=lambda way: sum(map(abs, way)))
+    return [[arb(x) / arb(sum(map(abs, way))).sqrt() for x in way] for way in grid], 1 / longest.sqrt()
