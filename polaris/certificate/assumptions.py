@@ -226,3 +226,12 @@ def _of_samples(
         "no drift: the boxes answer in flight as they answered the samples: begun afresh with every flight"
         " and asked once in every control period of it, whoever flies, in no matter what other flights",
     ]
+
+
+def hand_over(moving: bool, faulty: bool) -> tuple[str, ...]:
+    """Return what a mission rests on besides its legs: `moving` sets, and thrusters that may fail."""
+    known = "every leg's scenario is declared of the flight from its start on, whatever was flown before"
+    told = "at a node at which it is given, known on board before the leg's first command is made"
+    moves = "sets that move: they are where they are by the mission's clock, which starts with the first leg"
+    fails = "faults: at most one thruster fails in all legs together"
+    return f"GO: {told}", f"legs: {known}", *[moves] * moving, *[fails] * faulty

@@ -2,11 +2,13 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import flint
 
 from .claims.argument import Argument
+from .claims.joint import Joint
 from .files.artefacts import (
     check_artefacts,
     check_hashes,
@@ -16,10 +18,12 @@ from .files.artefacts import (
     unchecked,
 )
 from .files.demands import unchecked_demands
-from .files.document import Document, read
+from .files.document import Document, untrusted
 from .files.inputs import check_inputs
 from .kernel.balls import PRECISION
 from .kernel.verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
+from .mission import FORMAT as MISSION
+from .mission import check_mission
 from .model.plants import MOST_BITS, precision_for
 
 NAME = "certificate.json"  # the certificate's name in a run folder
@@ -47,7 +51,14 @@ def verify(path: str | Path) -> Verdict:
     given = Path(path)
     whole = given.is_dir()
     file = given / NAME if whole else given
-    return _judge(lambda record: _check(read(file), file.parent, record, whole))
+
+    def check(record: Record) -> list[str]:
+        data = untrusted(file)
+        if data.get("format") == MISSION:
+            return check_mission(data, file.parent, record, _check_leg)
+        return _check(Document(data), file.parent, record, whole)
+
+    return _judge(check)
 
 
 def verify_document(data: dict[str, object], folder: Path | None = None) -> Verdict:
@@ -74,7 +85,14 @@ def _judge(check: Callable[[Record], list[str]]) -> Verdict:
     return Verdict(outcome, claim, witness, excess, *told)
 
 
-def _check(document: Document, folder: Path | None, record: Record, whole: bool = False) -> list[str]:
+def _check_leg(document: Document, folder: Path, record: Record, joint: Joint | None) -> list[str]:
+    """Check the run of a leg, and its joint to the next one."""
+    return _check(document, folder, record, True, joint)
+
+
+def _check(
+    document: Document, folder: Path | None, record: Record, whole: bool = False, joint: Joint | None = None
+) -> list[str]:
     """Check everything; returns what is trusted besides."""
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
     record.holds("digest", f"scenario {document.scenario}, {document.steps} steps of {document.delta:g} s")
@@ -87,6 +105,7 @@ def _check(document: Document, folder: Path | None, record: Record, whole: bool 
         check_inputs(document, scenario, record)
         check_networks(document, scenario, folder, record)
         stated = check_artefacts(document, folder, scenario, record)
+        stated = replace(stated, joint=joint)
         trusted += unchecked(document, scenario, folder)
         record.unchecked += unchecked_demands(scenario)
         if stated.tank is not None and stated.upkeep is None:

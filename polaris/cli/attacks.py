@@ -13,6 +13,7 @@ from typer import Argument, Option
 from .shell import REFUTED, Assignments, Force, Json, Target, echo, print_result, verb
 
 if TYPE_CHECKING:
+    from ..runs.files.folder import RunFolder
     from ..simulation.falsification.search import Falsification
     from ..simulation.orbit.model_error import ModelError
 
@@ -70,6 +71,8 @@ def falsify_command(
 
     if out is not None:
         check_file(out, endings=(".json",), force=force)
+    if (mission := _mission(target)) is not None:
+        return _falsify_mission(mission, runs, seed, as_json)
     loaded = load_target(target, assignments or ())
     scenario = loaded.scenario
     check_file(out or f"{scenario.name}.case.json", force=force)
@@ -79,6 +82,36 @@ def falsify_command(
         path = write_case(out or f"{scenario.name}.case.json", scenario, found, force=force)
         echo(f"Saved: polaris replay {shlex.quote(str(path))}", err=True)
     return REFUTED if found.failure is not None else None
+
+
+def _mission(target: str) -> RunFolder | None:
+    """Return the run folder of a mission, if it is one."""
+    from ..runs.missions.mission import MISSION
+    from ..runs.run import read_run
+    from ..scenario.scenario import bundled_files
+
+    known = target in bundled_files() or not Path(target).is_dir()
+    folder = None if known else read_run(target)
+    return folder if folder is not None and folder.kind is MISSION else None
+
+
+def _falsify_mission(folder: RunFolder, runs: int, seed: int, as_json: bool) -> int | None:
+    """Attack every leg, and every joint from the corners of the leg before it."""
+    from ..runs.missions.attacks import falsify_mission
+
+    told = falsify_mission(folder, runs, seed)
+    print_result(told, as_json, partial(_show_mission, told))
+    return REFUTED if told["violated"] else None
+
+
+def _show_mission(told: dict[str, Any]) -> None:
+    """Print what attacks on legs and joints came to."""
+    for leg in told["legs"]:
+        echo(f"{leg['name']}: {leg['runs']} trajectories, {leg['failure'] or 'no violation'}")
+        if leg["share_of_start_set"] is not None:
+            share = f"{leg['share_of_start_set']:.1%} of the next leg's start set"
+            echo(f"{leg['name']}: {leg['attacks']} attacks on the joint take up {share}")
+    echo("VIOLATED" if told["violated"] else "No violation.")
 
 
 @verb("replay")

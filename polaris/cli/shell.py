@@ -162,13 +162,14 @@ class Output:
         if self.as_json:
             sys.stdout.write((folder.path / folder.kind.summary).read_text(encoding="utf-8"))
         elif not self.quiet:
-            from .show import comparison, inspection, schedule
+            from .show import comparison, inspection, mission, schedule
 
             show: dict[str, Callable[[Any, str], None]] = {
                 "schedule": schedule.show_summary,
                 "inspection": inspection.show_flight,
                 "fuel_limit": inspection.show_fuel,
                 "monte_carlo": inspection.show_campaign,
+                "mission": mission.show_mission,
                 "comparison": comparison.show_comparison,
                 "tradeoff": comparison.show_tradeoff,
             }

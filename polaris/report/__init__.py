@@ -6,6 +6,7 @@ from ..model.errors import ScenarioError
 from ..runs.files.atomic import adding, check_file, write_whole
 from ..runs.files.folder import RunFolder, readable
 from ..runs.files.tables import write_text
+from ..runs.missions.mission import MISSION
 from ..runs.points import TRADEOFF
 from ..runs.run import read_run
 from .html.page import Page, page_html
@@ -39,6 +40,8 @@ def write_report(folder: str | Path, out: str | Path | None = None, *, force: bo
     if run.kind is TRADEOFF:
         rule = "is a trade-off, which is a table and a figure; give one of the run folders in it"
         raise ScenarioError("report", str(folder), rule)
+    for leg in run.picture().legs if run.kind is MISSION and out is None else ():
+        write_report(leg.path, force=force)
     if out is not None:
         target = check_file(out, endings=(".html", ".htm"), force=force)
         write_whole(target, page_html(report_page(run)), force=force)
@@ -52,8 +55,9 @@ def report_page(run: RunFolder) -> Page:
     """Return the contents of the report of a folder; see `write_report`."""
     from .html.comparison_report import comparison_page
     from .html.inspection_report import inspection_page
+    from .html.mission_report import mission_page
     from .html.run_report import run_page
 
-    pages = {"comparison": comparison_page, "schedule": run_page}
+    pages = {"comparison": comparison_page, "schedule": run_page, "mission": mission_page}
     with readable(run.path):
         return pages.get(run.kind.name, inspection_page)(run)

@@ -16,6 +16,7 @@ from ..model.errors import ScenarioError
 from ..model.keys import printable
 from .base import KINDS, SCHEDULE, Scenario, overridden, parse_assignment
 from .inspection import FlightScenario, FuelLimitScenario, InspectionScenario, MonteCarloScenario
+from .mission import MissionScenario
 from .reading import did_you_mean, read_document
 from .schedule import ScheduleScenario
 
@@ -24,6 +25,7 @@ __all__ = [
     "FlightScenario",
     "FuelLimitScenario",
     "InspectionScenario",
+    "MissionScenario",
     "MonteCarloScenario",
     "Scenario",
     "ScheduleScenario",
@@ -37,6 +39,7 @@ KINDS |= {
     "inspection": FlightScenario,
     "fuel_limit": FuelLimitScenario,
     "monte_carlo": MonteCarloScenario,
+    "mission": MissionScenario,
 }
 
 Wanted = TypeVar("Wanted", bound=Scenario)

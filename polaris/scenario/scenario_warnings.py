@@ -6,6 +6,7 @@ from scipy.linalg import expm
 from ..model.scene.state_limits import StateLimit
 from ..model.system import LinearSystem
 from .base import Scenario
+from .mission import MissionScenario
 from .schedule import ScheduleScenario
 
 WEAK = 0.5  # largest ratio of what the disturbance and full thrust move the position by
@@ -24,6 +25,8 @@ SHARP, SMALL = 30_000.0, 0.02
 
 def scenario_warnings(scenario: Scenario) -> list[str]:
     """Return what to look at again before a long run of a valid scenario, one sentence each."""
+    if isinstance(scenario, MissionScenario):
+        return [f"leg {leg.name}: {note}" for leg in scenario.legs() for note in scenario_warnings(leg)]
     if not isinstance(scenario, ScheduleScenario):
         return []
     system, step, steps = scenario.system(), scenario.step, scenario.steps

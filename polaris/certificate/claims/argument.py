@@ -19,6 +19,7 @@ from .coasting import JUMP_SLACK, PATH_SLACK, check_end, flown_path
 from .continuation import Continuation, HandOver, Tracker
 from .drift import Departures, Drifts
 from .flights import Flown, Pilot, fly
+from .joint import check_joint
 from .powered import check_aborts
 from .spending import spent
 from .upkeep import check_estimate, check_upkeep
@@ -78,6 +79,8 @@ class Argument:
             taken = spent(flown, self.K * doc.q, doc.weights[: self.K]) / doc.mass
             arrival = Arrival(flight, held, taken, self.pilots[0], merging, flown)
             self.record.holds("goal", arrival.check(*self.stated.goal))
+            if self.stated.joint is not None:
+                self.record.holds("joint", check_joint(arrival, self.stated.joint))
             if self.stated.budget is not None:
                 self.record.holds("schedule", arrival.keeps(self.stated.goal[0], self.stated.budget))
             if self.stated.upkeep is not None:

@@ -162,7 +162,7 @@ class Arrival:
 
         def near(node: int) -> float:
             need = self.flight.need(needs, self.held, self._first + node)
-            return float(rows.distance(sums(rows.over(self._state(node)), need)).mid())
+            return float(rows.distance(sums(rows.over(self.state(node)), need)).mid())
 
         return sorted(every[: max(late, 1)], key=near)[:MOST]
 
@@ -182,7 +182,7 @@ class Arrival:
             self._flown.append(fly(self.pilot, start, k, self.flight.path, None, self.merging))
         return self._flown
 
-    def _at(self, needs: Needs, node: int) -> list[arb]:
+    def at(self, needs: Needs, node: int) -> list[arb]:
         """Bound errors along rows at a node after T."""
         least = self.flight.need(needs, self.held, self._first + node)
         if self.pilot is None or not self.document.profile or node == self._last:
@@ -198,7 +198,7 @@ class Arrival:
         whole = self.flight.tracker.craft.whole(rows)
         return sums(z.support(whole), (magnitude(rows) * column(self.document.at_nodes)).entries())
 
-    def _state(self, node: int) -> arb_mat:
+    def state(self, node: int) -> arb_mat:
         """State of the reference at a node of the tail."""
         cell, place = divmod(node, self.document.q)
         arcs, at = self.flight.path.arcs, self.document.steps + cell
@@ -206,7 +206,7 @@ class Arrival:
 
     def distance(self, rows: Weighted, needs: Needs, node: int) -> arb:
         """Return the largest distance of a flight from the goal at a node."""
-        return rows.distance(sums(rows.over(self._state(node)), self._at(needs, node)))
+        return rows.distance(sums(rows.over(self.state(node)), self.at(needs, node)))
 
     def _drift(self, claimed: float | None, node: int) -> None:
         if claimed is None:
@@ -214,7 +214,7 @@ class Arrival:
         if self.document.system_kind != "clohessy_wiltshire":
             raise Rejected("goal", "a drift per orbit needs Hill's frame")
         both = self._drifting.rows
-        most = largest(sums((both * self._state(node)).entries(), self._at(self._drifting, node)))
+        most = largest(sums((both * self.state(node)).entries(), self.at(self._drifting, node)))
         self.no_less("drift per orbit", claimed, 6 * arb.pi() * most)
 
     @cached_property

@@ -94,6 +94,7 @@ class Stated:
     goal: tuple[dict[str, Any], dict[str, Any]] | None = None  # what is claimed of it, and the scenario's own
     orbit: dict[str, Any] | None = None  # that an abort with thrust leads to, by the scenario
     aborts: list[float | None] = field(default_factory=list)  # velocity change of an abort in every step
+    joint: Any = None  # to the next leg of a mission
 
 
 def check_artefacts(document: Document, folder: Path, scenario: dict[str, Any], record: Record) -> Stated:

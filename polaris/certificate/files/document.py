@@ -279,6 +279,11 @@ class Document:
 
 def read(path: Path) -> Document:
     """Read a certificate; raises as `Document` does, and `OSError`."""
+    return Document(untrusted(path))
+
+
+def untrusted(path: Path) -> dict[str, Any]:
+    """Read the JSON object of a file, of which nothing is known yet; raise `Rejected`, `OSError`."""
     found = contents(path)
     try:
         data = strict_json(found)
@@ -286,4 +291,4 @@ def read(path: Path) -> Document:
         raise Rejected("format", f"not JSON: {error}") from error
     if not isinstance(data, dict):
         raise Rejected("format", "not a JSON object")
-    return Document(data)
+    return data

@@ -94,6 +94,8 @@ def draw_run(folder: RunFolder) -> list[Path]:
         "tradeoff": comparison.TRADEOFF,
     }
     picture = folder.picture()
+    if folder.kind.name == "mission":
+        return [path for leg in picture.legs for path in draw_run(leg)]
     with adding(folder.path, "figures") as beside:
         names = [path.name for path in draw_figures(picture, beside, known[folder.kind.name])]
     return [folder.path / "figures" / name for name in names]

@@ -191,10 +191,10 @@ class Schedule:
     @cached_property
     def spending(self) -> Spending:
         """Bounds on the velocity change, and weights by which they are found."""
-        return self._tail.spending(self._spells, self.approach)
+        return self.tail.spending(self._spells, self.approach)
 
     @property
-    def _tail(self) -> Tail:
+    def tail(self) -> Tail:
         """Build S's flight after T; not cached, as its tubes take too much memory."""
         last, q = max((step.k + 1 for step in self.steps if step.mode), default=0), self.safety.clearance.q
         handed = self.steps[last - 1].tube.end if last else self.safety.start
@@ -204,7 +204,7 @@ class Schedule:
     @cached_property
     def approach(self) -> Approach:
         """Whether and by when the goal is proven reached."""
-        return self._tail.approach()
+        return self.tail.approach()
 
     @cached_property
     def arrival(self) -> Arrival:
@@ -215,7 +215,7 @@ class Schedule:
     @cached_property
     def upkeep(self) -> Upkeep | None:
         """Bound on what S spends after T, for ever, and on how long the tank lasts, where that is proven."""
-        return self._tail.upkeep(self.spending)
+        return self.tail.upkeep(self.spending)
 
     @cached_property
     def estimate(self) -> dict[str, list[float] | None] | None:
@@ -231,7 +231,7 @@ class Schedule:
         most = [np.max([sets.support(rows), sets.support(-rows)], axis=(0, 1)) for sets in flown]
         least = tracking.system.navigation + tracking.system.displaced_at_nodes  # whatever is commanded
         found = {
-            "settled": None if self.upkeep is None else self._tail.estimate(tracking.memory + 2),
+            "settled": None if self.upkeep is None else self.tail.estimate(tracking.memory + 2),
             "experimental": np.max(most, axis=0) + beside if flown else None,
         }
         more = 1 + spare(tracking)
@@ -284,7 +284,7 @@ class Schedule:
     @property
     def _spent_apart(self) -> float:
         """Bound `spent` by that of every period [m/s], which takes little time."""
-        tail, spells = self._tail, self._spells
+        tail, spells = self.tail, self._spells
         scale = tail.safety.tracking.flow.h / tail.safety.problem.system.mass
         apart = FlightSpending(spells, tail.T).apart(tail.T) * scale * (1 + spare(tail.safety.tracking))
         return apart + (tail.correcting(self.approach.node) if self.approach.reached is True else 0.0)

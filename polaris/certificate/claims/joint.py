@@ -1,0 +1,105 @@
+"""The joint of two legs: at the nodes of GO every state under S is in the next leg's start set."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from flint import arb, arb_mat
+
+from ..kernel.balls import above, absolute, column, exponential, identity, largest, magnitude, require, sums
+from ..kernel.verdict import Rejected
+from ..model.craft.needs import Needs
+from .arrival import Arrival
+
+Windows = list[list[int]]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Claim of a joint; nodes count from the end of the leg's horizon."""
+
+    center: list[float]  # of the next leg's start set
+    half_widths: list[float]
+    go: list[float]  # half-widths of the box in which estimates give GO
+    first: Windows  # nodes of the tail, from the first of a pair to the last
+    later: Windows  # phases of a turn, in periods, at which nodes of all later turns may lie
+    assured: bool  # every estimate is in the GO box at these nodes
+
+
+@dataclass(frozen=True, eq=False)
+class _Check:
+    arrival: Arrival
+    joint: Joint
+
+    @property
+    def last(self) -> int:
+        """The last node of the tail."""
+        doc = self.arrival.document
+        return (doc.cells - doc.steps) * doc.q
+
+    @cached_property
+    def needs(self) -> Needs:
+        one, tracker = identity(len(self.joint.center)), self.arrival.flight.tracker
+        return Needs(tracker.craft, tracker.memory, above(one, -one))
+
+    @cached_property
+    def off(self) -> list[arb]:
+        """Bounds on what estimates are off at a node after T, twice, as the rows are."""
+        doc = self.arrival.document
+        known = doc.known_to(doc.steps) or [0.0] * len(doc.A)
+        return [arb(x) + y for x, y in zip(known, doc.at_nodes, strict=True)] * 2
+
+    def inside(self, node: int, need: list[arb], where: str) -> None:
+        """Refuse a node at which states need more along a row than the start set leaves."""
+        n, spec = len(self.joint.center), self.joint
+        along = (self.needs.rows * self.arrival.state(node)).entries()
+        if spec.assured:
+            need = sums(need, [2 * x for x in self.off])
+        for i, (at, most) in enumerate(zip(along, need, strict=True)):
+            sign = 1 if i < n else -1
+            room = sign * arb(spec.center[i % n]) + spec.half_widths[i % n] - at
+            told = "estimates" if spec.assured else "states"
+            require(
+                "joint", room - most, f"{told} {where}, coordinate {i % n}: beyond the next leg's start set"
+            )
+
+    def run(self) -> str:
+        doc, spec, flight = self.arrival.document, self.joint, self.arrival.flight
+        for half, go, off in zip(spec.half_widths, spec.go, self.off, strict=False):
+            require("joint", arb(half) - off - go, "the GO box and errors of estimates exceed the start set")
+            if not go > 0:
+                raise Rejected("joint", "no estimate shows that the state is in the next leg's start set")
+        for first, final in [*spec.first, *spec.later]:
+            if not 0 <= first <= final <= self.last:
+                raise Rejected("joint", f"nodes {first} to {final} are not in the tail")
+        for first, final in spec.first:
+            for node in range(first, final + 1):
+                self.inside(node, self.arrival.at(self.needs, node), f"{node} periods after T")
+        if spec.later:
+            if doc.horizon != "infinite":
+                raise Rejected("joint", "GO in later turns needs safety for ever")
+            begin = doc.steps * doc.q + max(self.last, flight.tracker.memory.periods + 2) + 1
+            settled = sums(flight.need(self.needs, self.arrival.held, begin), self.bent * 2)
+            for first, final in spec.later:
+                for node in range(first, final + 1):
+                    self.inside(node, settled, f"in later turns, {node} periods after one begins")
+        count = sum(final - first + 1 for first, final in spec.first)
+        return (
+            f"in the next leg's start set at {count} nodes of the first turn, {len(spec.later)} spans later"
+        )
+
+    @cached_property
+    def bent(self) -> list[arb]:
+        """By how much the reference may leave its chord within a period of the tail, by state."""
+        plant = self.arrival.flight.tracker.craft.plant
+        A, n = plant.A, len(self.joint.center)
+        grown = exponential(absolute(A), plant.h)[0]
+        curved = [magnitude(A * A * self.arrival.state(node)).entries() for node in range(self.last + 1)]
+        most = column([largest(x) for x in zip(*curved, strict=True)]) if curved else arb_mat(n, 1)
+        return [x * plant.h * plant.h / 8 for x in (grown * most).entries()]
+
+
+def check_joint(arrival: Arrival, joint: Joint) -> str:
+    """Refuse a joint that does not follow from the sets of the leg; return what was confirmed."""
+    if not (joint.first or joint.later):
+        raise Rejected("joint", "GO is given at no node")
+    return _Check(arrival, joint).run()

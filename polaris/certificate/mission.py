@@ -1,0 +1,292 @@
+"""Check the certificate of a mission: its legs one by one, the joints between them, and its sums."""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from flint import arb
+
+from .assumptions import hand_over
+from .claims.joint import Joint
+from .files.document import Document, digest, untrusted
+from .files.file_keys import BOUND, NOT_NEGATIVE, TEXT, VECTOR
+from .files.scenario_keys import NAME
+from .files.structure import LARGEST_SCENARIO, Items, Named, Whole, conform, contents, sha256, strict_json
+from .kernel.balls import plain
+from .kernel.verdict import Failed, Record, Rejected
+from .model.plants import plant_of
+from .model.timing import owed
+
+FORMAT = "polaris-mission"
+CERTIFICATE, SCENARIO, SUMMARY = "certificate.json", "scenario.toml", "summary.json"
+OWN, OF_MISSION = (
+    ("kind", "legs"),
+    ("stay_s",),
+)  # keys at the top that no leg has, and of a leg that its run has not
+PLACED = 1e-9  # rounding of places of moving sets, and of instants, relative to their size
+
+_NODES = Items(Items(Whole(), 2, 2))
+_LEG = {"name": NAME, "digest": TEXT, "leaves_s": NOT_NEGATIVE, "delta_v_max_m_s": BOUND}
+_LEG |= {"waiting_m_s2": BOUND, "safe_until_s": BOUND, "drift_s": BOUND}
+_JOINT = {"center": VECTOR, "half_widths": VECTOR, "first": _NODES, "later": _NODES, "assured": bool}
+KEYS = {
+    **dict.fromkeys(("format", "digest"), TEXT),
+    "schema_version": Whole(1, 1),
+    "artefacts": Named(TEXT),
+    "legs": Items(_LEG, 2, 32),
+    "joints": Items(_JOINT, 1, 31),
+    "delta_v_max_m_s": BOUND,
+    "assumptions": Items(TEXT),
+}
+"""Every key of the certificate of a mission."""
+
+CheckRun = Callable[[Document, Path, Record, Joint | None], list[str]]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One leg as its own folder has it."""
+
+    name: str
+    folder: Path
+    document: Document
+    scenario: dict[str, Any]  # as the mission describes it
+    start: Fraction  # when it starts as planned [s]
+    stay: Fraction  # from its end until GO, as planned [s]
+    claim: dict[str, Any]  # guarantee that its run states
+
+    @property
+    def period(self) -> Fraction:
+        """Control period [s]."""
+        return Fraction(self.document.delta) / self.document.q
+
+    @property
+    def T(self) -> Fraction:
+        """Horizon [s]."""
+        return Fraction(self.document.delta) * self.document.steps
+
+
+def check_mission(data: dict[str, Any], folder: Path, record: Record, check_run: CheckRun) -> list[str]:
+    """Check a mission's certificate, whose data was read from JSON; return what is trusted besides."""
+    if data.get("digest") != digest(data):
+        raise Rejected("digest", "the certificate was changed")
+    stated = conform(data, KEYS, "format", "certificate")
+    for name in (SCENARIO, "trace.npz"):
+        if stated["artefacts"].get(name) != sha256(folder / name):
+            raise Rejected("artefacts", f"{name} has not the hash that the certificate has")
+    mission = _toml(folder / SCENARIO)
+    legs = _legs(mission, stated, folder)
+    if len(stated["joints"]) != len(legs) - 1:
+        raise Rejected("legs", "there must be a joint between any two legs")
+    if stated["assumptions"] != list(
+        hand_over(any(map(_moves, legs)), any(leg.document.allocation for leg in legs))
+    ):
+        raise Rejected("assumptions", "the mission rests on other assumptions than those of its format")
+    trusted = dict.fromkeys(stated["assumptions"])
+    record.holds("legs", ", then ".join(leg.name for leg in legs))
+    joints = [_joint(legs, i, each) for i, each in enumerate(stated["joints"])]
+    for i, leg in enumerate(legs):
+        own = Record()
+        try:
+            trusted |= dict.fromkeys(check_run(leg.document, leg.folder, own, [*joints, None][i]))
+        except Failed as error:
+            raise type(error)(error.claim, f"leg {leg.name}: {error.witness}", error.excess) from error
+        if joints[i:] and "joint" not in dict(own.checked):
+            raise Rejected("joint", f"nothing was derived of where leg {leg.name} ends")
+        if own.sampled or leg.document.guarantee != "proved":
+            raise Rejected("guarantee", f"leg {leg.name} is not proved")
+        record.checked += [(f"{leg.name}: {claim}", told) for claim, told in own.checked]
+        record.unchecked += [line for line in own.unchecked if line not in record.unchecked]
+    record.holds("delta_v", _sums(legs, stated))
+    _check_summary(folder / SUMMARY, stated)
+    return list(trusted)
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(contents(path, LARGEST_SCENARIO).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise Rejected("artefacts", f"{path.name} cannot be read: {error}") from error
+
+
+def _legs(mission: Mapping[str, Any], stated: Mapping[str, Any], folder: Path) -> list[Leg]:
+    """Return the legs; the scenario of each run is what the mission says of it, in the mission's order."""
+    specs, start, legs = mission.get("legs"), Fraction(0), list[Leg]()
+    if mission.get("kind") != "mission" or not isinstance(specs, list) or len(specs) != len(stated["legs"]):
+        raise Rejected("legs", "the certificate has other legs than the mission")
+    shared = {key: value for key, value in mission.items() if key not in OWN}
+    for i, (spec, known) in enumerate(zip(specs, stated["legs"], strict=True)):
+        if not isinstance(spec, dict) or spec.get("name") != known["name"]:
+            raise Rejected("legs", f"leg {i + 1} is {known['name']}, and another in the mission")
+        own = folder / f"{i + 1}-{known['name']}"
+        data = untrusted(own / CERTIFICATE)
+        document = Document(data)
+        if data["digest"] != known["digest"]:
+            raise Rejected(
+                "legs", f"the run of leg {known['name']} is not the one that the mission was made of"
+            )
+        told = {"title": f"{mission.get('title', '')}: {spec['name']}"[:200], "description": ""}
+        scenario = {**shared, **told, **spec}
+        stay = _number(scenario.pop("stay_s", 0.0))
+        _same(scenario, _toml(own / SCENARIO), start, known["name"])
+        claim = strict_json(contents(own / "schedule.json"))["guarantee"]
+        legs.append(Leg(known["name"], own, document, scenario, start, stay, claim))
+        start += legs[-1].T + stay
+    return legs
+
+
+def _number(x: Any) -> Fraction:
+    if isinstance(x, bool) or not isinstance(x, int | float) or not 0 <= x < 1e12:
+        raise Rejected("scenario", f"stay_s: {x!r} is no time")
+    return Fraction(x)
+
+
+def _same(asked: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, name: str) -> None:
+    """Refuse a run of another scenario; sets that move are where they are when the leg starts."""
+    rest = [{key: value for key, value in each.items() if key != "obstacles"} for each in (asked, run)]
+    sets = [each.get("obstacles", []) for each in (asked, run)]
+    if rest[0] != rest[1] or len(sets[0]) != len(sets[1]):
+        raise Rejected("legs", f"the run of leg {name} is of another scenario than the mission says")
+    for a, b in zip(*sets, strict=True):
+        place = "offsets_m" if a.get("kind") == "polytope" else "center_m"
+        still = [{key: value for key, value in each.items() if key != place} for each in (a, b)]
+        moved = _place(a, place, start)
+        there = b.get(place) if moved is None else [Fraction(x) for x in b.get(place, ())]
+        if still[0] != still[1] or (moved is None and a.get(place) != there):
+            raise Rejected("legs", f"leg {name}: {a.get('name')} is another set than in the mission")
+        for x, y in zip(moved or (), there, strict=True) if moved is not None else ():
+            if abs(x - y) > PLACED * max(1, abs(x)):
+                told = f"leg {name}: {a['name']} is not where it is after {float(start):.6g} s"
+                raise Rejected("legs", told, float(abs(x - y)))
+
+
+def _place(obstacle: Mapping[str, Any], place: str, t: Fraction) -> list[Fraction] | None:
+    """Return where a set at a constant velocity is at a time; None for any other."""
+    v = [Fraction(x) for x in obstacle.get("velocity_m_s") or ()]
+    if obstacle.get("kind") == "satellite" or not any(v):
+        return None
+    rows = obstacle["normals"] if place == "offsets_m" else None
+    along = v if rows is None else [sum(Fraction(a) * x for a, x in zip(row, v, strict=True)) for row in rows]
+    return [Fraction(x) + y * t for x, y in zip(obstacle[place], along, strict=True)]
+
+
+def _moves(leg: Leg) -> bool:
+    """Return True if a leg has a set that moves."""
+    sets = leg.scenario.get("obstacles", ())
+    return any(each["kind"] == "satellite" or any(each.get("velocity_m_s") or ()) for each in sets)
+
+
+def _joint(legs: list[Leg], i: int, stated: Mapping[str, Any]) -> Joint:
+    """Return the claim of a joint, once its instants and its boxes are those of the legs on both sides."""
+    leg, after = legs[i], legs[i + 1]
+    where = f"from {leg.name} to {after.name}"
+    box = after.scenario["initial_set"]
+    if box["kind"] != "box" or stated["center"] != box["center"]:
+        raise Rejected("joint", f"{where}: the GO box is not about the middle of the next leg's start set")
+    if len(stated["half_widths"]) != len(box["half_widths"]) or len(box["center"]) != len(leg.document.A):
+        raise Rejected("joint", f"{where}: the GO box is one of other states")
+    _same_craft(leg.document, after.document, where)
+    if any(map(_moves, legs[i + 1 :])):
+        node = leg.stay / leg.period
+        if abs(node - round(node)) > PLACED * max(1, node):
+            raise Rejected("joint", f"{where}: GO is planned between two nodes, but later sets move")
+        if stated["later"] or stated["first"] != [[round(node)] * 2]:
+            raise Rejected("joint", f"{where}: later sets move, so GO is given as planned or never")
+    if any(_satellite(each) for each in legs[i + 1 :]):
+        raise Rejected("joint", f"{where}: another satellite in a later leg")
+    given = stated["half_widths"], stated["first"], stated["later"], stated["assured"]
+    return Joint(box["center"], box["half_widths"], *given)
+
+
+def _satellite(leg: Leg) -> bool:
+    return any(each["kind"] == "satellite" for each in leg.scenario.get("obstacles", ()))
+
+
+def _same_craft(one: Document, two: Document, where: str) -> None:
+    """Refuse legs of two craft, and, where a loop remembers more than the error, of two loops."""
+    if one.transients or two.transients:
+        raise Rejected("joint", f"{where}: a fault may last across the hand-over")
+    if (one.observer or {}).get("initial") or (two.observer or {}).get("initial"):
+        raise Rejected("joint", f"{where}: an observer's first errors are those of the first leg alone")
+    remembers = any(each.timing or each.observer for each in (one, two))
+    kept = ("kind", "A", "B", "C", "D", "mass", "mean_motion", "input_names")
+    for key in {*one.system, *two.system} if remembers else kept:
+        if one.system.get(key) != two.system.get(key):
+            raise Rejected("joint", f"{where}: {key} of the system is another")
+
+
+def _spent(leg: Leg, leaves: float) -> arb | None:
+    """Bound the velocity change of a leg until it is left, from what its run claims [m/s]."""
+    goal, upkeep = leg.claim["goal"], leg.claim["upkeep"]
+    if goal["reached"] is True and leaves <= goal["by_s"]:
+        return arb(goal["delta_v_max_m_s"])
+    if upkeep is None:
+        return None
+    waited = arb(leaves) - upkeep["settled_s"]
+    return arb(upkeep["until_settled_m_s"]) + (waited * upkeep["rate_m_s2"] if waited > 0 else 0)
+
+
+def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
+    """Check when legs are left, what they spend until then and in all, and for how long they are safe."""
+    total: arb | None = arb(0)
+    for i, (leg, known) in enumerate(zip(legs, stated["legs"], strict=True)):
+        leaves, doc = known["leaves_s"], leg.document
+        node = (Fraction(leaves) - leg.T) / leg.period
+        if abs(node - round(node)) > PLACED * max(1, abs(node)) or Fraction(leaves) < (leg.T + leg.stay) * (
+            1 - PLACED
+        ):
+            raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, which is no node from GO on")
+        if i < len(stated["joints"]) and not _within(stated["joints"][i], round(node), leg):
+            raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, when GO is not given")
+        spent = _spent(leg, leaves)
+        if spent is not None and i:  # impulses that the leg before leaves behind
+            spent += owed(plant_of(doc)) / doc.mass
+        _no_less(f"velocity change of leg {leg.name}", known["delta_v_max_m_s"], spent)
+        total = None if total is None or spent is None else total + spent
+        rate = None if leg.claim["upkeep"] is None else arb(leg.claim["upkeep"]["rate_m_s2"])
+        _no_less(f"velocity change per second of leg {leg.name}", known["waiting_m_s2"], rate)
+        if known["safe_until_s"] != doc.until:
+            raise Rejected("end", f"leg {leg.name} is claimed to be safe until another instant than it is")
+        drift = doc.drift
+        clear = drift is not None and all(part is not None for part in drift.steps)
+        if known["drift_s"] is not None and not (clear and known["drift_s"] <= drift.horizon):
+            raise Rejected("passive", f"the drift of leg {leg.name} is not clear from all steps for so long")
+    _no_less("velocity change of the mission", stated["delta_v_max_m_s"], total)
+    return "nothing claimed" if total is None else f"at most {plain(total)} m/s in all"
+
+
+def _within(joint: Mapping[str, Any], node: int, leg: Leg) -> bool:
+    """Return True if GO may be given so many periods after the leg's horizon."""
+    if any(a <= node <= b for a, b in joint["first"]):
+        return True
+    doc = leg.document
+    if not node > (doc.cells - doc.steps) * doc.q:
+        return False
+    if doc.system_kind != "clohessy_wiltshire":
+        return bool(joint["later"])
+    turn = 2 * arb.pi() / arb(doc.mean_motion or 0.0) / (arb(leg.document.delta) / doc.q)
+    phase = node - (arb(node) / turn).floor() * turn
+    return any(a <= phase and phase <= b for a, b in joint["later"])
+
+
+def _no_less(what: str, claimed: float | None, derived: arb | None) -> None:
+    """Refuse a figure that is less than what is derived; null claims nothing."""
+    if claimed is not None and not (derived is not None and derived <= arb(claimed) * (1 + PLACED)):
+        told = "nothing" if derived is None else plain(derived)
+        raise Rejected("delta_v", f"{what}: {claimed:g} claimed, {told} derived")
+
+
+def _check_summary(path: Path, stated: Mapping[str, Any]) -> None:
+    """Refuse a summary that claims something else than the certificate."""
+    if path.exists():
+        summary = strict_json(contents(path))
+        legs = [{key: value for key, value in leg.items() if key != "digest"} for leg in stated["legs"]]
+        for key, said in {**stated, "legs": legs}.items():
+            if (
+                key in ("legs", "joints", "delta_v_max_m_s", "assumptions")
+                and summary["mission"].get(key) != said
+            ):
+                raise Rejected("summary", f"{key} in {path.name} is not what the certificate says")

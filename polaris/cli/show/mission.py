@@ -1,0 +1,25 @@
+"""Printed summary of a mission."""
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from ...report.missions import flown, joint_tables, legs_table
+from . import assume, say, show_cells
+
+
+def show_mission(summary: Mapping[str, Any], folder: str) -> None:
+    """Print legs, GO boxes, statistics of flights, and what the mission rests on besides its legs."""
+    say(str(summary["title"]), "bold")
+    show_cells(legs_table(summary), 110)
+    for shown in joint_tables(summary):
+        say("")
+        say(shown.caption, "bold")
+        show_cells(shown)
+    say("")
+    for head, sentence in flown(summary):
+        say(f"{head}: {sentence}.")
+    say("Guarantee: proved leg by leg and at the joints, assuming what the legs do, and that", "bold")
+    assume(summary["mission"]["assumptions"])
+    say(f"Run folder: {folder}; one folder in it for each leg")
+    say(f"Report: polaris report {shlex.quote(folder)}")

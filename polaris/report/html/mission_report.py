@@ -1,0 +1,54 @@
+"""Page of a mission: its legs, GO boxes, flights of all legs, and links to the pages of the legs."""
+
+import numpy as np
+from markupsafe import Markup
+
+from ...runs.files.folder import RunFolder
+from ...runs.missions.mission import MissionPicture
+from ..missions import flown, joint_tables, legs_table
+from ..scene.palette import mode_colour
+from ..tables import Cell, Table
+from .page import Page, badge, macros, reading, table
+from .run_report import answers, guarantee_section
+
+
+def mission_page(folder: RunFolder) -> Page:
+    """Return the report of a mission."""
+    summary, picture = folder.summary, folder.picture()
+    claim, names = summary["mission"], [leg["name"] for leg in summary["mission"]["legs"]]
+    spent = claim["delta_v_max_m_s"]
+    told = "no bound" if spent is None else f"{spent:.4g} m/s"
+    cards = (
+        (
+            "Is it safe?",
+            badge("proved"),
+            "every leg, and every hand-over at GO; at NO-GO the safety controller stays",
+        ),
+        ("Does it go on?", f"{len(names)} legs", " → ".join(names)),
+        ("What does it cost?", told, "at most, proven, to the planned end"),
+        ("Who flies when?", f"{picture.flown.times[-1]:.6g} s", "as planned"),
+    )
+    lead = Markup(macros("run.html").answers(cards, _stretches(picture), f"{picture.flown.times[-1]:.6g} s"))
+    joints = Markup("").join(table(each) for each in joint_tables(summary))
+    flights = Table("Simulated from end to end", ["", ""], [[Cell(a), Cell(b)] for a, b in flown(summary)])
+    sections = [
+        ("legs", "Legs", table(legs_table(summary))),
+        ("joints", "GO or NO-GO", joints),
+        ("flights", "Flights", table(flights)),
+    ]
+    for name, leg in zip(names, picture.legs, strict=True):
+        own = leg.summary
+        link = Markup(
+            '<p><a href="{0}/report.html">Interactive report of this leg</a>, in the folder {0}.</p>'
+        )
+        told = answers(own, leg.picture()) + link.format(leg.path.name) + guarantee_section(own["guarantee"])
+        sections.append((f"leg-{name}", f"Leg {name}", told))
+    return Page(str(summary["title"]), lead, (*sections, reading(summary)), {}, summary)
+
+
+def _stretches(picture: MissionPicture) -> list[tuple[int, str]]:
+    """Return for how many periods who flies, and the colour of the mode."""
+    modes = picture.flown.modes
+    cuts = np.flatnonzero(np.diff(modes)) + 1
+    parts = np.split(modes, cuts)
+    return [(len(part), mode_colour(int(part[0]))) for part in parts]

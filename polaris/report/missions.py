@@ -1,0 +1,92 @@
+"""Tables of a mission: its legs, when GO is given, and the boxes of estimates that give it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..synthesis.safety.recoverable import directed
+from .tables import Cell, Table
+
+
+def legs_table(summary: Mapping[str, Any]) -> Table:
+    """Return the legs, what each spends at most, and for how long each is safe."""
+    heads = ["leg", "left at", "spends at most", "waiting", "NO-GO: S is safe", "drift stays clear"]
+    rows, mission = [], summary["mission"]
+    for leg in mission["legs"]:
+        waits = "-" if leg["waiting_m_s2"] is None else f"{_up(leg['waiting_m_s2'] * 3600)} m/s per hour"
+        until = "for ever" if leg["safe_until_s"] is None else f"until {leg['safe_until_s']:.6g} s"
+        drift = "no claim" if leg["drift_s"] is None else f"{leg['drift_s']:.6g} s"
+        texts = f"{leg['leaves_s']:.6g} s", f"{_spent(leg)} m/s", waits, until, drift
+        rows.append([Cell(leg["name"], words=True), *map(Cell, texts)])
+    whole = [
+        Cell("mission", words=True),
+        Cell(""),
+        Cell(f"{_spent(mission)} m/s"),
+        Cell(""),
+        Cell(""),
+        Cell(""),
+    ]
+    return Table("Legs", heads, [*rows, whole])
+
+
+def joint_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Return the GO box of every joint: what estimates must be for GO, by coordinate."""
+    mission, found = summary["mission"], []
+    for i, joint in enumerate(mission["joints"]):
+        names = mission["legs"][i]["name"], mission["legs"][i + 1]["name"]
+        caption = f"GO from {names[0]} to {names[1]}, {instants(joint, mission['clocks'][i])}"
+        caption += "" if joint["assured"] else "; in other estimates of an admissible flight it is NO-GO"
+        rows = [
+            [
+                Cell(name, words=True),
+                Cell(f"{c:.6g}"),
+                Cell(f"{half:.4g}"),
+                Cell(f"{c - half:.6g} to {c + half:.6g}"),
+            ]
+            for name, c, half in zip(mission["states"], joint["center"], joint["half_widths"], strict=True)
+        ]
+        found.append(Table(caption, ["estimate of", "middle", "half-width", "GO if within"], rows))
+    return found
+
+
+def instants(joint: Mapping[str, Any], clock: Mapping[str, float]) -> str:
+    """Say at which instants of a leg's clock GO may be given."""
+    T, h = clock["horizon_s"], clock["period_s"]
+    first = [_span(T + a * h, T + b * h) for a, b in joint["first"]]
+    told = ["at " + ", ".join(first)] if first else []
+    whole = clock["turn_s"] is None or any(a == 0 and b * h >= clock["turn_s"] for a, b in joint["later"])
+    if joint["later"] and whole:
+        told.append("at any node after that")
+    elif joint["later"]:
+        spans = ", ".join(_span(a * h, b * h) for a, b in joint["later"])
+        told.append(
+            f"in later turns of {clock['turn_s']:.6g} s when {spans} of one have passed since {T:g} s"
+        )
+    return " and ".join(told)
+
+
+def _span(a: float, b: float) -> str:
+    return f"{a:.6g} s" if a == b else f"{a:.6g} to {b:.6g} s"
+
+
+def _spent(told: Mapping[str, Any]) -> str:
+    return "no bound: more than" if told["delta_v_max_m_s"] is None else _up(told["delta_v_max_m_s"])
+
+
+def _up(x: float) -> str:
+    return directed(x, ".4g", up=True)
+
+
+def flown(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
+    """Return what simulated flights from end to end came to, which proves nothing."""
+    told = summary["flown"]
+    shares = ", ".join(f"{share:.0%}" for share in told["share_of_start_set"])
+    near = [distance for distance in told["least_distance_m"] if distance is not None]
+    return (
+        (
+            "Simulated flights",
+            f"{told['runs']} from end to end, {sum(told['delta_v_m_s']):.4g} m/s on average",
+        ),
+        ("Most that one spends", f"{told['delta_v_largest_m_s']:.4g} m/s"),
+        ("Least distance", f"{min(near):.4g} m" if near else "no unsafe set"),
+        ("Share of the start sets that they use", shares),
+    )

@@ -1,0 +1,1 @@
+"""Run folders of missions, and attacks on them."""

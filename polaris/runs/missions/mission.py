@@ -1,0 +1,181 @@
+"""Run folders of missions.
+
+================== ==================================================================================
+scenario.toml      the mission, with the overrides applied
+1-NAME, 2-NAME ... the run folder of every leg (`polaris.runs.schedule`)
+trace.npz          simulated flights of all legs from end to end
+certificate.json   what `polaris verify` checks: digests of the legs, joints, sums
+summary.json       the same for people, statistics of the flights, times
+================== ==================================================================================
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...certificate.assumptions import hand_over
+from ...certificate.files.document import canonical
+from ...certificate.files.document import digest as digest_of
+from ...certificate.mission import FORMAT, SCENARIO
+from ...model.errors import SynthesisInfeasible
+from ...scenario.mission import MissionScenario, moves
+from ...simulation.metrics import finite
+from ...simulation.mission import Flown, fly_on
+from ...synthesis.legs.joint import Joint, joint, turn_of
+from ...synthesis.schedule.schedule import Schedule
+from ..files.arrays import read_arrays
+from ..files.folder import RunFolder, RunKind, read_json, write_folder
+from ..files.ownership import sha256
+from ..files.tables import strict, write_text
+from ..schedule import SCHEDULE, FlownSchedule, fly_schedule, guarantee
+from ..stages import Stages
+
+MARGIN = 1e-9  # share by which sums are raised: the checker adds in another order
+
+
+@dataclass(frozen=True, eq=False)
+class MissionPicture:
+    """Plot data of a mission: claims of its certificate, runs of its legs, flights of all of them."""
+
+    certificate: dict[str, Any]
+    legs: tuple[RunFolder, ...]
+    flown: Flown
+
+
+@dataclass(frozen=True, eq=False)
+class FlownMission:
+    """Legs, joints between them, when each leg is left [s], and simulated flights of all."""
+
+    legs: Sequence[FlownSchedule]
+    joints: Sequence[Joint]
+    leaves: Sequence[float]
+    flown: Flown
+
+
+def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
+    """Synthesise every leg, prove every joint, and fly the mission from end to end in simulation."""
+    scenarios, legs, joints, leaves = mission.legs(), list[FlownSchedule](), list[Joint](), list[float]()
+    for i, scenario in enumerate(scenarios):
+        try:
+            legs.append(fly_schedule(scenario, stages))
+        except SynthesisInfeasible as error:
+            raise type(error)(f"leg {scenario.name}: {error}") from error
+        schedule = legs[-1].schedule
+        h, T = schedule.safety.tracking.flow.h, scenario.steps * scenario.step
+        since = round(mission.model.legs[i].stay_s / h)
+        if i + 1 == len(scenarios):
+            leaves.append(T + since * h)
+            break
+        box = mission.model.legs[i + 1].initial_set
+        only = since if mission.fixed(i) else None
+        found = joint(schedule, np.array(box.center), np.array(box.half_widths), only)
+        end = (schedule.safety.reference.cells - scenario.steps) * schedule.safety.clearance.q
+        node = found.nodes(turn_of(schedule), end, since)
+        where = f"from leg {scenario.name} to {scenarios[i + 1].name}"
+        if node is None:
+            raise SynthesisInfeasible(f"{where}: {missing(found, schedule)}")
+        if not np.all(found.half_widths > 0):
+            raise SynthesisInfeasible(f"{where}: errors of estimates are larger than the GO box")
+        joints.append(found)
+        leaves.append(T + node * h)
+    with stages.stage("mission"):
+        plan = mission.model.legs[0].simulation
+        flown = fly_on([each.schedule for each in legs], leaves, min(plan.runs, MOST_RUNS), plan.seed)
+    return FlownMission(legs, joints, leaves, flown)
+
+
+MOST_RUNS = 20  # flights from end to end that are kept
+
+
+def _claims(mission: MissionScenario, found: FlownMission) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what is claimed of the mission, and of each leg but for its digest."""
+    legs, total = list[dict[str, Any]](), 0.0
+    for i, (flown, leaves) in enumerate(zip(found.legs, found.leaves, strict=True)):
+        claim, schedule, passive = guarantee(flown.schedule), flown.schedule, flown.schedule.passive
+        goal, upkeep, system = claim["goal"], claim["upkeep"], schedule.safety.problem.system
+        spent = np.inf
+        if goal["reached"] is True and leaves <= goal["by_s"]:
+            spent = goal["delta_v_max_m_s"]
+        elif upkeep is not None:
+            waited = max(leaves - upkeep["settled_s"], 0.0)
+            spent = upkeep["until_settled_m_s"] + waited * upkeep["rate_m_s2"]
+        spent = (spent + (system.owed / system.mass if i else 0.0)) * (1 + MARGIN)
+        total += spent
+        known = {
+            "name": mission.model.legs[i].name,
+            "leaves_s": leaves,
+            "delta_v_max_m_s": spent,
+            "waiting_m_s2": None if upkeep is None else upkeep["rate_m_s2"] * (1 + MARGIN),
+            "safe_until_s": claim["until_s"],
+            "drift_s": passive.flight.abort.horizon
+            if passive is not None and np.all(passive.clear)
+            else None,
+        }
+        legs.append(known)
+    joints = [
+        {"center": each.center, "half_widths": each.half_widths, "first": each.first, "later": each.later}
+        | {"assured": each.assured}
+        for each in found.joints
+    ]
+    moving = any(
+        moves(each.model_dump(exclude_none=True)) for leg in mission.model.legs for each in leg.obstacles
+    )
+    faulty = any(each.schedule.safety.problem.allocation is not None for each in found.legs)
+    rest = {"joints": joints, "delta_v_max_m_s": total * (1 + MARGIN)}
+    return rest | {"assumptions": list(hand_over(moving, faulty))}, legs
+
+
+def folders(mission: MissionScenario) -> list[str]:
+    """Return the names of the legs' run folders."""
+    return [f"{i}-{leg.name}" for i, leg in enumerate(mission.model.legs, 1)]
+
+
+def _write(folder: Path, mission: MissionScenario, found: FlownMission) -> None:
+    claims, legs = _claims(mission, found)
+    for name, scenario, flown, known in zip(folders(mission), mission.legs(), found.legs, legs, strict=True):
+        write_folder(folder / name, SCHEDULE, scenario, flown)
+        known["digest"] = read_json(folder / name / "certificate.json")["digest"]
+    np.savez_compressed(folder / "trace.npz", **vars(found.flown))
+    artefacts = {name: sha256(folder / name) for name in (SCENARIO, "trace.npz")}
+    data = strict({"format": FORMAT, "schema_version": 1, "artefacts": artefacts, "legs": legs, **claims})
+    data["digest"] = digest_of(data)
+    write_text(folder / "certificate.json", canonical(data) + "\n")
+
+
+def _tell(mission: MissionScenario, found: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Contents of ``summary.json``, which the certificate's claims are added to once it is written."""
+    claims, legs = _claims(mission, found)
+    turns = [(each.schedule, turn_of(each.schedule)) for each in found.legs]
+    clocks = [
+        {"horizon_s": leg.safety.problem.K * leg.safety.problem.delta, "period_s": leg.safety.tracking.flow.h}
+        | {"turn_s": finite(turn * leg.safety.tracking.flow.h)}
+        for leg, turn in turns
+    ]
+    names = list(found.legs[0].schedule.safety.problem.system.state_names)
+    told = {"legs": legs, **claims, "states": names, "clocks": clocks}
+    return {"mission": told, "flown": found.flown.summary(), "seconds": dict(seconds)}
+
+
+def _read(folder: Path, mission: MissionScenario) -> MissionPicture:
+    data = read_json(folder / "certificate.json")
+    legs = [
+        RunFolder(folder / name, leg, SCHEDULE)
+        for name, leg in zip(folders(mission), mission.legs(), strict=True)
+    ]
+    return MissionPicture(data, tuple(legs), Flown(**read_arrays(folder / "trace.npz")))
+
+
+MISSION = RunKind("mission", (SCENARIO, "certificate.json", "trace.npz"), _write, _tell, _read, fly_mission)
+"""Run folder of a mission."""
+
+
+def missing(found: Joint, schedule: Schedule) -> str:
+    """Say which coordinate needs most of the next leg's start set at the node that comes nearest."""
+    share, row, node = found.nearest
+    names = schedule.safety.problem.system.state_names
+    name, when = names[row % len(names)], f"at its best, {node} periods after the horizon"
+    told = f"{when}, {name} needs {share:.0%} of the half-width: widen it, or let S fly on (stay_s)"
+    return f"S is not proven to be in the next leg's start set at any node of GO; {told}"

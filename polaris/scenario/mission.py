@@ -1,0 +1,152 @@
+"""Scenarios of missions: legs, each a scenario of a schedule, that follow one another from a GO on."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from ..model import keys as f
+from ..model.errors import ScenarioError
+from .base import SCHEDULE, Scenario, kept
+from .reading import write_toml
+from .schedule import ScheduleScenario
+from .tables.fields import Head, unit, whole_parts
+from .tables.schedule import InitialBox, ScenarioModel
+
+OWN = ("kind", "legs")  # keys at the top that no leg takes over
+OF_MISSION = ("stay_s",)  # keys of a leg that are the mission's
+
+
+class Leg(ScenarioModel):
+    """One leg: a whole scenario of a schedule, and when the mission goes on."""
+
+    stay_s: f.NonNegative = unit("s", default=0.0)
+    """Planned time from the end of the leg's horizon until GO for the next one, a whole number of control
+    periods; S flies. Where a later leg has sets that move, GO is given at this instant or never."""
+
+
+class MissionModel(Head):
+    """A mission file: tables that all legs share, and under `legs` those in which they differ."""
+
+    kind: Literal["mission"] = unit("-", "Legs that follow one another.")
+    legs: tuple[Leg, ...] = unit("-", "The legs in order.", min_length=2, max_length=32)
+
+
+def leg_document(mission: Mapping[str, Any], leg: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document of a leg: tables of its own stand in place of those that all legs share."""
+    shared = {key: value for key, value in mission.items() if key not in OWN}
+    given = {"title": f"{mission.get('title', '')}: {leg.get('name', '')}"[:200], "description": ""}
+    return copy.deepcopy({**shared, **given, **leg})
+
+
+def moves(obstacle: Mapping[str, Any]) -> bool:
+    """Return True if the table of an obstacle describes one that moves."""
+    return obstacle["kind"] == "satellite" or any(obstacle.get("velocity_m_s") or ())
+
+
+class MissionScenario(Scenario):
+    """A mission; see `Scenario`."""
+
+    model: MissionModel
+    MODEL = MissionModel
+
+    @classmethod
+    def with_sources(
+        cls, document: Mapping[str, Any], folder: Path | None, source: str | None
+    ) -> tuple[Mapping[str, Any], tuple[str, ...]]:
+        """Return the document with every leg whole, sources of their numbers replaced by the numbers."""
+        legs, lines = document.get("legs"), dict[str, None]()
+        if not isinstance(legs, list) or not all(isinstance(leg, Mapping) for leg in legs):
+            return document, ()  # refused by the model
+        whole = []
+        for leg in legs:
+            full, derived = ScheduleScenario.with_sources(leg_document(document, leg), folder, source)
+            whole.append(dict(full))
+            lines |= dict.fromkeys(derived)
+        head = {key: document[key] for key in (*Head.model_fields, "kind") if key in document}
+        return {**head, "legs": whole}, tuple(lines)
+
+    def _check(self) -> None:
+        legs, names = self.legs(), [leg.name for leg in self.model.legs]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise ScenarioError(f"legs[{i}].name", name, "must be another for every leg")
+        for i, (leg, scenario) in enumerate(zip(self.model.legs, legs, strict=True)):
+            at = f"legs[{i}]"
+            if scenario.policies() and scenario.folder is None:
+                raise ScenarioError(
+                    f"{at}.experimental", leg.name, "networks need a mission read from a file"
+                )
+            if any(each.kind == "black_box" for each in leg.experimental):
+                raise ScenarioError(
+                    f"{at}.experimental", leg.name, "must be proven: no black boxes in a mission"
+                )
+            if scenario.problem().system.transients:
+                rule = "must be isolated at once in a mission: one may last across a hand-over"
+                raise ScenarioError(f"{at}.faults", leg.name, rule)
+            if i and not isinstance(leg.initial_set, InitialBox):
+                rule = "must be 'box' from the second leg on: it is the GO box"
+                raise ScenarioError(f"{at}.initial_set.kind", leg.initial_set.kind, rule)
+            if whole_parts(leg.stay_s, scenario.period()) is None and leg.stay_s:
+                rule = f"must be a whole number of control periods of {scenario.period():g} s"
+                raise ScenarioError(f"{at}.stay_s", leg.stay_s, rule)
+            if i and any(each.kind == "satellite" for each in leg.obstacles):
+                rule = "must be in the first leg only: how far it may be by then is not worked out"
+                raise ScenarioError(f"{at}.obstacles", "satellite", rule)
+
+    def outline(self) -> str:
+        """What it describes, on one line."""
+        return ", then ".join(f"{leg.name} ({leg.horizon.duration_s:g} s)" for leg in self.model.legs)
+
+    def starts(self, i: int) -> float:
+        """Return when a leg starts as planned [s]."""
+        return sum(leg.horizon.duration_s + leg.stay_s for leg in self.model.legs[:i])
+
+    def fixed(self, i: int) -> bool:
+        """Return True if GO after a leg is given at the planned instant or never: later sets move."""
+        later = (each for leg in self.model.legs[i + 1 :] for each in leg.obstacles)
+        return any(moves(each.model_dump(exclude_none=True)) for each in later)
+
+    @kept
+    def legs(self) -> tuple[ScheduleScenario, ...]:
+        """The scenarios of the legs; sets that move are where they are when a leg starts as planned."""
+        whole = self.to_dict() if self.text is None else {**self._raw()}
+        return tuple(self._leg(leg_document(whole, leg), i) for i, leg in enumerate(whole["legs"]))
+
+    def _raw(self) -> dict[str, Any]:
+        from .reading import parse_toml
+
+        return parse_toml(self.text or "", self.source or "mission")
+
+    def _leg(self, document: dict[str, Any], i: int) -> ScheduleScenario:
+        for key in OF_MISSION:
+            document.pop(key, None)
+        for each in document.get("obstacles", ()):
+            if (
+                isinstance(each, dict)
+                and each.get("kind") != "satellite"
+                and any(each.get("velocity_m_s") or ())
+            ):
+                each |= advanced(each, self.starts(i))
+        where = f"{self.source or 'mission'}, leg {document.get('name')}"
+        text = None if self.text is None else write_toml(document)
+        scenario: ScheduleScenario = ScheduleScenario.from_dict(
+            document, where, text=text, folder=self.folder
+        )
+        assert scenario.kind == SCHEDULE
+        return scenario
+
+    def files(self) -> list[Path]:
+        """Files besides its own that it names."""
+        return sorted({file for leg in self.legs() for file in leg.files()})
+
+
+def advanced(obstacle: Mapping[str, Any], t: float) -> dict[str, Any]:
+    """Return the keys of the table of an obstacle at a constant velocity that say where it is at a time."""
+    v = obstacle["velocity_m_s"]
+    if obstacle["kind"] == "polytope":
+        along = [sum(a * x for a, x in zip(row, v, strict=True)) for row in obstacle["normals"]]
+        return {"offsets_m": [b + a * t for b, a in zip(obstacle["offsets_m"], along, strict=True)]}
+    return {"center_m": [c + x * t for c, x in zip(obstacle["center_m"], v, strict=True)]}
