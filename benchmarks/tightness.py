@@ -42,7 +42,7 @@ PLACE = Path(__file__).resolve().parents[1] / "docs" / "guarantees.md"
 BEGIN, END = "<!-- tightness -->\n", "<!-- /tightness -->"
 BEGIN_SUMS, END_SUMS = "<!-- sums -->\n", "<!-- /sums -->"
 ROUNDS = 3
-RUNS = 24
+RUNS, ASCENTS = 24, 10
 NOTHING = 1e-6
 """Share of a distance below which what is booked is round-off."""
 
@@ -185,14 +185,19 @@ class Sums:
             Attacker.of(schedule, True, np.random.default_rng(seed)),
             schedule.safety.tracking.flow.h,
         )
-        thrust = np.abs(attacker.spending(RUNS).fly(attacker.flight).inputs) @ system.weights
-        spent = np.cumsum(thrust, axis=1) * h / system.mass
         goal, settled = round(arrival.by / h) - 1, round(upkeep.settled / h) - 1
-        rate = (spent[:, -1] - spent[:, settled]) / ((spent.shape[1] - 1 - settled) * h)
+
+        def spent(until: int | None) -> Array:
+            """Return what flights of an ascent have spent after each period [m/s], shape (R, K)."""
+            thrust = (
+                np.abs(attacker.spending(RUNS, ASCENTS, until).fly(attacker.flight).inputs) @ system.weights
+            )
+            return np.asarray(np.cumsum(thrust, axis=1) * h / system.mass)
+
+        first, later = spent(goal + 1)[:, goal], spent(None)
+        rate = (later[:, -1] - later[:, settled]) / ((later.shape[1] - 1 - settled) * h)
         orbit = upkeep.per_orbit / upkeep.rate
-        return cls(
-            (arrival.delta_v, float(spent[:, goal].max())), (upkeep.per_orbit, orbit * float(rate.max()))
-        )
+        return cls((arrival.delta_v, float(first.max())), (upkeep.per_orbit, orbit * float(rate.max())))
 
     @property
     def ratios(self) -> tuple[float, float]:

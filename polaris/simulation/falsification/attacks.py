@@ -138,22 +138,52 @@ class Attacker:
         rows = np.array([self._row(*given) for given in at])
         return self._towards(rows[:count], step[:count], runs.some(slice(count)))
 
-    def spending(self, count: int, rounds: int = 6) -> Attack:
-        """The worst case, to first order, for the velocity change: its signs are those of the flight before.
+    def spending(self, count: int, rounds: int = 6, until: int | None = None) -> Attack:
+        """Ascend to flights of large velocity change, until a step or the end: each at its best round.
 
-        At first thrust changes its sign after periods of all lengths, or as in flights by chance.
+        Disturbances are the worst, to first order, for given signs of thrust: at first signs of waves of all
+        lengths or of flights by chance, then those of the flight before, in the second half of the rounds
+        at each instant those of a flight that spends much about it.
         """
         flight, (steps, m) = self.flight, (self.flight.steps, self.flight.system.m)
-        runs = self.random(count).fly(flight)
+        best, spent, last = self.random(count), np.zeros(count), steps if until is None else until
+        runs = best.fly(flight)
         half = np.exp(self.rng.uniform(0, np.log(max(steps / 4, 2)), count)).astype(int)[None, :, None]
         waves = (np.arange(steps)[:, None, None] + self.rng.integers(0, 2 * half, (1, count, m))) // half % 2
         at = np.arange(count) % 2 == 0
         for number in range(rounds):
-            signs = np.repeat(np.sign(runs.inputs).swapaxes(0, 1), flight.substeps, axis=0)
+            thrust = runs.inputs.swapaxes(0, 1) if 2 * number < rounds else self._composed(runs, last)
+            signs = np.repeat(np.sign(thrust), flight.substeps, axis=0)
             signs = np.where(at[:, None], 2.0 * waves - 1, signs) if number == 0 else signs
-            rows, targets = np.zeros_like(runs.states[:, 0]), np.full(count, steps)
-            runs = (found := self._towards(rows, targets, runs, signs)).fly(flight)
-        return found
+            signs[last:] = 0
+            attack = self._towards(np.zeros_like(runs.states[:, 0]), np.full(count, steps), runs, signs)
+            runs = attack.fly(flight)
+            now = np.einsum(
+                "rkm,m->r", np.abs(runs.inputs[:, : last // flight.substeps]), flight.system.weights
+            )
+            better = now > spent
+            best = Attack.join([best.pick(np.flatnonzero(~better)), attack.pick(np.flatnonzero(better))])
+            spent = np.concatenate([spent[~better], now[better]])
+        return best
+
+    def _composed(self, runs: Runs, last: int) -> Array:
+        """Compose thrust (K, R, m) of flights: at each instant of the one of half of them that spends most.
+
+        What is spent is averaged over a window of random length; the flight that spends most stays.
+        """
+        u, weights = runs.inputs, self.flight.system.weights
+        spent = np.cumsum(np.abs(u) @ weights, axis=1)
+        R, K = spent.shape
+        composed = np.empty((K, R, u.shape[2]))
+        for i in range(R):
+            among = self.rng.permutation(R)[: R // 2 + 1]
+            width = int(np.exp(self.rng.uniform(np.log(10), np.log(max(last / 2, 11)))))
+            ends, begins = (np.clip(np.arange(K) + x, 0, K - 1) for x in (width, -width))
+            chosen = among[np.argmax(spent[among][:, ends] - spent[among][:, begins], axis=0)]
+            composed[:, i] = u[chosen, np.arange(K)]
+        first = int(np.argmax(spent[:, min(last, K) - 1]))
+        composed[:, first] = u[first]
+        return composed
 
     def mutate(self, elites: Attack, count: int) -> Attack:
         """Elites changed a little: a stretch of their disturbance from elsewhere, a corner flipped."""
