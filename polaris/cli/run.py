@@ -93,16 +93,23 @@ def plot(folder: str = FOLDER, quiet: Quiet = False) -> None:
 @verb("report")
 def report(
     folder: str = FOLDER,
-    out: str | None = Option(None, metavar="FILE.html", help="Default report.html in the folder."),
+    out: str | None = Option(
+        None, metavar="FILE", help="Default report.html, or dossier.pdf, in the folder."
+    ),
+    dossier: bool = Option(
+        False,
+        "--dossier",
+        help="Clause by clause what a run answers, checked, on at most twelve pages of PDF.",
+    ),
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write an interactive report: one HTML file that needs no network."""
-    from ..report import write_report
+    """Write an interactive report: one HTML file that needs no network. Or a dossier for print."""
+    from ..report import write_dossier, write_report
     from .console import ShownStages
 
     with ShownStages(quiet).stage("report"):
-        path = write_report(folder, out, force=force)
+        path = (write_dossier if dossier else write_report)(folder, out, force=force)
     if not quiet:
         echo(str(path))
 

@@ -9,9 +9,10 @@ from ..runs.files.tables import write_text
 from ..runs.missions.mission import MISSION
 from ..runs.points import TRADEOFF
 from ..runs.run import read_run
+from .dossier import write_dossier
 from .html.page import Page, page_html
 
-__all__ = ["report_page", "write_report"]
+__all__ = ["report_page", "write_dossier", "write_report"]
 
 
 def write_report(folder: str | Path, out: str | Path | None = None, *, force: bool = False) -> Path:

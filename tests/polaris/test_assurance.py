@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from polaris.certificate.assumptions import Premises
+from polaris.report.clauses import CLAUSES, addresses
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "assurance.md").read_text(encoding="utf-8")
@@ -72,3 +73,14 @@ def test_what_a_requirement_names_exists(number):
     for test in tests:
         file, name = test.split("::")
         assert name in functions(ROOT / "tests" / file), test
+
+
+def test_the_page_has_the_clauses_of_the_dossier():
+    """Every clause in its order, with its evidence and what is left to the mission, as the dossier has them."""
+    rows = [f"| {one.title} | {addresses(one)} | {one.mission} |" for one in CLAUSES]
+    sources = {one.source for one in CLAUSES}
+    practice = PAGE.split("## Practices for proximity operations")[1].split("\n## ")[0]
+    shown = practice.split("**French technical regulation**")[1]
+    assert [row for row in shown.splitlines() if row.startswith("| ") and "Only the" not in row] == rows
+    assert all(f"**{source}** [[" in practice for source in sources) and len(sources) == 3
+    assert {"47-2", "47-5", "47-6"} <= set(re.findall(r"47-\d+", " ".join(one.title for one in CLAUSES)))

@@ -1,0 +1,135 @@
+"""Published missions beside what Polaris proves of them: the table and the pictures of docs/missions.md.
+
+    python -m benchmarks.missions [NAME ...]     print rows of the table
+    python -m benchmarks.missions --write        put rows and pictures into the documentation as well
+
+Each mission is a file of scenarios/missions. Its run folder is written, read by the independent checker and
+drawn. Published figures are constants of this file, with their sources in the scenario files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from polaris.certificate.checker import verify
+from polaris.report.figures import draw_run
+from polaris.runs.run import read_run
+from polaris.runs.schedule import write_run
+from polaris.scenario.scenario import load_scenario
+from polaris.simulation.baselines import compare
+from polaris.synthesis.schedule.synthesize import synthesize
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "scenarios" / "missions"
+PAGE = ROOT / "docs" / "missions.md"
+BEGIN, END = "<!-- missions -->\n", "<!-- /missions -->"
+HEADS = (
+    *(
+        "Mission",
+        "Published [m/s]",
+        "Ours, mean [m/s]",
+        "largest",
+        "proven at most",
+        "Proven safe",
+        "U flies",
+    ),
+    *("Switches", "Least distance [m], U alone", "under the schedule", "Synthesis [CPU-s]", "Checker"),
+)
+
+PUBLISHED = {  # velocity change [m/s]; None where the source prints none
+    "sroc-leg1": 0.458,  # two impulses, sum of 2-norms
+    "keep-out-sphere": None,
+    "adras-j": None,
+}
+
+
+@dataclass(frozen=True)
+class Mission:
+    """Results of one mission: its name, the summary of its run, the checker's answer, and CPU time [s]."""
+
+    name: str
+    summary: Mapping[str, Any]
+    checked: str
+    seconds: float
+
+    @property
+    def row(self) -> str:
+        """Its row of the table."""
+        claim, flown = self.summary["guarantee"], self.summary["polaris"]
+        published, alone = PUBLISHED[self.name], self.summary["experimental"]
+        until = "for all time" if claim["horizon"] == "infinite" else f"until {claim['until_s']:.0f} s"
+        cells = (
+            f"[`{self.name}`](#{self.name})",
+            "none" if published is None else f"{published:.3f}",
+            f"{flown['delta_v_m_s']:.3f}",
+            f"{flown['delta_v_max_m_s']:.3f}",
+            f"{claim['goal']['delta_v_max_m_s']:.3f}",
+            until if claim["kind"] == "proved" else claim["kind"],
+            f"{100 * self.summary['synthesis']['experimental_share']:.1f} %",
+            str(flown["switches"]),
+            f"{alone['min_distance_m']:.1f}, {alone['collided_runs']} of {alone['runs']} runs enter",
+            f"{flown['min_distance_m']:.1f}",
+            f"{self.seconds:.0f}",
+            self.checked,
+        )
+        return f"| {' | '.join(cells)} |"
+
+
+def run(name: str, out: Path, draw: bool = False) -> Mission:
+    """Synthesise, fly and check one mission, and write its run folder."""
+    begun = time.process_time()
+    scenario = load_scenario(FOLDER / f"{name}.toml")
+    schedule = synthesize(scenario)
+    seconds = time.process_time() - begun
+    flown = compare(schedule, scenario.simulation.runs, scenario.simulation.seed)
+    folder = write_run(out / name, scenario, schedule, flown)
+    checked = verify(folder.path).outcome
+    if draw:
+        draw_run(read_run(folder.path))
+    return Mission(name, folder.summary, checked, seconds)
+
+
+def table(rows: Mapping[str, str]) -> str:
+    """Return the table of missions from their rows."""
+    head = f"| {' | '.join(HEADS)} |"
+    known = [rows[name] for name in PUBLISHED if name in rows]
+    return "\n".join((head, "|---" * len(HEADS) + "|", *known)) + "\n"
+
+
+def page_rows() -> dict[str, str]:
+    """Return the rows of the page by mission."""
+    shown = PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
+    return {row.split("`")[1]: row for row in shown.splitlines() if row.startswith("| [`")}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print rows, or write them."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(PUBLISHED))
+    parser.add_argument("--write", action="store_true", help="put rows and pictures into the documentation")
+    given = parser.parse_args(arguments)
+    if unknown := set(given.names) - set(PUBLISHED):
+        parser.error(f"unknown missions: {', '.join(sorted(unknown))}")
+    for name in given.names or PUBLISHED:
+        with tempfile.TemporaryDirectory() as folder:
+            row = run(name, Path(folder), given.write).row
+            print(row, flush=True)
+            if given.write:
+                picture = Path(folder) / name / "figures" / "scene.png"
+                shutil.copyfile(picture, PAGE.parent / "figures" / f"mission-{name}.png")
+                before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+                page = before + BEGIN + table(page_rows() | {name: row}) + END + rest.split(END)[1]
+                PAGE.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

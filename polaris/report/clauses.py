@@ -1,0 +1,180 @@
+"""Clauses that a mission near another spacecraft answers, each with the files of a run that answer it.
+
+``docs/assurance.md`` has the same rows, and the dossier puts the values of one run beside them.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A value of a run: words for it, and its address as ``file: key.key``; lists are walked.
+
+    Addresses ``claim: Head`` are sentences of the guarantee in ``summary.json``: of a claim, not of a flight.
+    """
+
+    words: str
+    address: str
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A clause: its source and title, evidence for it, and what only the mission can do.
+
+    `asks` says in English what a public text asks for, and is empty where clauses are named by title only.
+    """
+
+    source: str
+    title: str
+    asks: str
+    evidence: tuple[Evidence, ...]
+    mission: str
+
+
+FRENCH, ISO, ESA = "French technical regulation", "ISO 24330:2022", "ESA guidelines"
+
+SAFE = Evidence("proven safe", "claim: Safe")
+GOAL = Evidence("goal", "claim: Goal")
+UPKEEP = Evidence("cost of flying on", "claim: Upkeep")
+PASSIVE = Evidence("all thrust off", "claim: Passive safety")
+POWERED = Evidence("abort with thrust", "claim: Powered abort")
+CHECK = Evidence("independent check", "check: outcome")
+LEAST = Evidence("least distance in simulated runs", "summary.json: polaris.min_distance_m")
+ENTER = Evidence("simulated runs that enter an unsafe set", "summary.json: polaris.collided_runs")
+RUNS = Evidence("simulated runs", "summary.json: polaris.runs")
+DRIFT = Evidence(
+    "least time to a collision with thrusters off, in simulated runs",
+    "summary.json: polaris.min_ttc_free_drift_s",
+)
+SETS = Evidence("unsafe sets", "scenario.toml: obstacles.name")
+CORRIDORS = Evidence("sets that are never left", "scenario.toml: keep_in.name")
+THRUST = Evidence("largest demand of thrust by S", "summary.json: polaris.max_thrust_ratio_safety")
+START = Evidence("room left at the start", "summary.json: synthesis.start_margin")
+CENTRE = Evidence("centre of the start set", "scenario.toml: initial_set.center")
+WIDTHS = Evidence("half-widths of the start set", "scenario.toml: initial_set.half_widths")
+ERRORS = (
+    Evidence("errors of navigation", "scenario.toml: navigation"),
+    Evidence("errors of thrusters", "scenario.toml: thrusters"),
+    Evidence("timing", "scenario.toml: timing"),
+)
+FAULTS = Evidence("declared faults", "scenario.toml: faults.kind")
+DIGESTS = Evidence("hashes of the files of the run", "certificate.json: artefacts")
+
+CLAUSES = (
+    Clause(
+        FRENCH,
+        "Art. 47-2, survival mode and collision",
+        "Entering survival mode brings no risk of a collision with the target.",
+        (SAFE, PASSIVE, POWERED, DRIFT),
+        "that survival mode is S, or all thrust off; attitude and power in it",
+    ),
+    Clause(
+        FRENCH,
+        "Art. 47-5, volumes and corridors",
+        "Volumes and corridors of approach are defined; leaving one is monitored all the time, and a fallback"
+        " keeps both objects safe.",
+        (SETS, CORRIDORS, SAFE, LEAST, THRUST),
+        "the volumes themselves; the monitor's software and computer; a target that is not as declared",
+    ),
+    Clause(
+        FRENCH,
+        "Art. 47-6, GO and NO-GO",
+        "At hold or passage points the states of both objects that allow to go on are defined in advance:"
+        " position, velocity, attitude, rates.",
+        (CENTRE, WIDTHS, START, GOAL, UPKEEP),
+        "attitude and rates; states of equipment and ground; who decides",
+    ),
+    Clause(
+        FRENCH,
+        "Art. 47-16, performance in the approach",
+        "Corridors are violated with a probability of less than 1 % per approach.",
+        (SAFE, ENTER, RUNS),
+        "the probability that an assumption does not hold, which is all that is left of it",
+    ),
+    Clause(
+        ISO,
+        "4.1.1 Promote safety and mission success",
+        "",
+        (SAFE, GOAL),
+        "hazard analysis, everything but relative motion",
+    ),
+    Clause(
+        ISO,
+        "5.1.3 Resilient software design and verification",
+        "",
+        (
+            CHECK,
+            Evidence(
+                "share of the time under untrusted control", "summary.json: synthesis.experimental_share"
+            ),
+        ),
+        "flight software of S, switch and monitor",
+    ),
+    Clause(
+        ISO,
+        "5.1.4 Concepts of operation, 5.1.5 Approved and proven procedures",
+        "",
+        (DIGESTS,),
+        "approval; commands from the ground",
+    ),
+    Clause(ISO, "5.2.3 Trajectory practice", "", (LEAST, GOAL, UPKEEP), "choice of the goal and of zones"),
+    Clause(
+        ISO,
+        "5.2.5 Collision avoidance practices in proximity",
+        "",
+        (SETS, SAFE, THRUST, POWERED),
+        "conjunctions with third objects; a client that is not as declared",
+    ),
+    Clause(
+        ISO,
+        "5.2.6 Anomaly resolution",
+        "",
+        (FAULTS, Evidence("isolated late", "claim: Isolated late")),
+        "failures of S's sensors and computer, and those not declared",
+    ),
+    Clause(ISO, "5.2.7 On-orbit checkout", "", ERRORS, "the checkout that shows these bounds"),
+    Clause(
+        ISO,
+        "5.3.2 Avoiding physical interference",
+        "",
+        (Evidence("radius of the chaser", "scenario.toml: chaser.radius_m"), SETS, LEAST),
+        "plumes, contact, debris",
+    ),
+    Clause(ISO, "4.2 and 5.4 Transparency, sharing of information", "", (CHECK, DIGESTS), "notification"),
+    Clause(ESA, "Keep-out zones and approach corridors", "", (SETS, CORRIDORS, SAFE), "their sizes"),
+    Clause(
+        ESA,
+        "Passive safety of trajectories",
+        "",
+        (PASSIVE, DRIFT),
+        "what to do at steps that are not clear; drifts of flights under the monitor",
+    ),
+    Clause(
+        ESA,
+        "Active safety: abort and collision avoidance",
+        "",
+        (SAFE, THRUST, POWERED),
+        "what to do at steps from which it is not proven; aborts of flights under the monitor",
+    ),
+    Clause(ESA, "Go/no-go criteria", "", (CENTRE, WIDTHS, START), "criteria of other subsystems"),
+    Clause(
+        ESA,
+        "Navigation and actuation performance",
+        "",
+        (*ERRORS, Evidence("estimates", "claim: Estimate")),
+        "error budgets that justify the numbers",
+    ),
+    Clause(
+        ESA,
+        "Failure tolerance",
+        "",
+        (FAULTS, SAFE),
+        "that isolation is as fast as declared; a second fault; S itself",
+    ),
+    Clause(ESA, "Verification and validation", "", (CHECK, RUNS, ENTER), "hardware in the loop"),
+)
+
+
+def addresses(clause: Clause) -> str:
+    """Return what answers a clause and where, as the page on assurance has it."""
+    return "; ".join(f"{one.words} (`{one.address}`)" for one in clause.evidence)

@@ -1,0 +1,87 @@
+"""The gallery of published missions: files, page and benchmark agree; runs give what the page says."""
+
+import re
+
+import pytest
+
+import polaris
+from benchmarks import missions
+from polaris.simulation.simulate import simulate
+
+from ..test_docs import DOCS
+
+NAMES = sorted(path.stem for path in missions.FOLDER.glob("*.toml"))
+TEXT = missions.PAGE.read_text(encoding="utf-8")
+
+
+def cells(name):
+    """Cells of a row of the page by their heads."""
+    parts = [cell.strip() for cell in missions.page_rows()[name].strip("|").split("|")]
+    return dict(zip(missions.HEADS, parts, strict=True))
+
+
+def numbers(text):
+    return [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?", text)]
+
+
+def test_every_file_has_a_figure_a_row_a_section_and_a_picture():
+    assert sorted(missions.PUBLISHED) == sorted(missions.page_rows()) == NAMES
+    for name in NAMES:
+        section = TEXT.split(f"\n## {name}\n")[1].split("\n## ")[0]
+        assert f"(figures/mission-{name}.png)" in section and "**Source.**" in section
+        assert "| Given | Our choice |" in section
+        assert re.search(r"\*\*[Pp]ublished\*\*", section)
+        assert (DOCS / "figures" / f"mission-{name}.png").stat().st_size > 10_000
+    assert missions.table(missions.page_rows()) in TEXT
+
+
+def test_what_the_page_must_show():
+    """All are proved and verified within a minute; two cannot be flown by U alone; SROC is cheap."""
+    rows = {name: cells(name) for name in NAMES}
+    for row in rows.values():
+        assert row["Checker"] == "VERIFIED" and re.match("for all time|until", row["Proven safe"])
+        assert float(row["Synthesis [CPU-s]"]) <= 60 and float(row["under the schedule"]) > 0
+    unsafe = [name for name, row in rows.items() if numbers(row["Least distance [m], U alone"])[0] < 0]
+    assert len(unsafe) >= 2
+    assert float(rows["sroc-leg1"]["Ours, mean [m/s]"]) <= 0.45
+    assert numbers(rows["adras-j"]["U flies"])[0] >= 90
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_is_a_valid_scenario_that_says_what_is_ours(name):
+    scenario = polaris.load_scenario(missions.FOLDER / f"{name}.toml")
+    assert scenario.name == name
+    text = (missions.FOLDER / f"{name}.toml").read_text(encoding="utf-8")
+    assert "Given by" in text.split("schema_version")[0] and text.count("# ours") > 3
+
+
+def test_the_disturbance_of_the_eccentric_orbit_covers_400_m(capsys):
+    from typer.testing import CliRunner
+
+    from polaris.cli import app as cli
+
+    asked = ["model-error", str(missions.FOLDER / "adras-j.toml"), "--within", "400"]
+    done = CliRunner().invoke(cli.app, asked)
+    assert done.exit_code == 0 and "covers it" in done.stdout
+
+
+def test_the_first_leg_of_sroc_costs_what_the_page_says():
+    schedule = polaris.synthesize(polaris.load_scenario(missions.FOLDER / "sroc-leg1.toml"))
+    row, spent = cells("sroc-leg1"), simulate(schedule, 20, 0).delta_v
+    assert schedule.guarantee == "proved"
+    assert spent.mean() == pytest.approx(float(row["Ours, mean [m/s]"]), rel=0.03)
+    assert spent.max() <= schedule.arrival.delta_v <= 1.02 * float(row["proven at most"])
+    assert 100 * schedule.share() == pytest.approx(numbers(row["U flies"])[0], abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_rows_are_what_a_run_gives(name, tmp_path):
+    found = missions.run(name, tmp_path)
+    parts = [cell.strip() for cell in found.row.strip("|").split("|")]
+    shown = cells(name)
+    for head, real in zip(missions.HEADS, parts, strict=True):
+        if head not in ("Synthesis [CPU-s]", "Mission"):
+            assert numbers(real) == pytest.approx(numbers(shown[head]), rel=0.03, abs=0.06), head
+            assert re.sub(r"[-\d.]+", "", real) == re.sub(r"[-\d.]+", "", shown[head])
+    assert found.seconds <= 60
