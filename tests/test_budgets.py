@@ -17,16 +17,16 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9219, 8400),
-    ("polaris/certificate",): (10379, 4600),
+    ("polaris/certificate",): (10381, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
-    ("polaris/synthesis",): (9279, 5000),
-    ("polaris/model", "polaris/simulation"): (8983, 5200),
+    ("polaris/synthesis",): (9281, 5000),
+    ("polaris/model", "polaris/simulation"): (8937, 5200),
     ("polaris/rta",): (4881, 4300),
     ("polaris/inspection",): (5412, 4500),
-    ("polaris/scenario", "polaris/runs"): (9925, 7500),
-    ("polaris/report", "polaris/cli", "polaris/traces"): (7766, 6400),
+    ("polaris/scenario", "polaris/runs"): (9926, 7500),
+    ("polaris/report", "polaris/cli", "polaris/traces"): (8121, 6400),
     ("polaris/planning",): (2514, 2200),
-    ("polaris", "reach"): (68384, 48000),
+    ("polaris", "reach"): (68698, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 
