@@ -76,7 +76,7 @@ def _up(x: float) -> str:
     return directed(x, ".4g", up=True)
 
 
-def flown_rows(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
+def rows_flown(summary: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
     """Return what simulated flights from end to end came to, which proves nothing."""
     told = summary["flown"]
     shares = ", ".join(f"{share:.0%}" for share in told["share_of_start_set"])

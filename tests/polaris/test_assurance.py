@@ -76,7 +76,7 @@ def test_what_a_requirement_names_exists(number):
 
 
 def test_the_page_has_the_clauses_of_the_dossier():
-    """Every clause in its order, with its evidence and what is left to the mission, as the dossier has them."""
+    """Compare clauses in their order, their evidence and what is left to the mission with the dossier."""
     rows = [f"| {one.title} | {addresses(one)} | {one.mission} |" for one in CLAUSES]
     sources = {one.source for one in CLAUSES}
     practice = PAGE.split("## Practices for proximity operations")[1].split("\n## ")[0]

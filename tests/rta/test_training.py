@@ -202,12 +202,12 @@ def towards(flights):
     """Full thrust towards the nearest facet, of shape (R, m): bang-bang into what is near."""
     grid, k = flights.grid, flights.k
     rows, offsets, _ = grid.facets
-    room = flights.x @ (normals @ grid.system.position).T - offsets[k * grid.nodes]
+    room = flights.x @ rows.T - offsets[k * grid.nodes]
     starts = np.r_[grid.facets[2], len(rows)]
     best = [room[:, i:j].argmax(axis=1) + i for i, j in zip(starts, starts[1:], strict=False)]
     farthest = np.stack(best, axis=1)
     nearest = farthest[np.arange(len(room)), np.take_along_axis(room, farthest, axis=1).argmin(axis=1)]
-    push = normals @ grid.system.position @ np.linalg.matrix_power(grid.system.A, 1) @ grid.system.B
+    push = rows @ np.linalg.matrix_power(grid.system.A, 1) @ grid.system.B
     push = np.where(np.abs(push) > 1e-12 * np.abs(push).max(initial=1e-300), push, 0)
     return -np.sign(push[nearest])
 

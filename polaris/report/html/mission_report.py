@@ -5,7 +5,7 @@ from markupsafe import Markup
 
 from ...runs.files.folder import RunFolder
 from ...runs.missions.mission import MissionPicture
-from ..missions import flown_rows, joint_tables, legs_table
+from ..missions import joint_tables, legs_table, rows_flown
 from ..scene.palette import mode_colour
 from ..tables import Cell, Table
 from .page import Page, badge, macros, reading, table
@@ -30,7 +30,7 @@ def mission_page(folder: RunFolder) -> Page:
     )
     lead = Markup(macros("run.html").answers(cards, _stretches(picture), f"{picture.flown.times[-1]:.6g} s"))
     joints = Markup("").join(table(each) for each in joint_tables(summary))
-    flights = Table("Simulated from end to end", ["", ""], [[Cell(a), Cell(b)] for a, b in flown_rows(summary)])
+    flights = Table("Simulated from end to end", ["", ""], [[*map(Cell, row)] for row in rows_flown(summary)])
     sections = [
         ("legs", "Legs", table(legs_table(summary))),
         ("joints", "GO or NO-GO", joints),
