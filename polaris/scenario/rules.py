@@ -19,6 +19,7 @@ from ..model.scene.keep_in import KeepIn
 from ..model.scene.obstacle import Obstacle, directions
 from ..model.scene.satellite import SatelliteObstacle
 from ..model.scene.state_limits import StateLimit
+from ..model.scene.turning import TurningKeepIn
 from ..model.system import Array, LinearSystem
 from ..model.tolerances import TIME
 from .tables import scene as scene
@@ -152,6 +153,11 @@ def check_scene(model: models.ScenarioModel, unsafe: Sequence[Obstacle], system:
         if isinstance(item, StateLimit) and max(item.begins * (1 + TIME), item.ends or 0.0) > T * (1 + TIME):
             rule = f"must begin and end within duration_s = {T:g} (without until_s it holds for ever)"
             raise ScenarioError(f"{path}.from_s", [item.begins, item.ends], rule)
+        if isinstance(item, TurningKeepIn) and model.abort is not None:
+            rule = (
+                f"must not stand beside a set that turns, {path}: of drifts and aborts nothing is proven then"
+            )
+            raise ScenarioError("abort", "a table", rule)
         if (speed := float(np.linalg.norm(velocity))) > MAX_SPEED_M_S:
             rule = f"must move at most at {MAX_SPEED_M_S:g} m/s"
             raise ScenarioError(f"{path}.{moving}", f"{speed:.4g} m/s", rule)

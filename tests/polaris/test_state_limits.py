@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from polaris.certificate.checker import verify
 from polaris.certificate.model.state_limits import directions as exact_directions
@@ -18,6 +19,7 @@ from polaris.model.scene.state_limits import (
     StateObstacle,
     covering_cosine,
 )
+from polaris.model.scene.turning import TurningKeepIn
 from polaris.model.system import LinearSystem
 from polaris.planning.goals import Box
 from polaris.planning.problem import PlanProblem
@@ -266,6 +268,105 @@ def test_random_scenes_with_limits_are_proved_verified_and_kept_or_refused(seed,
     assert found
 
 
+# -- sets that turn ---------------------------------------------------------------------------------
+
+TURNING = (
+    "keep_in=[{kind='turning',name='beam',normals=[[0,1],[0,-1],[1,0]],offsets_m=[2,2,9.5],"
+    "rate_rad_s=0.07,rate_error_rad_s=0.002,angle_error_deg=0.5,from_s=1.0,until_s=11.0}]"
+)
+STILL = "keep_in=[{kind='speed',name='any',max_m_s=9.0}]"
+TURNED = [TURNING, "obstacles=[]", SOFT, "goal.state=[5.0,6.5,0,0]"]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whoever_keeps_the_rows_of_a_set_that_turns_is_inside_it_whatever_its_errors(seed):
+    rng = np.random.default_rng(seed)
+    system = random_plant(rng)
+    if system.d == 1:
+        system = LinearSystem(
+            np.kron([[0, 1], [0, 0]], np.eye(2)), np.eye(4)[:, 2:], np.eye(4)[:, 2:], [1, 1]
+        )
+    d, count = system.d, int(rng.integers(1, 5))
+    axis = rng.normal(size=3) if d == 3 else None
+    error, angle = rng.uniform(0, 0.01), rng.uniform(0, 0.2)
+    begins, ends = sorted(rng.uniform(0, 10, 2))
+    rate, sides = rng.uniform(-0.3, 0.3), (rng.normal(size=(count, d)), rng.normal(size=count))
+    limit = TurningKeepIn("turns", *sides, rate, ends, axis, error, angle, begins)
+    sets = limit.timed_polytopes(system, 1.0, 10)
+    assert len(sets) == 3 * count
+    unit = sides[0] / np.linalg.norm(sides[0], axis=1, keepdims=True)
+    offsets = sides[1] / np.linalg.norm(sides[0], axis=1)
+    x = rng.normal(size=(3000, system.n)) * 10 ** rng.uniform(-1, 1.5, (3000, 1))
+    about = np.zeros((3, 3)) if axis is None else np.cross(np.eye(3), axis / np.linalg.norm(axis))
+    kept = 0
+    for k in range(10):
+        outside = [np.all(x @ s.rows(system).T <= s.offsets[k, 0], axis=1) for s in sets]
+        left = x[~np.any(outside, axis=0)]
+        low, high = max(k, begins), min(k + 1, ends)
+        for t in rng.uniform(low, high, 20) if low < high else ():
+            turn = rate * t + rng.choice([-1.0, -0.5, 0.0, 1.0]) * (angle + error * t)
+            R = expm(turn * about) if d == 3 else expm(turn * np.array([[0.0, -1.0], [1.0, 0.0]]))
+            inside = left @ system.position.T @ R @ unit.T <= offsets
+            assert inside.all()
+            assert (limit.signed_distance(t, left, system) > 0).all()
+            kept += len(left)
+    assert kept or ends - begins < 1
+
+
+@pytest.fixture(scope="module")
+def turner(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("turned")
+    return Forger(make([*TURNED, COARSE], folder), folder)
+
+
+def test_a_set_that_turns_binds_and_is_kept():
+    scenario = load_scenario(TINY, TURNED)
+    schedule, free = synthesize(scenario), synthesize(load_scenario(TINY, [*TURNED, STILL]))
+    assert schedule.guarantee == "proved" and schedule.share(1) > 0
+    assert any(step.margin.limit.startswith("beam") for step in schedule.steps)
+    (beam,), system = scenario.obstacles(), scenario.system()
+    for about, kept in ((schedule, True), (free, False)):
+        t = np.arange(12)[:, None] + np.linspace(0, 1, 33)
+        x = about.safety.reference.fine(32)[:12]
+        assert (beam.signed_distance(t, x, system).min() > 0) == kept
+    assert not simulate(schedule, 200, 1, substeps=3).metrics().collided.any()
+    assert falsify(schedule, 800, 0).failure is None
+
+
+def _facet(lie, to):
+    at = [item["name"] for item in lie.certificate["unsafe_sets"]].index("beam[1]")
+    lie.certificate["facets"][5][at] = to
+
+
+TURNS = {
+    "another facet": lambda lie: _facet(lie, 5),
+    "a row turned": lambda lie: _turned(lie, "beam", 1, 1e-6),
+    "bound widened": lambda lie: _moved(lie, "beam", lambda x: x - 0.01 if abs(x) < 1e6 else x),
+    "window shortened": lambda lie: _moved(lie, "beam", lambda x: -1e9, slice(10, 11)),
+    "another rate": lambda lie: lie.scenario["keep_in"][0].update(rate_rad_s=0.0701),
+    "a larger error of the rate": lambda lie: lie.scenario["keep_in"][0].update(rate_error_rad_s=0.0021),
+    "a larger error of the angle": lambda lie: lie.scenario["keep_in"][0].update(angle_error_deg=0.51),
+    "a longer window": lambda lie: lie.scenario["keep_in"][0].update(until_s=11.5),
+    "a narrower side": lambda lie: lie.scenario["keep_in"][0]["offsets_m"].__setitem__(0, 1.9),
+    "another side": lambda lie: lie.scenario["keep_in"][0]["normals"][1].__setitem__(0, 0.01),
+    "a chaser with a size": lambda lie: lie.scenario.update(chaser={"radius_m": 0.01}),
+}
+
+
+@pytest.mark.parametrize("name", TURNS)
+def test_forgeries_of_a_set_that_turns_are_refused(turner, name):
+    lie = Lie(turner)
+    TURNS[name](lie)
+    lie.judge({"unsafe_sets", "format"})
+
+
+def test_a_set_that_turns_is_verified_with_a_clock_and_a_chaser_too(turner, tmp_path):
+    assert Lie(turner).verdict().outcome == "VERIFIED"
+    more = [*TURNED, COARSE, "timing={clock_error_s=0.05}", "chaser={radius_m=0.05}"]
+    verdict = verify(make(more, tmp_path))
+    assert verdict.outcome == "VERIFIED", verdict.text()
+
+
 # -- refusals ---------------------------------------------------------------------------------------
 
 REFUSED = {
@@ -286,6 +387,9 @@ REFUSED = {
     "directions that are none": (
         ["keep_in=[{kind='speed',name='s',max_m_s=2.0,per_distance_1_s=0.1,towards=[[0,0]]}]"], "row of zeros"
     ),
+    "a drift beside a set that turns": ([*TURNED, "abort={drift_s=5.0}"], "of drifts and aborts nothing"),
+    "a set that turns too far": ([*TURNED, "keep_in.0.rate_rad_s=2.5"], "shorter steps"),
+    "an axis in the plane": ([*TURNED, "keep_in.0.axis=[0,1]"], "in the plane not"),
     "balls": ([*LIMITED, "recoverable.kind=ball"], "must be 'polytope'"),
     "a row of zeros": (["keep_in=[{kind='states',name='s',rows=[[0,0,0,0]],bounds=[9]}]"], "row of zeros"),
     "an axis that there is not": (

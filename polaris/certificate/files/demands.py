@@ -32,7 +32,7 @@ CHECKED = {
         "obstacles": "kind name center_m half_widths_m velocity_m_s radius_m facets normals offsets_m"
         " state state_half_widths thrust_accel_max_m_s2 rows bounds from_s until_s",
         "keep_in": "kind name normals offsets_m apex_m axis half_angle_deg facets length_m rows bounds from_s"
-        " until_s max_m_s per_distance_1_s towards sides axes",
+        " until_s max_m_s per_distance_1_s towards sides axes rate_rad_s rate_error_rad_s angle_error_deg",
     },
     "initial_set": {
         "initial_set": "kind center half_widths position_radius_m velocity_radius_m_s generators"

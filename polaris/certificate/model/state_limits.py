@@ -8,11 +8,11 @@ from flint import arb, arb_mat
 
 from ..files.document import ROUNDED, Document
 from ..files.parts import UnsafeSet
-from ..kernel.balls import absolute_dot, dot, identity, magnitude, matrix, require
+from ..kernel.balls import absolute_dot, cross, dot, identity, magnitude, matrix, require
 from ..kernel.verdict import Rejected
 from .navigation import holding
 
-KINDS = "states", "speed", "speed_polygon"
+KINDS = "states", "speed", "speed_polygon", "turning"
 """Kinds of sets of states, which the tables of obstacles and of keep-in sets have."""
 
 Facet = tuple[arb_mat, arb_mat, arb]
@@ -28,6 +28,9 @@ def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any
     T, moved = document.steps * document.delta, document.displaced
     if begins >= T or (ends < math.inf and ends > T * (1 + ROUNDED)):
         raise Rejected("unsafe_sets", f"{name} does not begin and end within {T:g} s")
+    if spec["kind"] == "turning":
+        _check_turning(document, items, spec)
+        return
     wanted = _of_kind(document, spec, inside)
     if len(items) != len(wanted):
         raise Rejected("unsafe_sets", f"{name} has {len(items)} sets of states, not {len(wanted)}")
@@ -42,6 +45,73 @@ def check_states(document: Document, items: list[UnsafeSet], spec: dict[str, Any
                     for offset in (item.start[k][f], item.end[k][f]):
                         spare = offset - bound - more + (abs(bound) + more) * ROUNDED
                         require("unsafe_sets", spare, f"{item.name}, facet {f}, in step {k}")
+
+
+def _check_turning(document: Document, items: list[UnsafeSet], spec: dict[str, Any]) -> None:
+    """Check that three rows keep each side of a corridor that turns, in every step by a facet of its own.
+
+    In a step a normal turns by `wide` to either side of its middle direction about the axis, with errors.
+    Its arc lies in the triangle of both ends and of the corner of the tangents there.
+    """
+    name, b = spec["name"], [arb(x) for x in spec["offsets_m"]]
+    held = [
+        k for k in range(document.steps) if holding(document, spec.get("from_s", 0.0), spec["until_s"], k)
+    ]
+    if document.drift is not None or document.powered is not None:
+        raise Rejected("unsafe_sets", f"{name} turns: nothing is said of aborts beside it")
+    sides, axis = [[arb(x) for x in row] for row in spec["normals"]], spec.get("axis")
+    if (
+        len(sides[0]) != len(document.C)
+        or len(document.C) not in (2, 3)
+        or (axis is None) == (len(document.C) == 3)
+    ):
+        raise Rejected("unsafe_sets", f"{name} must have an axis in space")
+    if len(items) != 3 * len(sides) or any(len(item.normals) != len(held) for item in items):
+        raise Rejected("unsafe_sets", f"{name} must have three rows a side, and {len(held)} facets each")
+    rate, delta, clock = arb(spec["rate_rad_s"]), arb(document.delta), arb(document.timing.get("clock", 0.0))
+    C, first = matrix(document.C), [item.name for item in document.unsafe].index(items[0].name)
+    error = arb(spec.get("angle_error_deg", 0.0)) * arb.pi() / 180
+    for j, k in enumerate(held):
+        wide = abs(rate) * (delta / 2 + clock) + error
+        wide = wide + arb(spec.get("rate_error_rad_s", 0.0)) * ((k + 1) * delta + clock)
+        require("unsafe_sets", arb.pi() / 2 - wide, f"{name} turns too far in step {k}")
+        middle = rate * (k + arb(0.5)) * delta
+        for f, side in enumerate(sides):
+            along, across, beside = _split(side, axis)
+            ends = [
+                _sum((1, along), (x.cos(), across), (x.sin(), beside)) for x in (middle - wide, middle + wide)
+            ]
+            c, s = middle.cos() / wide.cos(), middle.sin() / wide.cos()
+            length = dot(side, side).sqrt()
+            for i, normal in enumerate((*ends, _sum((1, along), (c, across), (s, beside)))):
+                item, sizes = items[3 * f + i], matrix([[1.0] * len(normal)]) * magnitude(C) * (2 * length)
+                if not item.of_state or document.facets[k][first + 3 * f + i] != j:
+                    raise Rejected("unsafe_sets", f"{item.name} must be kept by facet {j} in step {k}")
+                share = _share(item.normals[j], (-(_row(normal) * C), sizes, b[f]), item.name)
+                moved = absolute_dot([arb(x) for x in item.normals[j]], document.displaced)
+                bound = moved + share * length * document.chaser_radius - share * b[f]
+                for offset in (item.start[k][j], item.end[k][j]):
+                    spare = offset - bound + (abs(share * b[f]) + moved) * ROUNDED
+                    require("unsafe_sets", spare, f"{item.name} in step {k}")
+
+
+def _split(side: list[arb], axis: list[float] | None) -> tuple[list[arb], list[arb], list[arb]]:
+    """Return the part of a normal along an axis, the rest, and the rest after a quarter of a turn."""
+    if axis is None:
+        return [arb(0)] * 2, side, [-side[1], side[0]]
+    about = [arb(x) for x in axis]
+    size = dot(about, about).sqrt()
+    about = [x / size for x in about]
+    along = [x * dot(side, about) for x in about]
+    return along, [x - y for x, y in zip(side, along, strict=True)], cross(about, side)
+
+
+def _sum(*terms: tuple[arb | int, list[arb]]) -> list[arb]:
+    """Return the sum of vectors times numbers."""
+    return [
+        sum((x * v for x, v in zip([x for x, _ in terms], entries, strict=True)), arb(0))
+        for entries in zip(*(v for _, v in terms), strict=True)
+    ]
 
 
 def _share(normal: list[float], facet: Facet, name: str) -> arb:

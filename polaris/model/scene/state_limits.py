@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from ..checks import vector
@@ -69,7 +69,7 @@ class StateLimit(Obstacle):
     def slack(self, x: Array, system: LinearSystem) -> Array:
         """Return the distance [m] along rows from states (..., n) to the unsafe set, negative inside."""
         parts = [self._measured(*part, system) for part in self.polytopes(system)]
-        return np.min([np.max(x @ rows.T - b, axis=-1) for rows, b in parts], axis=0)
+        return np.asarray(np.min([np.max(x @ rows.T - b, axis=-1) for rows, b in parts], axis=0))
 
     def _measured(self, rows: Array, bounds: Array, system: LinearSystem) -> tuple[Array, Array]:
         """Scale rows so that they measure lengths."""
@@ -82,9 +82,8 @@ class StateLimit(Obstacle):
         Each grows by how far true states may be from the model's within a period.
         """
         self._check_cells(system, delta, cells, system.d)
-        ends = np.inf if self.ends is None else self.ends
-        holds = during(self.begins, ends, np.arange(cells, dtype=float) * delta, delta)
-        known, found = all(when <= cells * delta for when in (self.begins, ends) if when != np.inf), []
+        holds = self.steps(delta, cells)
+        known, found = max(self.begins, self.ends or 0.0) <= cells * delta, []
         moved = system.displaced if isinstance(system, Craft) else np.zeros(system.n)
         for i, part in enumerate(self.polytopes(system)):
             rows, b = self._measured(*part, system)
@@ -94,6 +93,11 @@ class StateLimit(Obstacle):
             name = f"{self.name}[{i}]" if self.inside else self.name
             found.append(TimedPolytope(name, rows, offsets, self.inside, known, of_state=True))
         return tuple(found)
+
+    def steps(self, delta: float, cells: int) -> NDArray[np.bool_]:
+        """Return True for the steps, of `delta` [s], in which it holds at any time, (cells,)."""
+        ends = np.inf if self.ends is None else self.ends
+        return during(self.begins, ends, np.arange(cells, dtype=float) * delta, delta)
 
     def signed_distance(
         self, t: ArrayLike, p: ArrayLike, system: LinearSystem | None = None, state: ArrayLike | None = None

@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 from ...model import keys as f
-from ...model.scene import keep_in, obstacles, satellite, state_limits
+from ...model.scene import keep_in, obstacles, satellite, state_limits, turning
 from .fields import BY_KIND, Described, ScenarioPart, unit
 
 
@@ -64,7 +64,13 @@ class SpeedPolygon(
     """See `state_limits.SpeedPolygon`."""
 
 
-KeepIn = Annotated[KeepInPolytope | KeepInCone | KeepInStates | SpeedLimit | SpeedPolygon, *BY_KIND]
+class TurningKeepIn(Described, makes=turning.TurningKeepIn, kind="turning", says="Corridor that turns."):
+    """See `turning.TurningKeepIn`."""
+
+
+KeepIn = Annotated[
+    KeepInPolytope | KeepInCone | KeepInStates | SpeedLimit | SpeedPolygon | TurningKeepIn, *BY_KIND
+]
 
 
 class SharedReference(ScenarioPart):
