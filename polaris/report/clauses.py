@@ -58,7 +58,7 @@ ERRORS = (
     Evidence("timing", "scenario.toml: timing"),
 )
 FAULTS = Evidence("declared faults", "scenario.toml: faults.kind")
-DIGESTS = Evidence("hashes of the files of the run", "certificate.json: artefacts")
+DIGESTS = Evidence("SHA-256 of certificate.json, which has those of all files", "check: digest")
 
 CLAUSES = (
     Clause(

@@ -1,6 +1,5 @@
 """The dossier of a run: clause by clause what its files answer, on at most twelve pages for print."""
 
-import hashlib
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from ..certificate.kernel.verdict import VERIFIED, Verdict
 from ..model.errors import ScenarioError
 from ..runs.files.atomic import adding, check_file, replacing_file
 from ..runs.files.folder import RunFolder, readable
+from ..runs.files.ownership import sha256
 from ..runs.files.tables import besides
 from ..runs.run import read_run
 from .clauses import CLAUSES, Clause, Evidence
@@ -22,8 +22,9 @@ from .tables import Measure, value_cell
 
 MOST_PAGES = 12
 PAGE = (8.27, 11.69)  # A4 [in]
-LINES, COLUMNS = 76, 104  # of a page, in its smallest type
+LINES, COLUMNS = 76, 112  # of a page, in its smallest type
 LONGEST = 240  # characters of one answer: texts come from files that others may have written
+HEADS = "#0072B2"  # colour of headings: the light font has no bold letters
 ABSENT = "not asked for in this run"
 UNPROVEN = "not proven"
 
@@ -51,8 +52,7 @@ class Dossier:
         if run.kind.name != "schedule":
             raise ScenarioError("report", str(run.path), "is no run of a schedule: it has no dossier")
         scenario = tomllib.loads((run.path / "scenario.toml").read_text(encoding="utf-8"))
-        files = {name: run.json(name) for name in ("summary.json", "certificate.json")}
-        return cls(run, verify(run.path), files | {"scenario.toml": scenario})
+        return cls(run, verify(run.path), {"summary.json": run.summary, "scenario.toml": scenario})
 
     @property
     def proven(self) -> bool:
@@ -65,7 +65,7 @@ class Dossier:
         """Return what the run says: a value of its files with its unit, or a sentence of its guarantee."""
         file, _, path = evidence.address.partition(": ")
         if file == "check":
-            return self.verdict.outcome
+            return self.verdict.outcome if path == "outcome" else sha256(self.run.path / "certificate.json")
         if file == "claim":
             told = [text for head, text in self._claims() if head == path]
             return (" ".join(told) or ABSENT) if self.proven else UNPROVEN
@@ -87,12 +87,10 @@ class Dossier:
     def lines(self) -> Iterator[Line]:
         """Give all lines of text, in order."""
         summary = self.files["summary.json"]
-        digest = hashlib.sha256((self.run.path / "certificate.json").read_bytes()).hexdigest()
-        yield Line(_plain(f"Dossier: {summary['title']}"), True)
+        yield Line(_plain(f"Dossier: {summary['title']}")[:COLUMNS], True)
         yield from _wrapped(
             f"Run of {summary['scenario']}, made {summary.get('created', 'at no known time')}."
         )
-        yield from _wrapped(f"SHA-256 of certificate.json: {digest}")
         yield from _wrapped(f"The independent checker says {self.verdict.outcome}.")
         if not self.proven:
             why = self.verdict.witness or "the run claims no proof"
@@ -148,7 +146,7 @@ def _listed(value: object) -> str:
 
 
 def _wrapped(text: str, indent: str = "  ") -> Iterator[Line]:
-    for i, part in enumerate(wrap(text, COLUMNS - len(indent), break_on_hyphens=False)):
+    for i, part in enumerate(wrap(text, COLUMNS - len(indent) - 2, break_on_hyphens=False)):
         yield Line(indent + "  " * (i > 0) + part)
 
 
@@ -205,6 +203,6 @@ def _draw(dossier: Dossier, path: Path) -> None:
 
 def _write_lines(figure: Any, lines: Sequence[Line], footer: str) -> None:
     for i, line in enumerate(lines):
-        at, size = 0.96 - 0.92 * i / LINES, 8 if line.head else 7
-        figure.text(0.07, at, line.text, fontsize=size, va="top", parse_math=False)
+        at, size, colour = 0.96 - 0.92 * i / LINES, 8 if line.head else 7, HEADS if line.head else "black"
+        figure.text(0.07, at, line.text, fontsize=size, color=colour, va="top", parse_math=False)
     figure.text(0.93, 0.02, footer, fontsize=7, ha="right")

@@ -1,5 +1,6 @@
 """The dossier of a run: it opens, is short, says what the files say, and claims only what is checked."""
 
+import hashlib
 import json
 import re
 import tomllib
@@ -47,7 +48,7 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
     assert pdf.startswith(b"%PDF-") and pdf.rstrip().endswith(b"%%EOF")
     assert 2 <= len(re.findall(rb"/Type /Page\b", pdf)) <= MOST_PAGES
     text = text_of(pdf)
-    files = {name: json.loads((run / name).read_text()) for name in ("summary.json", "certificate.json")}
+    files = {"summary.json": json.loads((run / "summary.json").read_text())}
     files["scenario.toml"] = tomllib.loads((run / "scenario.toml").read_text())
     found = 0
     for clause in CLAUSES:
@@ -62,7 +63,9 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
             if isinstance(expected, float):
                 shown = re.match(r"[-\d.e]+( %)?", line.removeprefix(f"{one.words}: "))
                 scale = 100 if shown[1] else 1
-                assert float(shown[0].removesuffix(" %")) == pytest.approx(scale * expected, rel=1e-3), line
+                assert float(shown[0].removesuffix(" %")) == pytest.approx(
+                    scale * expected, rel=1e-3, abs=0.05 * (scale > 1)
+                ), line
                 found += 1
             elif isinstance(expected, int):
                 assert line.startswith(f"{one.words}: {expected} "), line
@@ -70,15 +73,14 @@ def test_it_opens_and_every_number_is_that_of_the_files(run):
     assert found >= 8
     claim = files["summary.json"]["guarantee"]
     assert all(one.split(",")[0] in text for one in claim["assumptions"])
+    assert hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest() in text
     assert "checker says VERIFIED" in text and "NOTHING IS PROVEN" not in text
 
 
 def lines_of(run, verdict):
     opened = read_run(run)
-    names = ("summary.json", "certificate.json")
-    files = {name: opened.json(name) for name in names}
     scenario = tomllib.loads((run / "scenario.toml").read_text())
-    return Dossier(opened, verdict, files | {"scenario.toml": scenario})
+    return Dossier(opened, verdict, {"summary.json": opened.summary, "scenario.toml": scenario})
 
 
 def test_what_the_checker_does_not_confirm_is_not_claimed(run):
@@ -108,8 +110,7 @@ def test_long_texts_of_files_make_no_more_pages(run):
     rewrite_json(run / "summary.json", lambda data: data["guarantee"].update(assumptions=["a " * 999] * 999))
     pages = lines_of(run, Verdict("VERIFIED")).pages()
     assert len(pages) < MOST_PAGES and all(len(page) <= LINES + 1 for page in pages)
-    assert all(len(line.text) <= 260 for page in pages for line in page)
-    assert max(len(line.text) for page in pages[1:] for line in page) <= COLUMNS
+    assert max(len(line.text) for page in pages for line in page) <= COLUMNS
     assert "rest of the assumptions" in pages[-1][-1].text
     assert write_dossier(run, run.parent / "own.pdf").stat().st_size > 10_000
 
