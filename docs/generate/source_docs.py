@@ -103,6 +103,12 @@ ROWS = (
         "thrusters",
         ("thrusters.magnitude_error=0.05", "thrusters.misalignment_deg=2.0", "thrusters.mass_error=0.03"),
     ),
+    Row(
+        "Errors that never vary",
+        "thrusters.varies",
+        ('thrusters.varies="never"',),
+        ("thrusters.magnitude_error=0.05",),
+    ),
     Row("Impulse bit, the rest dropped", "thrusters.impulse_bit_N_s", (BIT,)),
     Row(
         "Impulse bit, more in any size",
@@ -189,7 +195,7 @@ class Declared:
             ),
             "pushes": "".join(str(push.cover) for push in (*craft.steady, *craft.bits)),
             "shares of commands": str((shares, craft.lag)) if any(shares) else "",
-            "constants": "".join(map(str, craft.constants)),
+            "constants": "".join(map(str, craft.constants)) + "shares" * plant.constant,
         }
 
     @cached_property
@@ -219,6 +225,7 @@ class Declared:
         system, kind = self.problem.system, f"`{flies(self.problem.system).__name__}`"
         first = None if system.observer is None else system.observer.initial
         constants = system.bias, None if system.observer is None else system.observer.constant
+        constants = *constants, system.on_time.constant
         sizes = system.w_max, (system.navigation, system.error_by_step, first), system.thrusters
         drawn = zip(("disturbance", "estimates", "thrusters"), columns(system), sizes, strict=False)
         return {

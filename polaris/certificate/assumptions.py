@@ -81,6 +81,7 @@ class Premises:
     constant: Iterable[float] = ()  # part of the errors of what it measures that is one for the whole flight
     timing: Iterable[float] = ()  # delay [s], jitter [s], periods that may be missed, clocks apart by [s]
     thrusters: Iterable[float] = ()  # shares of the command, of the 2-norm of others, of the mass; at all [N]
+    same_shares: bool = False  # whether the first two are those of one matrix in a whole flight
     pulses: Iterable[float] = ()  # thrust of the pulses of every input, unless inputs are held
     placed: str = ""  # where these are in a period, unless in the middle
     fine: bool = False  # whether impulses above that are of any size instead
@@ -152,7 +153,8 @@ class Premises:
                 units = "|u_i|", "norm(u_other, 2)", "", "N"
                 off = " + ".join(f"{x:g} {of}" for x, of in zip(applied, units, strict=True) if x)
                 asked = "what is made of its command, u_i" if self.carried else "its command u_i"
-                yield f"thrusters: what is applied to an input is within {off} of {asked}"
+                same = ", each command counting by the same share all flight" * self.same_shares
+                yield f"thrusters: what is applied to an input is within {off} of {asked}{same}"
         if self.carried and self.layout:
             left = f"at first nothing, of an input at most {self.carried:g} N s in all"
             yield f"impulses: what thrusters leave of what they are asked for, {left}, is carried to the next"

@@ -174,6 +174,16 @@ class Craft(LinearSystem):
         """Return the craft with errors of estimates, shape (n,), that are those of every step."""
         return replace(self, estimate_error=error, error_by_step=None)
 
+    @property
+    def matrix(self) -> Array:
+        """Bounds on a matrix of errors of thrusters that is constant in a flight, (m, m); 0 where none is.
+
+        Without a layout of thrusters and jitter, whose errors vary (docs/theory.md, Proposition 14 (c)).
+        """
+        errors = self.thrusters
+        counts = errors.constant and errors.along < 1 and self.longest == 1
+        return errors.summed(np.eye(self.m)) * counts
+
     def estimate_off(self, most: Array | None = None) -> Array:
         """Return bounds on the errors of the estimate, shape (..., n).
 

@@ -13,13 +13,18 @@ from .system import Array
 
 @dataclass(frozen=True)
 class Thrusters:
-    """Errors of what is applied, at any time and however they change (docs/theory.md, Proposition 5 (b))."""
+    """Errors of what is applied, at any time and however they change (docs/theory.md, Proposition 5 (b)).
+
+    With `constant` those that grow with commands are one matrix M in a flight: ``u + M u`` is applied, up to
+    `bit`, with ``|M_jj| <= along`` and ``norm(M_jk, k != j) <= across``.
+    """
 
     along: float = 0.0  # of every input, as a share of its own command
     across: float = 0.0  # of every input, as a share of the 2-norm of the commands of the others
     bit: float | tuple[float, ...] = 0.0  # of every input, or of each, whatever its command [N]
     shares: tuple[tuple[float, ...], ...] = ()
     """Of a layout: by how much a unit of command i puts input j off, rows j, (m, m); else none."""
+    constant: bool = False
 
     def __post_init__(self) -> None:
         sizes = (self.along, self.across, *np.ravel(self.bit), *np.ravel(self.shares))
@@ -63,7 +68,7 @@ class Thrusters:
     @property
     def exact(self) -> bool:
         """Whether what is commanded is what is applied."""
-        return self == Thrusters()
+        return not self.proportional and not np.any(self.bit)
 
     @property
     def proportional(self) -> bool:
@@ -73,6 +78,16 @@ class Thrusters:
     def table(self, m: int) -> NDArray[np.float64]:
         """Bound the error in each input by a unit of each command, rows are errors, shape (m, m)."""
         return self._with_shares(np.eye(m) * self.along + self.across, np.eye(m)).T
+
+    def matrices(self, ways: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return errors of inputs as shares of commands at their bounds, (..., m, m).
+
+        `ways` (..., m, m) give sign and size of the own shares, within 1, and directions of those of others.
+        """
+        own = np.eye(ways.shape[-1])
+        size = np.linalg.norm(ways * (1 - own), axis=-1, keepdims=True)
+        others = self.across * ways * (1 - own) / np.maximum(size, 1e-300)
+        return np.asarray(self.along * np.clip(ways, -1, 1) * own + others)
 
     def made(self, impulse: float) -> float:
         """Most impulse of an input that is asked for one by one."""

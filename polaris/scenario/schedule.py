@@ -118,7 +118,8 @@ class ScheduleScenario(Scenario):
         allocation, limits = self.allocation(), system.u_max
         if model.thrusters is not None:
             system = replace(system, nozzles=model.thrusters.nozzles(allocation))
-            system = replace(system, thrusters=model.thrusters.build(system, self.period()))
+            errors = model.thrusters.build(system, self.period(), allocation is None)
+            system = replace(system, thrusters=errors)
         if allocation is not None:
             system = replace(system, u_max=allocation.u_max)
         if (model.navigation, model.thrusters, model.timing) == (None, None, None):

@@ -40,16 +40,28 @@ def disturbances(
     if count:
         longest = flight.steps_per_cell * 4
         w[:, worst:, :p] = _piecewise(steps, count, p, longest, rng) * system.w_max
-        for part, size in zip(places[1:], (flight.known, np.ones(system.m), np.ones(told)), strict=True):
+        for part, size in zip(places[1:], (flight.known, 1.0, 1.0), strict=True):
             if part.start < part.stop:
                 drawn = _piecewise(steps, count, part.stop - part.start, longest, rng)
                 far = np.max(np.abs(drawn), axis=2, keepdims=True)
                 w[:, worst:, part] = drawn / np.maximum(far, 1e-300) * size
-        if np.any(system.bias):  # half of them at a corner
-            drawn = rng.uniform(-1, 1, (count, p))
-            drawn = np.where(rng.random((count, 1)) < 0.5, np.sign(drawn), drawn)
-            w[:, worst:, flight.constant] = drawn * system.bias
+        if np.any(system.bias):
+            w[:, worst:, flight.constant] = _constants(count, p, rng) * system.bias
+        if flight.thrusters.constant:
+            w[:, worst:, _shares(flight)] = _constants(count, system.m**2, rng)
     return w, adjoint
+
+
+def _shares(flight: Integrator) -> slice:
+    """Return the columns of constant shares of commands, which `Thrusters.matrices` reads."""
+    errors = flight.columns[2]
+    return slice(errors.start + flight.system.m, errors.stop)
+
+
+def _constants(count: int, size: int, rng: np.random.Generator) -> Array:
+    """Draw constants of flights, (count, size), half of them at a corner of the box about zero."""
+    drawn = rng.uniform(-1, 1, (count, size))
+    return np.asarray(np.where(rng.random((count, 1)) < 0.5, np.sign(drawn), drawn))
 
 
 def _piecewise(steps: int, n: int, p: int, longest: int, rng: np.random.Generator) -> Array:
@@ -92,8 +104,9 @@ def adjoint_worst_case(
     """Disturbance, held over each step, that takes the state furthest along a row at one instant per run.
 
     ``w(s) = w_max G' lambda(s) / norm``, with lambda the adjoint of the closed loop and G what a disturbance
-    held over a step adds; a constant has the sign of the sum of ``G' lambda``. For a linear loop no other
-    held disturbance goes further; about a loop whose thrusters clip it is the worst case to first order.
+    held over a step adds; a constant has the sign of the sum of ``G' lambda``, a constant share of a
+    command u that of the sum of ``G' lambda u'``. For a linear loop no other held disturbance goes further;
+    about a loop whose thrusters clip it is the worst case to first order.
     Errors of estimates, if there are any, follow the disturbance in columns of their own, each at its bound,
     with the sign of ``G' lambda(s)``, or those of an observer's noise (`worst_errors`);
     so does what networks are told of bodies. Where a loop is not linear it is the worst case about flights
@@ -111,6 +124,7 @@ def adjoint_worst_case(
     choices = {number: _loops(flight, number) for number in np.unique(numbers).tolist()}
     adjoint, (own, eta, errors, told) = np.zeros((len(rows), system.n)), flight.columns
     w, total = np.zeros((steps, len(rows), flight.constant.stop)), np.zeros((len(rows), system.p))
+    turned = np.zeros((len(rows), system.m, system.m))
     free = np.zeros((steps, len(rows), system.m)) if flight.may_do_anything else None
     bits, filtering = 2 ** np.arange(system.m), np.zeros_like(adjoint)
     clipped, grows = None, flight.thrusters.proportional
@@ -132,7 +146,9 @@ def adjoint_worst_case(
         about = _undisturbed(flight) if about is None and (bends or grows) else about
         made = kick if spends is None else kick + spends[step]  # how much what is applied counts
         asked = made  # and what is commanded
-        if about is not None and grows:
+        if about is not None and flight.thrusters.constant:
+            turned += made[:, :, None] * about.inputs[:, step // flight.substeps, None, :]
+        elif about is not None and grows:
             asked = made + flight.thrusters.slope(about.inputs[:, step // flight.substeps], np.abs(made))
         if asked is not kick:
             answer = (kick - asked if clipped is None else (kick - asked) * ~clipped[step]) @ gain
@@ -150,12 +166,15 @@ def adjoint_worst_case(
         size = np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         w[step, :, own] = along * (system.w_max / np.maximum(size, 1e-300))
         if errors.start < errors.stop:
-            w[step, :, errors] = np.sign(made)
+            w[step, :, errors.start : errors.start + system.m] = np.sign(made)
         if free is not None:
             free[step] = np.sign(made) * system.u_max
         adjoint = carried
     if np.any(system.bias):
         w[..., flight.constant] = np.sign(total) * system.bias
+    if flight.thrusters.constant:
+        ways = np.where(np.eye(system.m) > 0, np.sign(turned), turned)
+        w[..., _shares(flight)] = ways.reshape(len(rows), -1)
     return w, free, adjoint
 
 

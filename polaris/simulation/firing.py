@@ -25,7 +25,8 @@ def begins(on: Array, placed: str) -> Array:
 class Firing:
     """Thrusters over steps of an integration, R runs at once.
 
-    Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Of N thrusters
+    Errors, as shares of the largest that what is commanded allows, are `thrust` (steps, R, m). Where shares
+    of commands are constant in a flight those of the first step follow (`Thrusters.matrices`). Of N thrusters
     that push along the rows of `ways` (N, m), those of a layout or else one both ways along every input,
     pulses have the thrust `fired` (N,); without any, what is commanded is held. From `begin` on, the rest of
     an impulse is `left` (R, N) [N s] if it is carried. What fails is `failing`.
@@ -78,8 +79,17 @@ class Firing:
             f = np.sign(due) * np.minimum(whole / h, most)
             self.left = due - f * h
         self.asked, made = f, f @ self.ways
-        self.made = made if self.thrust is None else made + self.thrust[step] * self.thrusters.error(told)
+        self.made = made if self.thrust is None else made + self._wrong(self.thrust, step, told, made)
         return self.made if self.failing is None else self.made + self.failing.added(made, step)
+
+    def _wrong(self, thrust: Array, step: int, told: Array, made: Array) -> Array:
+        """Return what thrusters make wrong in a step of what they are told, and make of it, (R, m)."""
+        m, errors = self.system.m, self.thrusters
+        if not errors.constant:
+            return np.asarray(thrust[step] * errors.error(told))
+        shares = errors.matrices(thrust[0, :, m:].reshape(-1, m, m))
+        fixed = thrust[step, :, :m] * errors.error(0 * told)
+        return np.asarray(np.einsum("rab,rb->ra", shares, made) + fixed)
 
     def size(self, u: Array) -> Array:
         """Return what counts of velocity change while inputs u (R, m) are applied, (R,) [N].
@@ -123,7 +133,8 @@ class Firing:
 
         Late is what the last inputs do more for along `thrust`, and nothing in the first period.
         """
-        more = (self.before - self.made) * (0.0 if self.thrust is None else self.thrust[step])
+        more = self.before - self.made
+        more = more * (0.0 if self.thrust is None else self.thrust[step][:, : more.shape[1]])
         return np.where(more.sum(axis=1, keepdims=True) > 0, self.jitter * (step > 0), 0.0)
 
     def _beyond(self, power: int, start: Array | float, end: Array | float) -> Array:

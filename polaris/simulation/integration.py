@@ -18,10 +18,13 @@ from .run_metrics import Runs
 
 
 def columns(system: Craft, told: int = 0) -> tuple[slice, slice, slice, slice]:
-    """Columns of w, errors of estimates and thrusters where not exact, and shares of what networks hear."""
+    """Columns of w, errors of estimates and thrusters where not exact, and shares of what networks hear.
+
+    Where shares of commands are constant in a flight their matrix follows the fixed errors of thrusters.
+    """
     first = system.p
     second = first + system.n * bool(np.any(system.navigation))
-    third = second + system.m * (not system.thrusters.exact)
+    third = second + system.m * (not system.thrusters.exact) + system.m**2 * system.on_time.constant
     return slice(first), slice(first, second), slice(second, third), slice(third, third + told)
 
 
@@ -186,7 +189,7 @@ class Integrator(Firing):
         """Fly from initial states (R, n) under disturbances held over each step, (steps, R, p).
 
         Further columns, as `columns` has them, are the errors of the estimates and of the thrusters, and the
-        last ones, of the first step, what is constant in a flight.
+        last ones what is constant in a flight. Of constants those of the first step count.
         """
         q, nodes = self.q, len(self.modes) * self.q
         w, *errors = self.split(w, w[:1])

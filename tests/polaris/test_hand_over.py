@@ -168,6 +168,7 @@ def stated(s):
         calmest=estimate,
         error_by_step=[],
         shares=[timing.on_time.along, timing.on_time.across, 0.0],
+        same_shares=timing.on_time.constant,
         bits=[errors.bit] * system.m,
         prompt_bits=[timing.on_time.bit] * system.m,
         late=timing.jitter > 0 and not timing.fired,

@@ -42,6 +42,7 @@ def judged(system, delta, law, kind, chi, nu, missed=False, **spec):
         w_max=0.0,
         estimate=(),
         shares=(0.0, 0.0, 0.0),
+        same_shares=False,
         carried=0.0,
         placed="",
         observer=None,

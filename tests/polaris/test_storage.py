@@ -1,24 +1,27 @@
 """Storages of whole flights (Proposition 14 (c)) against flights coded by hand, and in both programs."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 pytest.importorskip("flint")
 from flint import arb, arb_mat, ctx
 
 from polaris.certificate.claims import storage as checked
-from polaris.certificate.claims.mean_commands import MeanCommands, Period
+from polaris.certificate.claims.mean_commands import MeanCommands, Period, TurnedCommands
 from polaris.certificate.kernel.balls import PRECISION, column, diagonal, matrix
 from polaris.certificate.kernel.verdict import Undecided
 from polaris.certificate.kernel.zonotopes import Zonotope as Enclosed
 from polaris.synthesis.schedule.spending import FlightSpending
 from polaris.synthesis.tracker import storage
-from polaris.synthesis.tracker.long_flight import Inputs, Storage
+from polaris.synthesis.tracker.long_flight import Inputs, Storage, carried_across
 from polaris.synthesis.tracker.storage import LinearStep, Weights
 from reach.sets.zonotope import Zonotope
 
 from .random_scenarios import synthesised
-from .test_hand_over import CASES, checker_needs, tracking
+from .test_hand_over import CASES, H, checker_needs, tracking
 from .test_mean_commands import PERIODS, Flown
 
 STEP = 12  # periods that have one set of weights
@@ -69,6 +72,108 @@ def test_no_flight_spends_more_whatever_it_is_meant_to_command(case):
         ways = flown.towards(np.sign(total))
     assert np.sum(np.abs(u) @ spends) < reached <= most
     assert reached > 0.55 * most
+
+
+MATRIX = {}, {"delay": 1.0}, {"carried": 0.0399}, {"carried": 0.0399, "delay": 1.5, "observer": True}
+"""Loops with one matrix of errors in a whole flight; 0.004 N are its share of what is carried."""
+
+
+def constant(case):
+    """S with thrusters whose errors are one matrix, and the inputs of its loop but for that."""
+    s = tracking(proportional=True, **case)
+    for errors in (s.system.thrusters, s.system.on_time):
+        object.__setattr__(errors, "constant", True)
+    return s, steps(s)[0].inputs[0]
+
+
+def about_middles(s, inputs):
+    """S in many periods about its middle, with the matrix in the loop state, and where that begins."""
+    u, bounds = middles(s.system.m), s.system.matrix
+    inside = [inputs.about(s.loop, c) for c in u]
+    both = np.hstack([u, 0 * u])
+    parts = [slice(i, i + STEP) for i in range(0, PERIODS, STEP)]
+    G = block_diag(carried_across(s.loop, s.system), np.diag(bounds[np.nonzero(bounds)]))
+    return [LinearStep(tuple(inside[p]), both[p]) for p in parts], Zonotope(np.zeros(len(G)), G)
+
+
+def spent_with(s, inputs, M, ways, left):
+    """Fly under a matrix M with values by `ways` (PERIODS, k) and impulses `left`; return what is spent [N].
+
+    Also where values would spend more. With a carried bit what is made is not less than a flight may make.
+    """
+    u, own, carried = middles(s.system.m), np.diag(np.diag(M)), s.system.timing.carried > 0
+    number = inputs.held + (inputs.enter.shape[1] - inputs.held) // 2  # errors that grow are flown by hand
+    scale = np.ones(number)
+    scale[inputs.held :] = np.resize(inputs.bits, number - inputs.held)
+    enter, answers, B = inputs.enter[:, :number] * scale, inputs.own[:, :number] * scale, s.loop.made
+    group = np.concatenate([inputs.group[: inputs.held], inputs.group[inputs.held : number]])
+    size = np.zeros((PERIODS, group[-1] + 1))
+    np.add.at(size.T, group, ways.T**2)
+    v = ways / np.sqrt(np.maximum(size, 1e-300))[:, group]
+    y, told, total = np.zeros(len(inputs.F)), np.zeros_like(u), 0.0
+    for i in range(PERIODS):
+        told[i] = u[i] - inputs.K @ y + answers @ v[i]
+        made = M @ told[i] + (M - own) @ (left[i] - left[i + 1]) / H
+        y = inputs.F @ y + enter @ v[i] + B @ made
+        across = np.abs(M - own) @ np.abs(told[i])
+        total += (
+            (np.abs((1 + np.diag(M)) * told[i]) + across).sum()
+            if carried
+            else np.abs(told[i] + M @ told[i]).sum()
+        )
+    later, better = np.zeros(len(inputs.F)), np.zeros_like(ways)
+    for i in reversed(range(PERIODS)):
+        more = (np.eye(len(M)) + M).T @ np.sign(told[i] + M @ told[i])
+        if carried:
+            more = (1 + np.diag(M) + np.abs(M - own).sum(axis=0)) * np.sign(told[i])
+        more = more + M.T @ B.T @ later
+        better[i] = enter.T @ later + answers.T @ more
+        later = inputs.F.T @ later - inputs.K.T @ more
+    return total, better
+
+
+@pytest.mark.parametrize("case", MATRIX, ids=lambda case: "-".join(case) or "held")
+def test_no_flight_with_one_matrix_spends_more(case):
+    """At every corner of the matrix, commands in the middle being known; sequences would spend more."""
+    (s, inputs), rng = constant(case), np.random.default_rng(0)
+    whole, start = about_middles(s, inputs)
+    most = storage.bound(whole, storage.weights(whole, start), start)
+    m, count, reached = s.system.m, inputs.held + (inputs.enter.shape[1] - inputs.held) // 2, 0.0
+    for signs in product((-1, 1), repeat=m * m):
+        M = np.reshape(signs, (m, m)) * s.system.matrix
+        ways, left = (
+            rng.normal(size=(PERIODS, count)),
+            rng.choice([-1, 1], (PERIODS + 1, m)) * s.system.timing.carried,
+        )
+        for _ in range(4):
+            total, ways = spent_with(s, inputs, M, ways, left)
+            reached = max(reached, total)
+    assert 0.55 * most < reached <= most
+    varying = steps(s)
+    saved = 1 - most / storage.bound(varying, storage.weights(varying, nowhere(s)), nowhere(s))
+    assert saved > (0.0 if "carried" in case else 0.12)
+
+
+@pytest.mark.parametrize("case", MATRIX, ids=lambda case: "-".join(case) or "held")
+def test_both_programs_hold_the_matrix_alike(case):
+    s, inputs = constant(case)
+    craft = checker_needs(s, None).craft
+    loop = MeanCommands(
+        craft, craft.plant.thruster_error(craft.plant.u_max), diagonal([arb(x) for x in s.worst_noise])
+    )
+    for c in middles(s.system.m)[[0, 100, -1]]:
+        ours, theirs = inputs.about(s.loop, c), TurnedCommands(craft, loop, column(c.tolist()))
+        for name in ("F", "K", "own", "squares"):
+            entries = [[float(x) for x in row] for row in getattr(theirs, name).tolist()]
+            assert np.allclose(getattr(ours, name), entries, rtol=1e-9, atol=1e-12), name
+        assert np.allclose(ours.spends, [float(x) for x in theirs.spends], rtol=1e-9)
+        entries = np.array([[float(x) for x in row] for row in theirs.enter.tolist()])
+        assert np.all(np.abs(entries) <= np.abs(ours.enter) * (1 + 1e-9) + 1e-12)  # rests are smaller
+        assert [len(ours.group), ours.held] == [theirs.enter.ncols(), theirs.held]
+        assert sum(map(len, theirs.groups)) == ours.held == 1 + max(map(max, theirs.groups))
+    known = carried_across(s.loop, s.system)
+    entries = [[float(x) for x in row] for row in checked.carried_across(craft).tolist()]
+    assert np.allclose(known, np.array(entries).reshape(known.shape), rtol=1e-9)
 
 
 def test_any_weights_are_sound_and_those_chosen_hardly_to_be_bettered():

@@ -9,7 +9,7 @@ from math import cos, pi, sin
 
 from flint import acb, acb_mat, arb, arb_mat
 
-from ..kernel.balls import beside, diagonal, matrix, scaled, sums
+from ..kernel.balls import above, beside, diagonal, identity, matrix, scaled, sums
 from ..kernel.motion import Push
 from ..model.craft.craft import Craft
 
@@ -61,8 +61,8 @@ class MeanCommands:
             groups += [[place + i] for i in range(box.nrows())]
             place += box.nrows()
         self.held, self.groups, self.m, self.plant = place, groups, m, plant
-        enter += [enters * motion.gamma * plant.B for enters, motion in (*spans, *spans)]
-        self.enter, self.parts = beside(*enter), len(spans)
+        made = [enters * motion.gamma * plant.B for enters, motion in spans]
+        self.enter, self.parts = beside(*enter, *made, *made), len(spans)
         rest = self.enter.ncols() - seen.ncols()
         self.own = beside(seen, arb_mat(self.m, rest))
         self.F, self.K = (craft.F, craft.commands) if K is None else (craft.free + craft.held * K, -K)
@@ -135,6 +135,61 @@ class MeanCommands:
             if rows is not None and pivots((less + less.transpose()) * 0.5) is not None:
                 return Lasting(matrix(rows), period.cost)
         return None
+
+
+class TurnedCommands(MeanCommands):
+    """Commands about a middle (m, 1) in a loop whose state ends with the constant matrix of a plant.
+
+    Commands are twice as many: what is applied about the middle but for errors of the deviation, and the
+    deviation. Errors that grow do so with the deviation alone.
+    """
+
+    def __init__(self, craft: Craft, loop: MeanCommands, middle: arb_mat) -> None:
+        plant, m, N, q = craft.plant, loop.m, loop.F.nrows(), len(craft.plant.matrix)
+        turned, applied = arb_mat(m, q), arb_mat(m, q)
+        for place, (i, j, _) in enumerate(plant.matrix):
+            turned[i, place] = middle[j, 0]
+            applied[i, place] = middle[j, 0] * (i == j or not plant.carried)
+        late, (known, grown) = carried_across(craft), (_split(M, loop.held) for M in (loop.enter, loop.own))
+        self.loop, self.plant, self.m, self.held = loop, plant, m, loop.held + late.ncols()
+        self.groups = [*loop.groups, *([i] for i in range(loop.held, self.held))]
+        self.F = above(beside(loop.F, made_by(craft) * turned), beside(arb_mat(q, N), identity(q)))
+        self.K = above(beside(loop.K, -applied), beside(loop.K, arb_mat(m, q)))
+        enter = beside(known[0], late - loop.F * late, known[1])
+        own = beside(grown[0], loop.K * late, grown[1])
+        self.enter, self.own = above(enter, arb_mat(q, enter.ncols())), above(own, own)
+
+    @cached_property
+    def spends(self) -> list[arb]:
+        """Return the thrust that a unit of each command spends."""
+        both, own = [x - 1 for x in self.loop.spends], arb(self.plant.along)
+        if self.plant.carried:  # thrust across is made in other periods than what it is a share of
+            applied = [1 + (x - own) / (1 - own) for x in both]
+            return [*applied, *(own * x for x in applied)]
+        return [*[arb(1)] * self.m, *both]
+
+    @cached_property
+    def squares(self) -> arb_mat:
+        """Bound on squares of errors of thrusters per squares of commands, (m, 2 m)."""
+        return beside(arb_mat(self.m, self.m), self.loop.squares)
+
+
+def made_by(craft: Craft) -> arb_mat:
+    """Return what units of inputs in a period add to the loop state that no law knows of, (N, m)."""
+    each = [enters * motion.gamma * craft.plant.B for enters, motion in craft.spans]
+    return sum(each[1:], each[0])
+
+
+def carried_across(craft: Craft) -> arb_mat:
+    """Return what shares of carried impulses in other inputs move the loop state by at most, (N, k)."""
+    bits = craft.plant.prompt.bits if craft.plant.carried else []
+    return made_by(craft) * diagonal([arb(x) for x in bits]) if any(bits) else arb_mat(craft.F.nrows(), 0)
+
+
+def _split(M: arb_mat, column: int) -> tuple[arb_mat, arb_mat]:
+    """Return the columns of a matrix until one, and those from it on."""
+    rows = M.tolist()
+    return matrix([row[:column] for row in rows]), matrix([row[column:] for row in rows])
 
 
 class Period:

@@ -11,11 +11,11 @@ from typing import Any
 from flint import arb, arb_mat
 
 from ..files.parts import Vector
-from ..kernel.balls import beside, diagonal, magnitude, maxima, rows_of, scaled, smallest
+from ..kernel.balls import above, beside, diagonal, magnitude, maxima, rows_of, scaled, smallest
 from ..kernel.verdict import Rejected, Undecided
 from ..kernel.zonotopes import Zonotope
 from .flights import Flown
-from .mean_commands import FLOOR, MeanCommands, Period, pivots
+from .mean_commands import FLOOR, MeanCommands, Period, TurnedCommands, carried_across, pivots
 
 GROWN, APART = 1e-7, 1e-4
 """Share by which a storage grows in every period, to hold what its numbers are rounded by; and at a jump of
@@ -101,20 +101,23 @@ def _rounded(P: arb_mat, p: arb_mat, cost: arb) -> Storage:
     return Storage(exact, middle, cost + sum((x.abs_upper() ** 2 / y for x, y in off), arb(0)))
 
 
-def _periods(step: Flown, weights: Vector, count: int) -> list[Period]:
-    """Return the first periods of a step as those of its loop about the middle, with their weights."""
+def _periods(step: Flown, weights: Vector, count: int) -> list[tuple[Period, arb_mat]]:
+    """Return the first periods of a step as those of its loop about the middle, with middles of commands."""
     if step.pilot.law.kind not in ("safety", "affine", "saturated_affine"):
         raise Rejected("goal", "weights belong to steps of affine laws")
     craft, m = step.pilot.craft, len(step.spells[0].bounds)
     error = craft.plant.thruster_error(maxima(*(spell.bounds for spell in step.spells)))
-    periods, known = list[Period](), dict[Any, MeanCommands]()
+    periods, known = list[tuple[Period, arb_mat]](), dict[Any, MeanCommands]()
     for spell in step.spells[:count]:
         key = tuple(part.man_exp() for x in (*spell.bands, *spell.K.entries()) for part in (x.mid(), x.rad()))
         if key not in known:
             known[key] = MeanCommands(craft, error, diagonal(spell.bands), spell.K)
-        loop, middle = known[key], map(float, map(abs, spell.middle.mid().entries()))
-        r = [x + y for x, y in zip(weights[:m], middle, strict=True)]
-        periods.append(Period(loop, r, _columns(loop, weights[m:])))
+        loop, middle = known[key], spell.middle
+        if craft.plant.matrix:
+            loop, middle = TurnedCommands(craft, loop, middle), above(middle, arb_mat(m, 1))
+        sizes = list(map(float, map(abs, middle.mid().entries())))
+        r = [x + y for x, y in zip(weights[: len(sizes)], sizes, strict=True)]
+        periods.append((Period(loop, r, _columns(loop, weights[len(sizes) :])), middle))
     return periods
 
 
@@ -136,14 +139,22 @@ def together(
 
     At the start of the step that `jump` names, the loop state moves by up to a box (N, 1).
     """
-    plant, N = flights[0].pilot.plant, flights[0].start.c.nrows()
+    plant, start = flights[0].pilot.plant, flights[0].start
+    if bounds := [x for _, _, x in plant.matrix]:
+        fixed, states = arb_mat(len(bounds), 1), beside(start.G, carried_across(flights[0].pilot.craft))
+        G = above(
+            beside(states, arb_mat(states.nrows(), len(bounds))),
+            beside(arb_mat(len(bounds), states.ncols()), diagonal(bounds)),
+        )
+        start, jump = Zonotope(above(start.c, fixed), G), jump and (jump[0], above(jump[1], fixed))
+    N = start.c.nrows()
     after = Storage(arb_mat(N, N), arb_mat(N, 1), arb(0))
     lengths = [min(max(count - i * plant.q, 0), plant.q) for i in range(len(flights))]
     for i in range(len(flights) - 1, -1, -1):
         periods = _periods(flights[i], weights[i], lengths[i])
         for j in range(lengths[i] - 1, -1, -1):
-            after = after.before(periods[j], flights[i].spells[j].middle)
+            after = after.before(*periods[j])
         if jump is not None and jump[0] == i > 0:
             after = after.jumped(jump[1])
     bits = plant.weighted(list(map(arb, plant.prompt.bits or [0.0] * len(plant.u_max))))
-    return (after.largest(flights[0].start) + count * bits) * (plant.h + 2 * arb(plant.jitter))
+    return (after.largest(start) + count * bits) * (plant.h + 2 * arb(plant.jitter))

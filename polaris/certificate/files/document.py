@@ -94,6 +94,7 @@ class Document:
         self.estimate: Vector = system.get("estimate_error") or []
         self.thrusters: dict[str, Any] = system.get("thrusters") or {}  # of each thruster, or of the inputs
         self.shares: Vector = [self.thrusters.get(key, 0.0) for key in ("along", "across", "mass")]
+        self.same_shares: bool = self.thrusters.get("constant", False)  # in the whole flight
         self.bits: Vector = self._each(self.thrusters.get("bit", 0.0))
         self.error_by_step: Matrix = system.get("error_by_step") or []
         self.observer: dict[str, Any] | None = system.get("observer")
@@ -233,6 +234,7 @@ class Document:
             constant=(self.observer or {}).get("constant") or (),
             timing=[self.timing[key] for key in ("delay", "jitter", "missed", "clock") if self.timing],
             thrusters=(*self.shares, max(self.prompt_bits)),
+            same_shares=self.same_shares,
             pulses=self.fired,
             placed=self.placed,
             edge=self.edge,

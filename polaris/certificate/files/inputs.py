@@ -172,6 +172,9 @@ def _check_thrusters(document: Document, scenario: dict[str, Any]) -> None:
         require("system", document.carried - least * (1 - ROUNDED), f"impulses left: {document.carried}")
     for name, least, value in zip(("along", "across", "of the mass"), wanted, document.shares, strict=True):
         require("system", value - least + least * ROUNDED, f"error of the thrusters {name}: {value}")
+    constant = spec.get("varies", "always") == "never" and document.allocation is None
+    if document.same_shares != (constant and any(x > 0 for x in document.shares)):
+        raise Rejected("system", "errors of the thrusters are not as constant as the scenario says")
     for least, value in zip(bits, document.prompt_bits, strict=True):
         require("system", value - least + least * ROUNDED, f"error of the thrusters of the bit: {value}")
 

@@ -99,6 +99,7 @@ SCENARIO = {
         "misalignment_deg?": Real(least=0, most=45), "directions?": MATRIX, "thrust_max_N?": PER_AXIS,
         "pulse?": Text(("held", "centred", "start", "staggered")), "remainder?": Text(("dropped", "carried")),
         "allocation?": Text(tuple(ALLOCATIONS)), "resolution?": Text(("bit", "continuous")),
+        "varies?": Text(("always", "never")),
     },
     "timing?": {
         "delay_s?": Real(least=0, most=1e4), "missed_periods?": Whole(0, 1000),

@@ -77,6 +77,7 @@ class Plant:
     along: arb | float = 0.0  # error of an input as a share of its own command; of a layout in `shares`
     across: arb | float = 0.0  # error as a share of the 2-norm of the other commands
     shares: Sequence[Sequence[arb]] = ()  # errors (rows) as shares of each command, of a layout
+    constant: bool = False  # whether what is spent counts those of inputs as one matrix in a whole flight
     bits: Sequence[float] = ()  # error of each input whatever is commanded [N]; empty: all zero
     on_time: Plant | None = None  # with errors of inputs without jitter and pulses
     jitter: float | arb = 0.0  # by which what is made may come too early or late [s]
@@ -165,6 +166,12 @@ class Plant:
         """Error of each input, rows, by a unit of one command alone, shape (m, m)."""
         m = self.B.ncols()
         return self.table if self.shares else self.table - diagonal([arb(self.across)] * m)
+
+    @cached_property
+    def matrix(self) -> list[tuple[int, int, arb]]:
+        """Row, column and bound of entries of a constant matrix of errors of thrusters; none without one."""
+        each = self.alone.tolist() if self.constant else []
+        return [(i, j, x) for i, row in enumerate(each) for j, x in enumerate(row) if x > 0]
 
     def spent(self, most: Sequence[arb]) -> arb:
         """Bound on what all thrusters spend in a period under commands up to `most`, by their weights."""

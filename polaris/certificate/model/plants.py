@@ -53,7 +53,9 @@ def plant_of(document: Document) -> Plant:
     if (layout := Nozzles.of(document)) is not None:
         plant = replace(plant, shares=layout.shares, weights=layout.weights)
     else:
-        plant = replace(plant, along=document.shares[0], across=document.shares[1])
+        along, across, _ = document.shares
+        constant = document.same_shares and along < 1 and jitter == 0
+        plant = replace(plant, along=along, across=across, constant=constant)
     bias = [Push.in_box(*_constant(D, document.bias))] if any(document.bias) else []
     plant = replace(plant, bias=bias, unmeasured=delay + missed * h)
     plant = _out_of_time(document, plant)

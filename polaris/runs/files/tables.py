@@ -143,6 +143,8 @@ def errors_of(system: Craft) -> dict[str, Any]:
     observer = {key: x for key, x in observer.items() if x is not None and key not in hidden}
     thrusters, layout = asdict(system.on_time) | {"bit": system.thrusters.bit}, system.nozzles
     del thrusters["shares"]
+    if not thrusters["constant"]:
+        del thrusters["constant"]
     if layout is not None:  # of each thruster: what it makes wrong of the inputs is derived
         thrusters |= {"along": layout.along, "across": layout.across, "mass": layout.mass}
     return {

@@ -35,6 +35,10 @@ class Thrusters(ScenarioPart):
     one, 1.42 times their angle. With `directions`, the angle of each nozzle. Hill's frame only."""
     mass_error: f.Real = unit("-", default=0.0, ge=0, lt=0.5)
     """Share by which the mass may be more or less than `system.mass_kg`, propellant spent included."""
+    varies: Literal["always", "never"] = unit("-", default="always")
+    """`never` if these three keep their values in a flight: what is applied is one matrix times the commands,
+    and the velocity change counts the worst matrix, unless there are `directions`, faults of thrusters,
+    jitter, or times to rise and fall. All else counts errors that change."""
     impulse_bit_N_s: f.NonNegative = unit("N s", default=0.0)
     """Smallest impulse: that of a period is a multiple of it, the nearest to what is commanded. With
     `directions` that of each thruster."""
@@ -93,8 +97,11 @@ class Thrusters(ScenarioPart):
             raise ScenarioError("thrusters.impulse_bit_N_s", self.impulse_bit_N_s, rule)
         return replace(made, u_max=made.u_max * min(1.0, (1 - rounded) / longest * (1 - 1e-6)))
 
-    def build(self, system: Craft, period: float) -> Errors:
-        """Bound the errors of the inputs, by the layout of the system's thrusters if it has one."""
+    def build(self, system: Craft, period: float, alone: bool = True) -> Errors:
+        """Bound the errors of the inputs, by the layout of the system's thrusters if it has one.
+
+        They vary unless each input has thrusters of its own, `alone` in making it whatever fails.
+        """
         layout = system.nozzles
         limits = system.u_max if layout is None else layout.allocation.limits
         if self.misalignment_deg > 0 and (system.mean_motion is None or system.m != 3):
@@ -106,10 +113,12 @@ class Thrusters(ScenarioPart):
         if layout is not None:
             return layout.errors(period)
         bit, turned = self.impulse_bit_N_s / (2 * period), float(np.deg2rad(self.misalignment_deg))
-        if self.remainder == "dropped":
-            return Errors.of(self.magnitude_error, turned, self.mass_error, bit, system.m)
-        found = Errors.of(self.magnitude_error, turned, self.mass_error, 0.0, system.m)
-        return replace(found, bit=2 * bit * found.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9))
+        dropped = self.remainder == "dropped"
+        errors = Errors.of(self.magnitude_error, turned, self.mass_error, bit * dropped, system.m)
+        if not dropped:
+            carried = 2 * bit * errors.across * float(np.sqrt(system.m - 1)) * (1 + 1e-9)
+            errors = replace(errors, bit=carried)
+        return replace(errors, constant=alone and self.varies == "never" and errors.proportional)
 
 
 def strengths(faults: Sequence[Fault]) -> list[float]:

@@ -6,6 +6,7 @@ from functools import cached_property
 from itertools import groupby
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from reach.sets.zonotope import Zonotope
 
@@ -18,7 +19,7 @@ from ..safety.continuation import HandOver, PathRows
 from ..safety.demand import command_noise
 from ..tracker import storage
 from ..tracker.affine_law import clip_band
-from ..tracker.long_flight import Inputs
+from ..tracker.long_flight import Inputs, carried_across
 from ..tracker.loop import ClosedLoop
 from ..tracker.storage import LinearStep, Weights
 
@@ -61,8 +62,13 @@ class Spell:
 
     @cached_property
     def start(self) -> Zonotope:
-        """Loop states at the start."""
-        return self.tube.states[0]
+        """Loop states at the start, ahead of a constant matrix of errors of thrusters where one counts."""
+        states, law = self.tube.states[0], self.law
+        if not isinstance(law, AffineController) or not np.any(law.system.matrix):
+            return states
+        G = np.hstack([states.G, carried_across(law.in_step(self.k).closed.loop, law.system)])
+        sizes = law.system.matrix[np.nonzero(law.system.matrix)]
+        return Zonotope(np.concatenate([states.c, 0 * sizes]), block_diag(G, np.diag(sizes)))
 
     @cached_property
     def linear(self) -> LinearStep | None:
@@ -86,6 +92,10 @@ class Spell:
             if key not in known:
                 known[key] = Inputs.of(closed, law.system, within, 0 * rounding, rounding, bands)
             inputs.append(known[key])
+        if np.any(law.system.matrix):
+            loop = here.closed.loop
+            inputs = [each.about(loop, middle) for each, middle in zip(inputs, middles, strict=True)]
+            middles = np.hstack([middles, 0 * middles])
         return LinearStep(tuple(inputs), middles)
 
 

@@ -61,6 +61,7 @@ def assumed(system: Craft, h: float) -> Premises:
         constant=() if observer is None or observer.constant is None else observer.constant.tolist(),
         timing=astuple(system.timing)[:4],
         thrusters=(each.along, each.across, getattr(each, "mass", 0.0), float(np.max(system.on_time.bit))),
+        same_shares=system.on_time.constant,
         pulses=system.timing.fired,
         placed=system.timing.placed,
         edge=system.timing.edge,

@@ -10,7 +10,7 @@ from ...model.craft import Craft
 from ...model.system import Array
 from ..sources.thrusters import THRUSTERS
 from .channel import Channel
-from .loop import ClosedLoop
+from .loop import ClosedLoop, Loop
 
 GRID = np.geomspace(3e-4, np.pi, 100)  # frequencies, per period, among which the worst of every input is
 STEADY, FLOOR = 0.1, 1e-6
@@ -54,6 +54,10 @@ class Inputs:
         Number of the values before those.
     craft : Craft
         Source of the errors of thrusters and of the weights of what is spent.
+    matrix : bool
+        True if the loop state ends with a constant matrix of errors of thrusters. Commands are then twice as
+        many: what is applied about the middle but for errors of the deviation, and the deviation. Errors
+        that grow do so with the deviation alone.
     """
 
     F: Array
@@ -63,6 +67,7 @@ class Inputs:
     group: NDArray[np.intp]
     held: int
     craft: Craft
+    matrix: bool = False
 
     @classmethod
     def of(
@@ -113,18 +118,44 @@ class Inputs:
             add(carried @ mean @ craft.B, None)
         return cls(closed.F, closed.K, np.hstack(enter), np.hstack(own), np.array(group), held, craft)
 
+    def about(self, loop: Loop, middle: Array) -> "Inputs":
+        """Return the inputs of a loop that holds the matrix of its craft, commands having a middle (m,)."""
+        (m, N), held, (rows, columns) = self.K.shape, self.held, np.nonzero(self.craft.matrix)
+        turned = np.eye(m)[:, rows] * middle[columns]  # what the matrix makes of the middle
+        applied = turned * (rows == columns) if self.craft.timing.carried else turned
+        late, number = carried_across(loop, self.craft), self.group[held - 1] + 1
+        enter = np.insert(self.enter, [held], late - self.F @ late, axis=1)
+        own, added = np.insert(self.own, [held], self.K @ late, axis=1), np.arange(late.shape[1])
+        return Inputs(
+            np.block([[self.F, loop.made @ turned], [np.zeros((len(rows), N)), np.eye(len(rows))]]),
+            np.block([[self.K, -applied], [self.K, 0 * turned]]),
+            np.vstack([enter, np.zeros((len(rows), enter.shape[1]))]),
+            np.vstack([own, own]),
+            np.concatenate([self.group[:held], number + added, self.group[held:] + len(added)]),
+            held + len(added),
+            self.craft,
+            True,
+        )
+
     @cached_property
     def spends(self) -> Array:
-        """Return what a unit of each command spends, errors of thrusters included, shape (m,)."""
-        one, weights = np.eye(self.craft.m), self.craft.weights
-        return np.asarray(weights + self.craft.on_time.summed(one) @ weights)
+        """Return what a unit of each command spends, errors of thrusters included, shape (m,) or (2 m,)."""
+        craft, errors, weights = self.craft, self.craft.on_time, self.craft.weights
+        both = errors.summed(np.eye(craft.m)) @ weights
+        if not self.matrix:
+            return np.asarray(weights + both)
+        across = both - errors.along
+        if craft.timing.carried:  # thrust across is made in other periods than what it is a share of
+            applied = weights + across / (1 - errors.along)
+            return np.concatenate([applied, errors.along * applied])
+        return np.concatenate([weights, both])
 
     @cached_property
     def squares(self) -> Array:
-        """Return a bound on squares of errors of thrusters per squares of commands, shape (m, m)."""
+        """Return a bound on squares of errors of thrusters per squares of commands, (m, m) or (m, 2 m)."""
         thrusters, each = self.craft.thrusters, self.craft.thrusters.summed(np.eye(self.craft.m)).T
         total = each.sum(axis=1, keepdims=True) if thrusters.shares else thrusters.along + thrusters.across
-        return np.asarray(total * each)
+        return np.hstack([*[0 * each] * self.matrix, total * each])
 
     @cached_property
     def bits(self) -> Array:
@@ -139,7 +170,7 @@ class Inputs:
 
     def errors(self, b: Array) -> Array:
         """Return weights of errors of thrusters: of those that are known, and of those that grow, (2, m)."""
-        return np.asarray(b[self.held :].reshape(2, -1, len(self.K)).sum(axis=1))
+        return np.asarray(b[self.held :].reshape(2, -1, self.craft.m).sum(axis=1))
 
     @cached_property
     def worst(self) -> tuple[Array, Array]:
@@ -222,6 +253,12 @@ class Inputs:
                     return np.asarray(rows), earlier.cost * LOOSER  # a checker may need one more
                 P = grown
         return None
+
+
+def carried_across(loop: Loop, craft: Craft) -> Array:
+    """Return what shares of carried impulses in other inputs move the loop state by at most, (N, k)."""
+    moves = craft.timing.carried > 0 and np.any(craft.on_time.bit)
+    return loop.made * craft.on_time.bit if moves else loop.made[:, :0]
 
 
 def _place(channel: Channel) -> int:

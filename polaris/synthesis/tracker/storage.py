@@ -32,7 +32,7 @@ class LinearStep:
     ----------
     inputs : tuple of Inputs
         One for each period.
-    middle : ndarray, shape (q, m)
+    middle : ndarray, shape (q, m) or (q, 2 m)
         Command in the middle of the tube [N].
     """
 
@@ -160,7 +160,7 @@ class _Relaxed:
     @staticmethod
     def _errors(inputs: Inputs, size: Array) -> Array:
         """Return the largest sizes of values (k,) under commands of some size (m,)."""
-        parts = (len(inputs.group) - inputs.held) // (2 * len(size))
+        parts = (len(inputs.group) - inputs.held) // (2 * inputs.craft.m)
         grown = np.sqrt(inputs.squares @ size**2)
         return np.concatenate([np.ones(inputs.held), np.tile(inputs.bits, parts), np.tile(grown, parts)])
 
@@ -170,12 +170,15 @@ class _Relaxed:
         sums: list[list[tuple[Array, Array, Array]]] = [[] for _ in self.steps]
         for i in range(len(self.periods) - 1, -1, -1):
             place, inputs, middle = self.periods[i]
-            size = np.maximum(sizes[i], FLOOR * inputs.craft.u_max)
+            m = inputs.craft.m
+            size = np.maximum(sizes[i], FLOOR * np.resize(inputs.craft.u_max, len(inputs.K)))
             errors = self._errors(inputs, size)
-            errors = np.maximum(errors, FLOOR * np.resize(size, len(errors)))  # those of none cost nothing
+            errors = np.maximum(
+                errors, FLOOR * np.resize(size[-m:], len(errors))
+            )  # those of none cost nothing
             entered = inputs.enter.T @ later
             shares = np.linalg.norm(entered[inputs.held :], axis=1) / errors[inputs.held :]
-            made = shares[len(shares) // 2 :].reshape(-1, len(size)).sum(axis=0)
+            made = shares[len(shares) // 2 :].reshape(-1, m).sum(axis=0)
             answer = (inputs.spends / size + made @ inputs.squares)[:, None] * commands[i]
             worth = entered + inputs.own.T @ answer
             groups = np.asarray(np.bincount(inputs.group, (worth**2).sum(axis=1)), dtype=float)
@@ -186,7 +189,7 @@ class _Relaxed:
         worth = self.G.T @ later
         self.first = worth / np.maximum(np.linalg.norm(worth, axis=1, keepdims=True), 1e-300)
         each = [[np.mean(part, axis=0) for part in zip(*step, strict=True)] for step in sums]
-        limits = [FLOOR * step.inputs[0].craft.u_max for step in self.steps]
+        limits = [FLOOR * np.resize(x.inputs[0].craft.u_max, x.middle.shape[1]) for x in self.steps]
         values = [np.sqrt(worth / size) for _, worth, size in each]
         least, inputs = LEAST * np.mean(values, axis=0) + 1e-300, self.steps[0].inputs[0]
         known = slice(inputs.group[inputs.held - 1] + 1)  # a checker's values need not be 0 where these are
