@@ -119,8 +119,8 @@ class Recovery:
     def bow(self) -> Array:
         """How far inputs and disturbance take any path off its chord between nodes, per facet [m]; (o,).
 
-        Where neither enters the position's rate at once, by ``h^2/8`` times the second derivative; else
-        by what they add within a period, and the same of the chord.
+        By ``h^2/8`` times the second derivative, commands being held; a rate along the row that is not
+        constant in a period takes it off by another ``h/2`` times its bound.
         """
         system, flow = self.grid.system, self.open_flow
         rows = self.grid.clearance.obstacle_rows[0]
@@ -133,9 +133,10 @@ class Recovery:
         wrong = system.adrift[:, system.m * bool(system.timing.carried) :]  # not constant over a period
         bend = bend + np.abs(rate @ system.unknown).sum(axis=1)
         bend = flow.h**2 / 8 * (bend + np.linalg.norm(rate @ system.D, axis=1) * system.w_max)
-        bend = bend + flow.h / 2 * np.abs(rows @ wrong).sum(axis=1)
-        direct = np.any(rows @ system.B != 0, axis=1) | np.any(rows @ system.D != 0, axis=1)
-        return np.asarray(np.where(direct, 2 * np.abs(rows) @ within, bend))
+        varying = np.abs(rows @ wrong).sum(axis=1) + np.linalg.norm(rows @ system.D, axis=1) * system.w_max
+        uneven = system.thrusters.error(system.u_max) + spread * bool(system.transients)  # a fault begins
+        varying = varying + np.abs(rows @ system.B) @ uneven
+        return np.asarray(bend + flow.h / 2 * varying)
 
     @cached_property
     def _bent(self) -> Array:

@@ -26,14 +26,17 @@ from polaris.planning.problem import PlanProblem
 from polaris.planning.recheck import path_bounds
 from polaris.planning.reference import Reference
 from polaris.planning.rows import Rows
+from polaris.rta.arena import compare_methods
 from polaris.rta.decision_grid import DecisionGrid
 from polaris.rta.methods.asif_explicit import ExplicitASIF
+from polaris.rta.recovery import Recovery
 from polaris.runs.schedule import write_run
 from polaris.scenario.reading import write_toml
 from polaris.scenario.scenario import load_scenario
 from polaris.simulation.falsification.search import falsify
 from polaris.simulation.simulate import simulate
 from polaris.synthesis.schedule.synthesize import synthesize
+from reach.numerics.linear import discretize
 
 from ..sizes import fewer
 from .forging import COARSE, Forger, Lie, make
@@ -266,6 +269,35 @@ def test_random_scenes_with_limits_are_proved_verified_and_kept_or_refused(seed,
             assert falsify(schedule, 200, attempt).failure is None, attempt
         break
     assert found
+
+
+@pytest.mark.parametrize("limits", [f"keep_in=[{OCTAGON}]", f"obstacles=[{PILLAR},{AWAY}]"])
+def test_methods_that_prove_keep_limits_between_nodes(limits):
+    scenario = load_scenario(TINY, [SOFT, limits])
+    found = compare_methods(synthesize(scenario), 30, 0, methods=["monitor", "schedule", "experimental"])
+    hit = {key: bool(each.metrics.collided.any()) for key, each in found.results.items()}
+    assert hit == {"monitor": False, "schedule": False, "experimental": True} and not found.refused
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rows_of_velocity_stray_from_their_chord_by_no_more_than_is_booked(limited, seed):
+    """An input held over a period, and any disturbance in it."""
+    _, schedule = limited
+    recovery, rng = Recovery(DecisionGrid.of(schedule)), np.random.default_rng(seed)
+    system, h, parts = recovery.grid.system, recovery.grid.h, 200
+    rows = recovery.grid.clearance.obstacle_rows[0]
+    phi, moved = discretize(system.A, np.hstack([system.B, system.D]), h / parts)
+    row = rows[rng.integers(len(rows))]
+    way = system.D.T @ (np.sign(row @ system.B) @ system.B.T)
+    w = system.w_max * way / np.linalg.norm(way)
+    turn, u = rng.uniform(0, 1), rng.uniform(-2, 2, system.m) * system.u_max
+    e, path = np.zeros(system.n), [np.zeros(system.n)]
+    for i in range(parts):
+        e = phi @ e + moved @ np.r_[u, w if i < turn * parts else -w]
+        path.append(e)
+    path = np.array(path) @ rows.T
+    off = np.abs(path - np.linspace(0, 1, parts + 1)[:, None] * path[-1]).max(axis=0)
+    assert np.all(off <= recovery.bow)
 
 
 # -- sets that turn ---------------------------------------------------------------------------------

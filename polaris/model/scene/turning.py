@@ -102,14 +102,14 @@ class TurningKeepIn(StateLimit):
         clock, moved = 0.0, np.zeros(system.n)
         if isinstance(system, Craft):
             clock, moved = system.timing.clock, system.displaced
-        wide = abs(self.rate) * (delta / 2 + clock) + self.angle_error_rad
-        wide = wide + self.rate_error * ((steps + 1) * delta + clock)
+        late: Array = np.asarray((steps + 1) * delta + clock, dtype=float)
+        wide = abs(self.rate) * (delta / 2 + clock) + self.angle_error_rad + self.rate_error * late
         if np.any(wide > WIDEST):
             rule = f"must turn by at most {WIDEST:g} rad about the middle of a step, errors included: here"
             raise ScenarioError(
                 f"{self.path}.rate", self.rate, f"{rule} {wide.max():.3g}; take shorter steps"
             )
-        middle = self.rate * (steps + 0.5) * delta
+        middle: Array = np.asarray(self.rate * (steps + 0.5) * delta, dtype=float)
         along, turned = self._turned(middle)
         sides = [along + self._turned(middle + way)[1] for way in (-wide, wide)]
         corners = np.stack([*sides, along + turned / np.cos(wide)[:, None, None]])  # (3, k, F, d)
