@@ -21,12 +21,12 @@ LINES = {
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9332, 5000),
     ("polaris/model", "polaris/simulation"): (9144, 5200),
-    ("polaris/rta",): (4881, 4300),
+    ("polaris/rta",): (4882, 4300),
     ("polaris/inspection",): (5412, 4500),
     ("polaris/scenario", "polaris/runs"): (9950, 7500),
     ("polaris/report", "polaris/cli", "polaris/traces"): (8119, 6400),
     ("polaris/planning",): (2514, 2200),
-    ("polaris", "reach"): (69135, 48000),
+    ("polaris", "reach"): (69136, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 
