@@ -189,10 +189,8 @@ class Sums:
 
         def spent(until: int | None) -> Array:
             """Return what flights of an ascent have spent after each period [m/s], shape (R, K)."""
-            thrust = (
-                np.abs(attacker.spending(2 * RUNS, ASCENTS, until).fly(attacker.flight).inputs)
-                @ system.weights
-            )
+            runs = attacker.spending(2 * RUNS, ASCENTS, until).fly(attacker.flight)
+            thrust = np.abs(runs.inputs) @ system.weights
             return np.asarray(np.cumsum(thrust, axis=1) * h / system.mass)
 
         first, later = spent(goal + 1)[:, goal], spent(None)
