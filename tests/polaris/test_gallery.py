@@ -1,6 +1,7 @@
 """The gallery of published missions: files, page and benchmark agree; runs give what the page says."""
 
 import re
+import tomllib
 
 import pytest
 
@@ -10,7 +11,9 @@ from polaris.simulation.simulate import simulate
 
 from ..test_docs import DOCS
 
-NAMES = sorted(path.stem for path in missions.FOLDER.glob("*.toml"))
+FILES = {path.stem: tomllib.loads(path.read_text()) for path in sorted(missions.FOLDER.glob("*.toml"))}
+NAMES = [name for name, data in FILES.items() if "kind" not in data]
+CHAINS = [name for name, data in FILES.items() if data.get("kind") == "mission"]
 TEXT = missions.PAGE.read_text(encoding="utf-8")
 
 
@@ -33,6 +36,8 @@ def test_every_file_has_a_figure_a_row_a_section_and_a_picture():
         assert re.search(r"\*\*[Pp]ublished\*\*", section)
         assert (DOCS / "figures" / f"mission-{name}.png").stat().st_size > 10_000
     assert missions.table(missions.page_rows()) in TEXT
+    assert sorted(NAMES + CHAINS) == list(FILES)
+    assert all(f"`polaris run scenarios/missions/{name}.toml`" in TEXT for name in CHAINS)
 
 
 def test_what_the_page_must_show():
