@@ -74,6 +74,7 @@ UNITS = {
     "_s2_m2": "s^2/m^2",
     "_1_N2": "1/N^2",
     "_deg": "deg",
+    "_rad_s": "rad/s",
 }
 
 
@@ -81,7 +82,7 @@ def test_unit_in_the_name_is_the_unit_of_the_field():
     for table, node in _tables():
         for name, field in node["properties"].items():
             ending = next((e for e in sorted(UNITS, key=len, reverse=True) if name.endswith(e)), None)
-            if ending and name != "mean_motion_rad_s":
+            if ending:
                 assert field["unit"].startswith(UNITS[ending]), f"{table}.{name}: {field['unit']}"
 
 
