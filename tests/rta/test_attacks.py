@@ -105,7 +105,7 @@ def attack(scene, method, runs=24, seed=0):
                 w = push @ system.D
                 w *= system.w_max / np.maximum(np.linalg.norm(w, axis=1, keepdims=True), 1e-300)
                 x = x @ Ad.T + applied @ Bd.T + w @ Dd.T
-                room = x @ system.position.T @ scene.facets[0].T - walls[cell, at + 1]
+                room = x @ scene.facets[0].T - walls[cell, at + 1]
                 least = min(least, float(scene.nearest(room).min()))
             flown += int((flying != 0).sum())
     return least, demand, flown / (runs * scene.last)
