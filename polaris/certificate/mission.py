@@ -158,7 +158,7 @@ def _same(asked: Mapping[str, Any], run: Mapping[str, Any], start: Fraction, nam
         if still[0] != still[1] or (moved is None and a.get(place) != there):
             raise Rejected("legs", f"leg {name}: {a.get('name')} is another set than in the mission")
         for x, y in zip(moved or (), there, strict=True) if moved is not None else ():
-            if abs(x - y) > PLACED * max(1, abs(x)):
+            if abs(x - y) > PLACED * (1 + abs(x)):
                 told = f"leg {name}: {a['name']} is not where it is after {float(start):.6g} s"
                 raise Rejected("legs", told, float(abs(x - y)))
 
@@ -191,7 +191,7 @@ def _joint(legs: list[Leg], i: int, stated: Mapping[str, Any]) -> Joint:
     _same_craft(leg.document, after.document, where)
     if any(map(_moves, legs[i + 1 :])):
         node = leg.stay / leg.period
-        if abs(node - round(node)) > PLACED * max(1, node):
+        if abs(node - round(node)) > PLACED * (1 + node):
             raise Rejected("joint", f"{where}: GO is planned between two nodes, but later sets move")
         if stated["later"] or stated["first"] != [[round(node)] * 2]:
             raise Rejected("joint", f"{where}: later sets move, so GO is given as planned or never")
@@ -235,7 +235,7 @@ def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
     for i, (leg, known) in enumerate(zip(legs, stated["legs"], strict=True)):
         leaves, doc = known["leaves_s"], leg.document
         node = (Fraction(leaves) - leg.T) / leg.period
-        if abs(node - round(node)) > PLACED * max(1, abs(node)) or Fraction(leaves) < (leg.T + leg.stay) * (
+        if abs(node - round(node)) > PLACED * (1 + abs(node)) or Fraction(leaves) < (leg.T + leg.stay) * (
             1 - PLACED
         ):
             raise Rejected("delta_v", f"leg {leg.name} is left at {leaves:g} s, which is no node from GO on")
@@ -250,9 +250,10 @@ def _sums(legs: list[Leg], stated: Mapping[str, Any]) -> str:
         _no_less(f"velocity change per second of leg {leg.name}", known["waiting_m_s2"], rate)
         if known["safe_until_s"] != doc.until:
             raise Rejected("end", f"leg {leg.name} is claimed to be safe until another instant than it is")
-        drift = doc.drift
-        clear = drift is not None and all(part is not None for part in drift.steps)
-        if known["drift_s"] is not None and not (clear and known["drift_s"] <= drift.horizon):
+        drift, clear = doc.drift, 0.0
+        if drift is not None and all(part is not None for part in drift.steps):
+            clear = drift.horizon
+        if known["drift_s"] is not None and known["drift_s"] > clear:
             raise Rejected("passive", f"the drift of leg {leg.name} is not clear from all steps for so long")
     _no_less("velocity change of the mission", stated["delta_v_max_m_s"], total)
     return "nothing claimed" if total is None else f"at most {plain(total)} m/s in all"

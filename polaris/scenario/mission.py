@@ -10,7 +10,7 @@ from typing import Any, Literal
 from ..model import keys as f
 from ..model.errors import ScenarioError
 from .base import SCHEDULE, Scenario, kept
-from .reading import write_toml
+from .reading import parse_toml, write_toml
 from .schedule import ScheduleScenario
 from .tables.fields import Head, unit, whole_parts
 from .tables.schedule import InitialBox, ScenarioModel
@@ -75,10 +75,10 @@ class MissionScenario(Scenario):
                 raise ScenarioError(f"legs[{i}].name", name, "must be another for every leg")
         for i, (leg, scenario) in enumerate(zip(self.model.legs, legs, strict=True)):
             at = f"legs[{i}]"
-            if scenario.policies() and scenario.folder is None:
-                raise ScenarioError(
-                    f"{at}.experimental", leg.name, "networks need a mission read from a file"
-                )
+            for path in (each.path for each in leg.experimental if each.kind == "neural"):
+                if path != Path(path).name:
+                    rule = "must lie beside the mission's file"
+                    raise ScenarioError(f"{at}.experimental", path, rule)
             if any(each.kind == "black_box" for each in leg.experimental):
                 raise ScenarioError(
                     f"{at}.experimental", leg.name, "must be proven: no black boxes in a mission"
@@ -112,23 +112,14 @@ class MissionScenario(Scenario):
     @kept
     def legs(self) -> tuple[ScheduleScenario, ...]:
         """The scenarios of the legs; sets that move are where they are when a leg starts as planned."""
-        whole = self.to_dict() if self.text is None else {**self._raw()}
+        whole = self.to_dict() if self.text is None else parse_toml(self.text, self.source or "mission")
         return tuple(self._leg(leg_document(whole, leg), i) for i, leg in enumerate(whole["legs"]))
-
-    def _raw(self) -> dict[str, Any]:
-        from .reading import parse_toml
-
-        return parse_toml(self.text or "", self.source or "mission")
 
     def _leg(self, document: dict[str, Any], i: int) -> ScheduleScenario:
         for key in OF_MISSION:
             document.pop(key, None)
         for each in document.get("obstacles", ()):
-            if (
-                isinstance(each, dict)
-                and each.get("kind") != "satellite"
-                and any(each.get("velocity_m_s") or ())
-            ):
+            if any(each.get("velocity_m_s") or ()):
                 each |= advanced(each, self.starts(i))
         where = f"{self.source or 'mission'}, leg {document.get('name')}"
         text = None if self.text is None else write_toml(document)

@@ -62,10 +62,10 @@ def fly_on(schedules: Sequence[Schedule], leaves: Sequence[float], runs: int, se
         near = evaluate(flown).min_distance.min()
         parts.append((*(each[: node + 1] for each in shown), spent, near, np.array(0.0)))
         begun += until
-    times, states, legs, by, each, near, used = zip(*parts, strict=True)
-    times, states, legs, by = (np.concatenate(part) for part in (times, states, legs, by))
-    stacked = np.stack(each, axis=1), np.array(near), np.array(used[:-1])
-    return Flown(times, states.swapaxes(0, 1), legs, by, *stacked)
+    columns = list(zip(*parts, strict=True))
+    times, states, legs, by = (np.concatenate(column) for column in columns[:4])
+    each, near, used = (np.array(column) for column in columns[4:])
+    return Flown(times, states.swapaxes(0, 1), legs, by, each.T, near, used[:-1])
 
 
 def attack(

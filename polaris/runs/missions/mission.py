@@ -22,6 +22,7 @@ from ...certificate.files.document import digest as digest_of
 from ...certificate.mission import FORMAT, SCENARIO
 from ...model.errors import SynthesisInfeasible
 from ...scenario.mission import MissionScenario, moves
+from ...scenario.tables.schedule import InitialBox
 from ...simulation.metrics import finite
 from ...simulation.mission import Flown, fly_on
 from ...synthesis.legs.joint import Joint, joint, turn_of
@@ -70,6 +71,7 @@ def fly_mission(mission: MissionScenario, stages: Stages) -> FlownMission:
             leaves.append(T + since * h)
             break
         box = mission.model.legs[i + 1].initial_set
+        assert isinstance(box, InitialBox)  # checked on construction
         only = since if mission.fixed(i) else None
         found = joint(schedule, np.array(box.center), np.array(box.half_widths), only)
         end = (schedule.safety.reference.cells - scenario.steps) * schedule.safety.clearance.q
@@ -146,14 +148,13 @@ def _write(folder: Path, mission: MissionScenario, found: FlownMission) -> None:
 
 
 def _tell(mission: MissionScenario, found: FlownMission, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Contents of ``summary.json``, which the certificate's claims are added to once it is written."""
+    """Contents of ``summary.json``, whose claims are compared with the certificate's."""
     claims, legs = _claims(mission, found)
-    turns = [(each.schedule, turn_of(each.schedule)) for each in found.legs]
-    clocks = [
-        {"horizon_s": leg.safety.problem.K * leg.safety.problem.delta, "period_s": leg.safety.tracking.flow.h}
-        | {"turn_s": finite(turn * leg.safety.tracking.flow.h)}
-        for leg, turn in turns
-    ]
+    clocks = list[dict[str, float | None]]()
+    for schedule in (each.schedule for each in found.legs):
+        problem, h = schedule.safety.problem, schedule.safety.tracking.flow.h
+        turn = finite(turn_of(schedule) * h)
+        clocks.append({"horizon_s": problem.K * problem.delta, "period_s": h, "turn_s": turn})
     names = list(found.legs[0].schedule.safety.problem.system.state_names)
     told = {"legs": legs, **claims, "states": names, "clocks": clocks}
     return {"mission": told, "flown": found.flown.summary(), "seconds": dict(seconds)}
