@@ -86,7 +86,7 @@ class Firing:
         """Return what thrusters make wrong in a step of what they are told, and make of it, (R, m)."""
         m, errors = self.system.m, self.thrusters
         if not errors.constant:
-            return np.asarray(thrust[step] * errors.error(told))
+            return np.asarray(thrust[step][:, :m] * errors.error(told))
         shares = errors.matrices(thrust[0, :, m:].reshape(-1, m, m))
         fixed = thrust[step, :, :m] * errors.error(0 * told)
         return np.asarray(np.einsum("rab,rb->ra", shares, made) + fixed)

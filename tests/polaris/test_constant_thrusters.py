@@ -11,6 +11,9 @@ from polaris.certificate.claims import spending as checked
 from polaris.certificate.files.document import canonical
 from polaris.model.errors import PolarisError
 from polaris.model.thrusters import Thrusters
+from polaris.rta.decision_grid import DecisionGrid
+from polaris.rta.flight import Conditions, fly
+from polaris.rta.methods import METHODS
 from polaris.runs.certificate import certificate
 from polaris.runs.schedule import write_run
 from polaris.scenario.scenario import load_scenario
@@ -18,6 +21,7 @@ from polaris.simulation.delayed import flies
 from polaris.simulation.disturbances import disturbances
 from polaris.simulation.falsification.attacks import Attacker
 from polaris.simulation.falsification.search import falsify
+from polaris.simulation.integration import columns
 from polaris.synthesis.controllers.controllers import AffineController
 from polaris.synthesis.schedule.spending import FlightSpending, Spell, together
 from polaris.synthesis.schedule.synthesize import synthesize
@@ -165,6 +169,19 @@ def test_what_is_constant_is_drawn_once_a_flight():
     M = flight.thrusters.matrices(shares[0].reshape(-1, m, m))
     u = np.random.default_rng(1).normal(size=(500, 1, m))
     assert np.all(np.abs(np.einsum("rab,urb->ura", M, u)) <= flight.thrusters.part(u) * (1 + 1e-12))
+
+
+def test_run_time_methods_fly_them_beside_jitter():
+    """Errors that stand for jitter vary: of their flights the columns of the matrix are not read."""
+    grid = DecisionGrid.of(tiny(WRONG[0], "feedback.period_s=0.25", "timing.jitter_s=0.005", NEVER))
+    conditions = Conditions.draw(grid, 3, 0)
+    m, errors = grid.system.m, columns(grid.system)[2]
+    assert errors.stop - errors.start == m + m**2
+    states = []
+    for part in (slice(0), slice(errors.start + m, errors.stop), slice(errors.start, errors.start + m)):
+        conditions.w[..., part] *= -1
+        states.append(fly(grid, METHODS["schedule"].on(grid), conditions).states)
+    assert np.array_equal(states[0], states[1]) and not np.array_equal(states[1], states[2])
 
 
 def test_matrices_are_those_of_their_bounds():
