@@ -1,15 +1,16 @@
-"""``python -m polaris.certificate FILE``: check a certificate without the rest of Polaris."""
+"""``python -m polaris.certificate FILE [--code DIR]``: check a certificate without the rest of Polaris."""
 
 import sys
 
 
 def main(arguments: list[str]) -> int:
-    """Check one certificate and print the verdict.
+    """Check one certificate, and flight code made of it, and print the verdict.
 
     Gives 0 verified, 5 rejected, 6 unknown, 7 statistical, 2 if there was nothing to check.
     """
-    if len(arguments) != 1 or arguments[0].startswith("-"):
-        print("usage: python -m polaris.certificate RUN_OR_FILE", file=sys.stderr)
+    coded = arguments[1:2] == ["--code"] and len(arguments) == 3
+    if not (len(arguments) == 1 or coded) or arguments[0].startswith("-"):
+        print("usage: python -m polaris.certificate RUN_OR_FILE [--code DIR]", file=sys.stderr)
         return 2
     try:
         from .checker import verify
@@ -19,7 +20,7 @@ def main(arguments: list[str]) -> int:
         print(MISSING, file=sys.stderr)
         return 2
     try:
-        verdict = verify(arguments[0])
+        verdict = verify(arguments[0], arguments[2] if coded else None)
     except OSError as error:
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2

@@ -9,6 +9,7 @@ import flint
 
 from .claims.argument import Argument
 from .claims.joint import Joint
+from .code.check import check_code
 from .files.artefacts import (
     check_artefacts,
     check_hashes,
@@ -21,7 +22,17 @@ from .files.demands import unchecked_demands
 from .files.document import Document, untrusted
 from .files.inputs import check_inputs
 from .kernel.balls import PRECISION
-from .kernel.verdict import LONGEST, STATISTICAL, UNKNOWN, VERIFIED, Failed, Imprecise, Record, Verdict
+from .kernel.verdict import (
+    LONGEST,
+    STATISTICAL,
+    UNKNOWN,
+    VERIFIED,
+    Failed,
+    Imprecise,
+    Record,
+    Rejected,
+    Verdict,
+)
 from .mission import FORMAT as MISSION
 from .mission import check_mission
 from .model.plants import MOST_BITS, precision_for
@@ -35,13 +46,15 @@ FAILURES = (
 """What numbers that no run has may raise deep in a check; the claim is then not decided."""
 
 
-def verify(path: str | Path) -> Verdict:
-    """Check the certificate of a run folder, or a certificate file.
+def verify(path: str | Path, code: str | Path | None = None) -> Verdict:
+    """Check the certificate of a run folder, or a certificate file, and flight code that was made of it.
 
     Parameters
     ----------
     path : path
         If other files of the run folder lie beside the certificate, it is compared with them too.
+    code : path, optional
+        Folder of the flight code: S may then take over at every node of an experimental step.
 
     Raises
     ------
@@ -51,12 +64,15 @@ def verify(path: str | Path) -> Verdict:
     given = Path(path)
     whole = given.is_dir()
     file = given / NAME if whole else given
+    flown = None if code is None else Path(code)
 
     def check(record: Record) -> list[str]:
         data = untrusted(file)
         if data.get("format") == MISSION:
+            if flown is not None:
+                raise Rejected("code", "is of one leg: check it with the run folder of that leg")
             return check_mission(data, file.parent, record, _check_leg)
-        return _check(Document(data), file.parent, record, whole)
+        return _check(Document(data), file.parent, record, whole, code=flown)
 
     return _judge(check)
 
@@ -91,7 +107,12 @@ def _check_leg(document: Document, folder: Path, record: Record, joint: Joint | 
 
 
 def _check(
-    document: Document, folder: Path | None, record: Record, whole: bool = False, joint: Joint | None = None
+    document: Document,
+    folder: Path | None,
+    record: Record,
+    whole: bool = False,
+    joint: Joint | None = None,
+    code: Path | None = None,
 ) -> list[str]:
     """Check everything; returns what is trusted besides."""
     flint.ctx.prec = precision_for(document)  # `_judge` puts it back
@@ -110,10 +131,12 @@ def _check(
         record.unchecked += unchecked_demands(scenario)
         if stated.tank is not None and stated.upkeep is None:
             record.unchecked.append("that the tank lasts, of which the run says nothing: tank.delta_v_m_s")
+    if code is not None:
+        trusted += check_code(document, code, record)
     confirmed = len(record.checked)
     while True:
         try:
-            Argument(document, record, stated).run()
+            Argument(document, record, stated, code is not None).run()
             break
         except Imprecise:
             if flint.ctx.prec >= MOST_BITS:

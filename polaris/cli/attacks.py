@@ -127,7 +127,10 @@ def replay_command(
 
 
 @verb("verify")
-def verify(run: str = Argument(..., metavar="RUN", help="A run folder, or a certificate file.")) -> int:
+def verify(
+    run: str = Argument(..., metavar="RUN", help="A run folder, or a certificate file."),
+    code: str | None = Option(None, metavar="DIR", help="Flight code to check too, as of polaris export c."),
+) -> int:
     """Check the certificate of a run, independently of how it was made.
 
     Exit codes: 0 VERIFIED, 5 REJECTED, 6 UNKNOWN, 7 STATISTICAL, 2 nothing to check.
@@ -139,7 +142,7 @@ def verify(run: str = Argument(..., metavar="RUN", help="A run folder, or a cert
     if not (place / "certificate.json" if place.is_dir() else place).is_file():
         there = "it has no certificate.json" if place.is_dir() else "there is no such file or folder"
         raise ScenarioError("run", run, f"must be a run folder or a certificate; {there}")
-    return main([run])
+    return main([run] if code is None else [run, "--code", code])
 
 
 def _show_falsification(name: str, found: Falsification) -> None:

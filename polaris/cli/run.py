@@ -125,3 +125,16 @@ def export_oem_command(
     from ..runs.files.ephemerides import export_oem
 
     echo("\n".join(map(str, export_oem(run))))
+
+
+@verb("export c")
+def export_c_command(
+    run: str = Argument(..., metavar="RUN", help="A run folder whose schedule is proved."),
+    out: str = Option(..., metavar="DIR", help="Folder for the code."),
+    precision: Literal["double", "float"] = Option("double", help="Type of all numbers on board."),
+    prefix: str | None = Option(None, help="Of all names; default polaris_ and the scenario's name."),
+) -> None:
+    """Write the safety controller, the schedule and the reference of a run as C99, with a self-test."""
+    from ..flight.export import export_c
+
+    echo("\n".join(map(str, export_c(run, out, precision, prefix))))

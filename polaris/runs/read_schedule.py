@@ -71,7 +71,7 @@ def read_schedule(folder: str | Path | RunFolder, black_boxes: Mapping[str, Ask]
     ('95%', 'proved')
     """
     run = schedule_folder(folder)
-    document = _document(run.path)
+    document = certificate_of(run.path)
     try:
         with readable(run.path):
             schedule = _proven(run, document, _asks(run.scenario, black_boxes))
@@ -98,7 +98,7 @@ def schedule_folder(folder: str | Path | RunFolder) -> RunFolder:
     return run
 
 
-def _document(folder: Path) -> Document:
+def certificate_of(folder: Path) -> Document:
     """Read the certificate of a folder and compare the hashes of all its files."""
     try:
         document = read(folder / NAME)

@@ -35,11 +35,14 @@ SAMPLES_SLACK = 1e-9
 class Argument:
     """Every step of the argument, in the order in which `run` makes it.
 
-    Confirmed claims are noted in a record; `stated` is what other files of the run folder claim besides.
+    Confirmed claims are noted in a record; `stated` is what other files of the run folder claim besides. With
+    `code`, S may take over at every node of an experimental step.
     """
 
-    def __init__(self, document: Document, record: Record, stated: Stated | None = None) -> None:
-        self.document, self.record, self.stated = document, record, stated or Stated()
+    def __init__(
+        self, document: Document, record: Record, stated: Stated | None = None, code: bool = False
+    ) -> None:
+        self.document, self.record, self.stated, self.code = document, record, stated or Stated(), code
         self.n, self.K = len(document.A), document.steps
         self.plant = plant_of(document)
         assert document.laws[0].gain is not None  # as of every safety controller
@@ -134,8 +137,8 @@ class Argument:
             for at in (k, k + 1) if mode > 0 or margins[k] > 0 else ():
                 claimed[at * doc.q] = max(claimed.get(at * doc.q, 0.0), margins[k])
         reached = {node: sets[node // doc.q] for node in claimed if node < flight.recovery.nodes}
-        for k, mode in enumerate(doc.modes):  # a fault is isolated at any node
-            within = flown[k].nodes if mode > 0 and doc.transients else []
+        for k, mode in enumerate(doc.modes):  # a fault is isolated, or a command of U is missing, at any node
+            within = flown[k].nodes if mode > 0 and (doc.transients or self.code) else []
             reached |= {k * doc.q + i: z for i, z in enumerate(within, 1)}
         least = flight.keeps(reached, claimed)
         ahead = f"{flight.tracker.memory.periods} periods ahead and beyond, tightest share {least:.3g}"

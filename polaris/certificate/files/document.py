@@ -68,6 +68,7 @@ class Document:
             raise Rejected("digest", f"the certificate was changed: its digest is {found}")
         lengths: Lengths = {}
         read = conform(data, CERTIFICATE, "format", "certificate", lengths)
+        self.digest: str = found
         self.repeated: dict[str, Any] = {key: read[key] for key in REPEATED}
         try:
             self._take_system(read["system"], read["sampling"])

@@ -1,0 +1,133 @@
+"""Check of flight code: its text is that of its numbers, and its numbers are those of the certificate."""
+
+from pathlib import Path
+
+from flint import arb, arb_mat
+
+from ..claims.coasting import flown_path
+from ..files.document import Document
+from ..files.structure import contents
+from ..kernel.balls import identity, plain, require
+from ..kernel.motion import Plant
+from ..kernel.verdict import Record, Rejected
+from ..model.plants import plant_of
+from .answers import calls_of, selftest
+from .rounding import UNIT, command_error, disturbance_taken
+from .text import FARTHEST, PREFIX, Table, Tables, parsed, rounded
+
+SOURCES = ".h", ".c", ".inc", ".hpp", ".cpp", ".s"  # beside other files a compiler reads none of them
+MATRICES = 64  # roundings by which transitions may be off, relative to the largest entry of a row or to 1
+
+
+def check_code(document: Document, folder: Path, record: Record) -> list[str]:
+    """Compare the flight code in a folder with the certificate; returns what is trusted besides."""
+    if document.guarantee != "proved":
+        raise Rejected("code", f"the guarantee is {document.guarantee}, only what is proved may fly")
+    prefix, texts = _texts(folder)
+    try:
+        tables, precision, digest = parsed(texts[f"{prefix}.h"], texts[f"{prefix}.c"], prefix)
+        program = texts[f"{prefix}_selftest.c"]
+        if program != selftest(tables, prefix, precision, calls_of(program, prefix)):
+            raise ValueError("the self-test expects other answers than those of the tables")
+    except (ValueError, IndexError, KeyError, TypeError, OverflowError, ZeroDivisionError) as error:
+        raise Rejected("code", f"{type(error).__name__}: {error}") from error
+    if digest != document.digest:
+        raise Rejected("code", f"was made from another certificate: {digest}")
+    plant = plant_of(document)
+    _check_tables(document, plant, tables, precision)
+    record.holds("code", f"{prefix}: text, tables and self-test in {precision} are the certificate's")
+    assumed, told = _check_rounding(document, plant, tables, precision)
+    record.holds("rounding", told)
+    return [
+        "the flight code is called once at the start of every control period, with the estimate that the"
+        " scenario declares; its compiler and processor keep to C99 and IEEE 754",
+        assumed,
+    ]
+
+
+def _texts(folder: Path) -> tuple[str, dict[str, str]]:
+    """The prefix of the code in a folder, and the texts of its files."""
+    there = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SOURCES)
+    prefix = next((name[:-2] for name in there if name.endswith(".h")), "")
+    needed = sorted((f"{prefix}.h", f"{prefix}.c", f"{prefix}_selftest.c"))
+    if not PREFIX.fullmatch(prefix) or there != needed:
+        raise Rejected("code", f"the folder must hold a header, a source and a self-test, not {there}")
+    try:
+        return prefix, {name: contents(folder / name).decode("ascii") for name in there}
+    except UnicodeDecodeError as error:
+        raise Rejected("code", f"is not ASCII: {error}") from error
+
+
+def _check_rounding(document: Document, plant: Plant, tables: Tables, precision: str) -> tuple[str, str]:
+    """Confirm the stated bound on errors of commands; returns what it assumes of the world, and the bound.
+
+    The error does what a disturbance does: the environment must leave as much of the declared bound.
+    """
+    path = flown_path(document, plant, document.states[document.steps])
+    error, stated = command_error(document, tables, precision, path), arb(tables.rounding)
+    require(
+        "rounding", stated - error, f"commands may be {float(error):.4g} N off, {float(stated):.4g} is stated"
+    )
+    require("rounding", error * 2 - stated, f"{float(stated):.4g} N is stated, twice the bound or more")
+    taken, told = (
+        disturbance_taken(document, plant, stated),
+        f"commands in {precision} are within {float(stated):.3g} N",
+    )
+    if taken is None or not document.w_max > 0:
+        return f"{told} of the exact ones: no disturbance bound covers that", told
+    share = float((taken / document.w_max).upper())
+    require("rounding", document.w_max - taken, f"rounding takes {share:.3g} of the disturbance bound")
+    told += f" of the exact ones, {share:.3g} of the disturbance bound"
+    left = f"the disturbance is at most 1 - {share:.3g} of its bound: rounding on board takes the rest"
+    return f"{left}, while states are within the range of the code", told
+
+
+def _check_tables(document: Document, plant: Plant, tables: Tables, precision: str) -> None:
+    """Every number is that of the certificate, rounded once; transitions are off by few roundings."""
+    gain, cells = document.laws[0].gain, document.cells
+    assert gain is not None  # as of every safety controller
+    nodes = document.steps if document.horizon == "none" else cells
+    known = {
+        "covered": nodes * document.q,
+        "modes": document.modes,
+        "waypoints": document.states[:cells],
+        "feed": document.inputs[: document.steps],
+        "gain": gain,
+        "limit": document.u_max,
+        "range": _range(document, gain),
+    }
+    n, m, q = len(document.A), len(document.u_max), document.q
+    sizes = tuple(tables.sizes.values())[:-1]
+    if sizes != (n, m, q, document.steps, cells):
+        raise Rejected("code", f"the tables are for sizes {sizes}, not {n, m, q, document.steps, cells}")
+    for name, value in known.items():
+        _same(name, getattr(tables, name), value, precision)
+    exact = [(identity(n), arb_mat(n, m)), *plant.steps][:q]
+    for name, given, part in (("moved", tables.moved, 0), ("pushed", tables.pushed, 1)):
+        for node, (rows, one) in enumerate(zip(given, exact, strict=True)):
+            for i, (row, true) in enumerate(zip(rows, one[part].tolist(), strict=True)):
+                slack = MATRICES * UNIT[precision] * max(1.0, *map(abs, row))
+                for x, y in zip(row, true, strict=True):
+                    require(
+                        "code", slack - abs(y - x), f"{name}, node {node}, row {i}: {x!r} is not {plain(y)}"
+                    )
+
+
+def _same(name: str, given: Table, value: Table, precision: str) -> None:
+    if isinstance(value, list):
+        if not isinstance(given, list) or len(given) != len(value):
+            raise Rejected("code", f"{name} is not of the size of the certificate's")
+        for i, (one, other) in enumerate(zip(given, value, strict=True)):
+            _same(f"{name}[{i}]", one, other, precision)
+    elif given != (value if isinstance(value, int) else rounded(value, precision)):
+        raise Rejected("code", f"{name} is {given!r}, the certificate's is {value!r}")
+
+
+def _range(document: Document, gain: Table) -> list[float]:
+    """The range of states for which rounding is bounded: the reference's, and errors about it."""
+    found = []
+    for j in range(len(document.A)):
+        slopes = [(abs(row[j]), limit) for row, limit in zip(gain, document.u_max, strict=True)]
+        error = min((2 * limit / slope for slope, limit in slopes if slope), default=FARTHEST)
+        found.append(min(max(abs(state[j]) for state in document.states) + error, FARTHEST))
+    return found

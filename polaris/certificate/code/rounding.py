@@ -1,0 +1,81 @@
+"""Rounding on board: how far a command may be off the exact one, and what that takes of disturbances.
+
+Sums are bounded in the order of the step function: ``c`` roundings in a row are off by at most
+``c u / (1 - c u)`` of the sum of magnitudes (Higham 2002, chapter 3), contracted or not, and underflow adds
+at most the smallest normal number each time.
+"""
+
+from flint import arb, arb_mat
+
+from ..files.document import Document
+from ..kernel.arcs import Path
+from ..kernel.balls import absolute, column, diagonal, largest, magnitude, matrix, row_sums
+from ..kernel.motion import Plant
+from .text import Tables
+
+UNIT = {"double": 2.0**-53, "float": 2.0**-24}
+"""Largest relative error of one rounding, by precision."""
+SMALLEST = {"double": 2.0**-1022, "float": 2.0**-126}
+"""Smallest normal number, by precision: what flushing to zero may lose."""
+
+
+def command_error(document: Document, tables: Tables, precision: str, path: Path) -> arb:
+    """Bound on ``|command - exact command|`` of every input and node [N], for states within the range.
+
+    The exact one is that of S along the exact reference `path`, or a command of U, both clipped.
+    """
+    n, m, q = len(document.A), len(document.u_max), document.q
+    exact = arb(0) if precision == "double" else arb(UNIT[precision])  # of numbers that are handed over
+    reach, gain, limit = column(tables.range), matrix(tables.gain), column(tables.limit)
+    feeds = [column(u) for u in tables.feed] + [arb_mat(m, 1)] * (len(path.arcs) - len(tables.feed))
+    starts = [column(x) for x in tables.waypoints]
+    top = _tops(starts), _tops(feeds)
+    most = [arb(0)] * m
+    for part in range(q):
+        moved, pushed = matrix(tables.moved[part]), matrix(tables.pushed[part])
+        sizes = magnitude(moved) * top[0] + magnitude(pushed) * top[1]
+        off = [
+            arc.nodes[part] - moved * x - pushed * u
+            for arc, x, u in zip(path.arcs, starts, feeds, strict=True)
+        ]
+        error = _tops(off) + sizes * _several(n + m, precision) + _least(n, n + m, precision)
+        apart = sizes + error + reach
+        error += apart * arb(UNIT[precision]) + reach * exact
+        apart += error
+        spread = magnitude(gain) * apart + top[1] + limit
+        total = magnitude(gain) * error + spread * (_several(n + 1, precision) + 2 * exact)
+        total += _least(m, n + 1, precision)
+        most = [largest(pair) for pair in zip(most, total.entries(), strict=True)]
+    return largest(most)
+
+
+def _tops(columns: list[arb_mat]) -> arb_mat:
+    """Largest magnitude of every entry of some columns."""
+    rows = zip(*(absolute(one).entries() for one in columns), strict=True)
+    return column([largest(row) for row in rows])
+
+
+def _several(count: int, precision: str) -> arb:
+    lost = arb(UNIT[precision]) * (count + 1)
+    return lost / (1 - lost)
+
+
+def _least(rows: int, count: int, precision: str) -> arb_mat:
+    return column([arb(SMALLEST[precision]) * 2 * (count + 1)] * rows)
+
+
+def disturbance_taken(document: Document, plant: Plant, error: arb) -> arb | None:
+    """Bound on disturbances that do what errors of commands up to `error` do; None if none does.
+
+    The thrusters' own errors grow with commands, by their shares.
+    """
+    rows = [i for i, row in enumerate(plant.D.tolist()) if any(not x.is_zero() for x in row)]
+    others = [row for i, row in enumerate(plant.B.tolist()) if i not in rows]
+    if len(rows) != plant.D.ncols() or any(not x.is_zero() for row in others for x in row):
+        return None
+    D, B = (matrix([M.tolist()[i] for i in rows]) for M in (plant.D, plant.B))
+    try:
+        sizes = row_sums(D.solve(B) * diagonal([error] * B.ncols()))
+    except ZeroDivisionError:
+        return None
+    return sum((x * x for x in sizes), arb(0)).sqrt() * (1 + sum(map(arb, document.shares), arb(0)))

@@ -1,0 +1,178 @@
+"""The C text of the flight code, from numbers alone: templates beside this file, and tables."""
+
+import re
+from ctypes import c_float
+from dataclasses import dataclass, fields
+from math import prod
+from pathlib import Path
+from typing import Any
+
+FARTHEST = 1e6  # largest plausible entry of a state, in its unit
+PREFIX = re.compile(r"[a-z][a-z0-9_]{0,19}")  # 31 characters tell external names apart in C99
+PRECISIONS = {"double": "DBL_MAX", "float": "FLT_MAX"}
+HEAD = re.compile(r'_CERTIFICATE "([0-9a-f]{64})"\n')
+SIZES = "N", "M", "Q", "STEPS", "CELLS", "COVERED"
+
+Table = Any  # nested lists of floats
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Numbers of the flight code: K steps of q periods, R cells of the reference, n states, m inputs.
+
+    Attributes
+    ----------
+    covered : int
+        Control periods that the proof covers.
+    modes : list, shape (K,)
+    waypoints : list, shape (R, n)
+        Reference at the start of every cell.
+    feed : list, shape (K, m)
+        Input of the reference [N].
+    moved, pushed : list, shapes (q, n, n) and (q, n, m)
+        Transition from the start of a cell to each of its nodes, and what a unit input adds.
+    gain : list, shape (m, n)
+    limit : list, shape (m,)
+        Thrust limits [N].
+    range : list, shape (n,)
+        Largest entries of a state for which rounding is bounded.
+    rounding : float
+        Bound on what rounding changes of a command then [N].
+    """
+
+    covered: int
+    modes: list[int]
+    waypoints: Table
+    feed: Table
+    moved: Table
+    pushed: Table
+    gain: Table
+    limit: Table
+    range: Table
+    rounding: float = 0.0
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes by their names in the templates."""
+        found = len(self.waypoints[0]), len(self.limit), len(self.moved), len(self.modes)
+        return dict(zip(SIZES, (*found, len(self.waypoints), self.covered), strict=True))
+
+    def rounded(self, precision: str) -> "Tables":
+        """Return the tables with every number rounded to a precision."""
+        known = {one.name: getattr(self, one.name) for one in fields(self)}
+        return Tables(**{key: _rounded(value, precision) for key, value in known.items()})
+
+
+SHAPES = {
+    "waypoints": ("CELLS", "N"),
+    "feed": ("STEPS", "M"),
+    "moved": ("Q", "N", "N"),
+    "pushed": ("Q", "N", "M"),
+    "gain": ("M", "N"),
+    "limit": ("M",),
+    "range": ("N",),
+}
+NAMES = {"N": "STATES", "M": "INPUTS", "Q": "PARTS", "STEPS": "STEPS", "CELLS": "CELLS"}
+KEY = re.compile(r"@([A-Z]+)@")
+LITERAL = re.compile(r"[^\s{},]+")
+
+
+def rounded(x: float, precision: str) -> float:
+    """Round a number to a precision; beyond its largest it is infinite."""
+    return c_float(x).value if precision == "float" else x
+
+
+def _rounded(value: Table, precision: str) -> Table:
+    if isinstance(value, list):
+        return [_rounded(item, precision) for item in value]
+    return value if isinstance(value, int) else rounded(value, precision)
+
+
+def literal(x: float, precision: str) -> str:
+    """Exact C99 literal of a number of a precision."""
+    return float(x).hex() + "f" * (precision == "float")
+
+
+def _braces(value: Table, precision: str) -> str:
+    if not isinstance(value, list):
+        return literal(value, precision)
+    parts = [_braces(item, precision) for item in value]
+    return "{" + (",\n ".join(parts) if isinstance(value[0], list) else ", ".join(parts)) + "}"
+
+
+def files(tables: Tables, prefix: str, precision: str, digest: str) -> dict[str, str]:
+    """Return the texts of the header and the source by their names, of tables rounded to the precision."""
+    guard, parts = prefix.upper(), []
+    for name, shape in SHAPES.items():
+        size = "".join(f"[{guard}_{NAMES[one]}]" for one in shape)
+        body = _braces(getattr(tables, name), precision)
+        parts.append(f"static const {prefix}_real {name}{size} = {body};")
+    steps = ", ".join(f"{mode}U" for mode in tables.modes)
+    parts.append(f"static const uint8_t modes[{guard}_STEPS] = {{{steps}}};")
+    known: dict[str, Any] = {
+        "PREFIX": prefix,
+        "GUARD": guard,
+        "REAL": precision,
+        "MOST": PRECISIONS[precision],
+    }
+    known |= {"DIGEST": digest, "TABLES": "\n\n".join(parts), **tables.sizes}
+    n, m, *_ = tables.sizes.values()
+    counts = {"PRODUCTS": n * (n + 2 * m), "SUMS": n * (n + 2 * m + 1) + m, "QUOTIENTS": m}
+    known |= counts  # of `safety` and `answer`
+    reals = {"ZERO": 0.0, "ONE": 1.0, "FARTHEST": FARTHEST, "ROUNDING": tables.rounding}
+    known |= {key: literal(x, precision) for key, x in reals.items()}
+    texts = {f"{prefix}.{kind}": template(f"step.{kind}") for kind in ("h", "c")}
+    return {name: KEY.sub(lambda key: str(known[key[1]]), text) for name, text in texts.items()}
+
+
+def template(name: str) -> str:
+    """Return the text of a template."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
+def parsed(header: str, source: str, prefix: str) -> tuple[Tables, str, str]:
+    """Read tables, precision and digest back; `ValueError` where these files are not exactly their text."""
+    precision = next((p for p in PRECISIONS if f"typedef {p} {prefix}_real;" in header), "")
+    head = HEAD.search(header)
+    sizes = {key: _size(header, f"{prefix.upper()}_{NAMES.get(key, key)}") for key in SIZES}
+    if not precision or head is None:
+        raise ValueError("the header names no precision, or no certificate")
+    found = dict[str, Any]()
+    for name, shape in SHAPES.items():
+        texts = _literals(source, f"static const {prefix}_real {name}[")
+        count = [sizes[one] for one in shape]
+        if len(texts) != prod(count):
+            raise ValueError(f"the table {name} has {len(texts)} numbers, not {prod(count)}")
+        found[name] = _nested([float.fromhex(text.rstrip("f")) for text in texts], count)
+    modes = [int(text.rstrip("U")) for text in _literals(source, "static const uint8_t modes[")]
+    bound = re.search(rf"#define {prefix.upper()}_ROUNDING \((\S+?)f?\)", header)
+    found["rounding"] = float.fromhex(bound[1]) if bound else 0.0
+    tables = Tables(covered=sizes["COVERED"], modes=modes, **found)
+    for name, text in files(tables, prefix, precision, head[1]).items():
+        given = header if name.endswith(".h") else source
+        if given != text:
+            lines = zip(given.splitlines(), text.splitlines(), strict=False)
+            line = next((i for i, (a, b) in enumerate(lines, 1) if a != b), "the end")
+            raise ValueError(f"{name} differs from the text of its numbers in line {line}")
+    return tables, precision, head[1]
+
+
+def _size(header: str, name: str) -> int:
+    found = re.search(rf"#define {name} \((\d{{1,9}})\)", header, re.ASCII)
+    if found is None:
+        raise ValueError(f"the header has no {name}")
+    return int(found[1])
+
+
+def _literals(source: str, start: str) -> list[str]:
+    begin, end = source.find(start), source.find("};", source.find(start))
+    if begin < 0 or end < 0:
+        raise ValueError(f"there is no {start}...]")
+    return LITERAL.findall(source[source.index("= {", begin) + 2 : end])
+
+
+def _nested(values: list[float], shape: list[int]) -> Table:
+    if len(shape) == 1:
+        return values
+    part = len(values) // shape[0] if shape[0] else 0
+    return [_nested(values[i * part : (i + 1) * part], shape[1:]) for i in range(shape[0])]

@@ -1,0 +1,114 @@
+"""A proven run as C99: tables, test vectors and a self-test program beside the step function."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from reach.numerics.linear import discretize
+
+from ..certificate.code.answers import selftest
+from ..certificate.code.text import PRECISIONS, PREFIX, Tables, files
+from ..certificate.files.document import Document
+from ..model.errors import ScenarioError
+from ..model.system import Array
+from ..runs.files.atomic import check_target, replacing
+from ..runs.files.tables import write_text
+from ..runs.read_schedule import certificate_of, schedule_folder
+from .rounding import disturbance_taken, stated_rounding
+from .vectors import FLIGHTS, calls
+
+
+def export_c(
+    folder: str | Path, out: str | Path, precision: str = "double", prefix: str | None = None
+) -> list[Path]:
+    """Write the flight code of a run folder: S, the schedule and the reference, and a self-test.
+
+    Parameters
+    ----------
+    folder : path
+        Run folder of a schedule that is proved.
+    out : path
+        Folder to write; one that holds anything but flight code is refused.
+    precision : {"double", "float"}
+        Type of all numbers on board.
+    prefix : str, optional
+        Of all external names; default ``polaris_`` and the start of the scenario's name.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    ScenarioError
+        If the run is not proved, rounding takes more than the disturbance bound, an option has no such value,
+        or `out` cannot be written.
+    """
+    run = schedule_folder(folder)
+    document = certificate_of(run.path)
+    prefix = default_prefix(document.scenario) if prefix is None else prefix
+    if precision not in PRECISIONS:
+        raise ScenarioError("precision", precision, f"must be one of {', '.join(PRECISIONS)}")
+    if not PREFIX.fullmatch(prefix):
+        raise ScenarioError("prefix", prefix, "must be at most 20 of a-z, 0-9 and _, a letter first")
+    tables = flight_tables(document).rounded(precision)
+    rounding = stated_rounding(document, tables, precision)
+    if (share := disturbance_taken(document, rounding)) >= 1:
+        rule = f"takes {share:.3g} of the disturbance bound by rounding, and must leave some of it"
+        raise ScenarioError("precision", precision, rule)
+    tables = replace(tables, rounding=rounding).rounded(precision)
+    texts = files(tables, prefix, precision, document.digest)
+    texts[f"{prefix}_selftest.c"] = selftest(tables, prefix, precision, calls(tables, FLIGHTS, 0))
+    target = check_target(out, texts)
+    with replacing(target) as place:
+        for name, text in texts.items():
+            write_text(place / name, text)
+    return [target / name for name in texts]
+
+
+def default_prefix(scenario: str) -> str:
+    """Return a prefix made of a scenario's name."""
+    kept = "".join(c if c.isascii() and c.isalnum() else "_" for c in scenario.lower())
+    return f"polaris_{kept}"[:20]
+
+
+def flight_tables(document: Document) -> Tables:
+    """Return the tables of a proved certificate in double precision.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not proved, or a thrust limit is 0.
+    """
+    if document.guarantee != "proved":
+        rule = "must be 'proved' to fly: steps of black boxes rest on samples"
+        raise ScenarioError("guarantee", document.guarantee, rule)
+    if not min(document.u_max) > 0:
+        raise ScenarioError("input_max", document.u_max, "must be above 0 in every input to fly")
+    A, B, h = np.array(document.A), np.array(document.B), document.delta / document.q
+    parts = [discretize(A, B, h * i) for i in range(document.q)]
+    gain = document.laws[0].gain
+    assert gain is not None
+    nodes = document.steps if document.horizon == "none" else document.cells
+    return Tables(
+        covered=nodes * document.q,
+        modes=document.modes,
+        waypoints=document.states[: document.cells],
+        feed=document.inputs[: document.steps],
+        moved=[moved.tolist() for moved, _ in parts],
+        pushed=[pushed.tolist() for _, pushed in parts],
+        gain=gain,
+        limit=document.u_max,
+        range=booked_range(np.array(document.states), np.array(gain), np.array(document.u_max)).tolist(),
+    )
+
+
+def booked_range(states: Array, gain: Array, limit: Array) -> Array:
+    """Return the range of states for which rounding is bounded: the reference's, and errors about it.
+
+    Errors (n,) are twice those of each state that alone would ask for a thrust limit.
+    """
+    with np.errstate(divide="ignore"):
+        errors = (2 * limit[:, None] / np.abs(gain)).min(axis=0)
+    return np.asarray(np.minimum(np.abs(states).max(axis=0) + errors, 1e6))

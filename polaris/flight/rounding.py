@@ -1,0 +1,86 @@
+"""Rounding on board, worked out in decimal arithmetic: the bound that the header states."""
+
+from collections.abc import Sequence
+from decimal import Decimal, localcontext
+from typing import Any
+
+import numpy as np
+
+from ..certificate.code.text import Tables
+from ..certificate.files.document import Document
+
+DIGITS = 50
+MORE = 1.05  # the statement exceeds what is worked out by this: decimal digits, and a checker's own rounding
+UNIT = {"double": Decimal(2) ** -53, "float": Decimal(2) ** -24}
+
+Exact = Any  # array of Decimal
+
+
+def _exact(values: Any) -> Exact:
+    return np.vectorize(Decimal, otypes=[object])(np.array(values, dtype=float))
+
+
+def stated_rounding(document: Document, tables: Tables, precision: str) -> float:
+    """Bound on what rounding on board changes of any command [N], for states within the range.
+
+    Every entry is followed through the step function at its largest over all cells, part by part.
+    """
+    n, m, u = len(document.A), len(document.u_max), UNIT[precision]
+    with localcontext() as context:
+        context.prec = DIGITS
+        handed = u if precision == "float" else Decimal(0)
+        gain, reach, limit = (np.abs(_exact(x)) for x in (tables.gain, tables.range, tables.limit))
+        path, most = _path(document), Decimal(0)
+        starts = _exact(tables.waypoints)
+        feeds = np.zeros((len(starts), m), dtype=object) * Decimal(0)
+        feeds[: len(tables.feed)] = _exact(tables.feed)
+        for part, (moved, pushed) in enumerate(zip(tables.moved, tables.pushed, strict=True)):
+            Phi, Gamma = _exact(moved), _exact(pushed)
+            off = np.abs(path[part] - starts @ Phi.T - feeds @ Gamma.T).max(axis=0)
+            size = np.abs(Phi) @ np.abs(starts).max(axis=0) + np.abs(Gamma) @ np.abs(feeds).max(axis=0)
+            error = off + size * u * (n + m + 2)
+            apart = size + error + reach
+            error = error + apart * u + reach * handed
+            spread = gain @ (apart + error) + np.abs(feeds).max(axis=0) + limit
+            most = max(most, *(gain @ error + spread * (u * (n + 3) + 2 * handed)))
+        return float(most) * MORE
+
+
+def disturbance_taken(document: Document, error: float) -> float:
+    """Share of the disturbance bound that errors of commands take; 0 where nothing covers them."""
+    D, B = np.array(document.D), np.array(document.B)
+    through = np.linalg.lstsq(D, B, rcond=None)[0]
+    if not document.w_max > 0 or not np.allclose(D @ through, B, rtol=0, atol=1e-12 * np.abs(B).max()):
+        return 0.0
+    sizes = np.abs(through).sum(axis=1) * error
+    return float(np.linalg.norm(sizes)) * (1 + sum(document.shares)) / document.w_max
+
+
+def _path(document: Document) -> list[Exact]:
+    """The exact reference at every part of every cell, by part, (cells, n) each."""
+    A, B, centre, tail = (
+        _exact(x) for x in (document.A, document.B, document.center, document.states[document.steps])
+    )
+    if document.system_kind == "clohessy_wiltshire":
+        rate = Decimal(document.mean_motion or 0.0)
+        A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * rate**2, 2 * rate, -2 * rate, -(rate**2)
+        B[B != 0] = 1 / Decimal(document.mass)
+        if document.horizon == "infinite":
+            tail[4] = -2 * rate * tail[0]
+    h = Decimal(document.delta) / document.q
+    held = [_held(A, B, h * part) for part in range(document.q + 1)]
+    inputs, states = _exact(document.inputs), [centre]
+    for k, u in enumerate(inputs):
+        states[k] = tail if k == document.steps else states[k]
+        states.append(held[-1][0] @ states[k] + held[-1][1] @ u)
+    return [np.array(states[:-1]) @ Phi.T + inputs @ Gamma.T for Phi, Gamma in held[:-1]]
+
+
+def _held(A: Exact, B: Exact, t: Decimal) -> Sequence[Exact]:
+    """``e^{A t}`` and ``int_0^t e^{A s} ds B`` by their Taylor series."""
+    term = _exact(np.eye(len(A)))
+    Phi, Gamma, k = term, term * t, 1
+    while np.abs(term).max() > Decimal(10) ** -DIGITS:
+        term = term @ A * t / k
+        Phi, Gamma, k = Phi + term, Gamma + term * t / (k + 1), k + 1
+    return Phi, Gamma @ B

@@ -1,0 +1,52 @@
+"""Calls of the flight code, regular and hostile: what its self-test and the tests hand over."""
+
+from collections.abc import Iterator
+from math import inf, nan
+
+import numpy as np
+
+from ..certificate.code.answers import Call
+from ..certificate.code.text import FARTHEST, Tables
+from ..model.system import Array
+
+TINY, HUGE = (0.0, -0.0, 5e-324, 1e-310), (1e300, -1e300, inf, -inf, nan)
+SPECIAL = *TINY, FARTHEST, -FARTHEST, 1.0000001 * FARTHEST, *HUGE
+"""Numbers that estimates and commands may turn out to be."""
+PERIODS = (-(2**31), -1, 0, 2**31 - 1)
+FLIGHT = 12  # calls of a flight on average
+FLIGHTS = 60  # of the self-test
+
+
+def calls(tables: Tables, flights: int, seed: int) -> Iterator[Call]:
+    """Calls of many flights from anywhere; two thirds of the calls are regular.
+
+    What fails else: an entry of the state or of the command, U, the number of the period.
+    """
+    rng, q = np.random.default_rng(seed), len(tables.moved)
+    last, waypoints = len(tables.waypoints) * q + 2 * q, np.array(tables.waypoints)
+    reach, limit = np.array(tables.range), np.array(tables.limit)
+    for flight in range(flights):
+        period = 0 if flight % 2 else int(rng.integers(0, last))
+        left = FLIGHT if flight % 3 else 2 * q
+        for place in range(left):
+            cell = min(period // q, len(waypoints) - 1)
+            state = waypoints[cell] + rng.uniform(-1, 1, len(reach)) * reach * 10.0 ** rng.uniform(-6, 0.3)
+            command = rng.uniform(-1.2, 1.2, len(limit)) * limit
+            mode = tables.modes[cell] if cell < len(tables.modes) else 0
+            odd = rng.integers(0, 12) if place and flight % 3 else 99  # every third flight is regular
+            yield _call(rng, place == 0, period, state, mode, command, int(odd))
+            period += 1 if odd != 4 else int(rng.integers(-3, 6))
+
+
+def _call(
+    rng: np.random.Generator, start: bool, period: int, state: Array, mode: int, command: Array, odd: int
+) -> Call:
+    if odd == 0:
+        state[rng.integers(0, len(state))] = rng.choice(SPECIAL)
+    elif odd == 1:
+        command[rng.integers(0, len(command))] = rng.choice(SPECIAL)
+    elif odd == 2:
+        mode = int(rng.choice([0, mode + 1, -1, 2**31 - 1]))
+    elif odd == 3:
+        period = int(rng.choice(PERIODS))
+    return Call(start, period, tuple(state.tolist()), mode, tuple(command.tolist()))

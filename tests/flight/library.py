@@ -1,0 +1,89 @@
+"""Flight code compiled into a shared library, called from Python."""
+
+import ctypes
+import shutil
+import subprocess
+
+import pytest
+
+from polaris.certificate.code.answers import FlightAnswer
+from polaris.certificate.code.text import parsed
+
+STRICT = "-std=c99 -pedantic -Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion -Werror"
+FLAGS = [*STRICT.split(), "-ffp-contract=off"]
+
+
+def tool(name):
+    """Path of a program; the test is skipped where it is missing."""
+    place = shutil.which(name)
+    if place is None:
+        pytest.skip(f"{name} is not installed")
+    return place
+
+
+def built(folder, compiler, sources, out, *more):
+    """Compile without a word; returns the file made."""
+    command = [tool(compiler), *FLAGS, *more, *[str(folder / name) for name in sources], "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), done.stderr[:2000]
+    return out
+
+
+def read_code(folder):
+    """(prefix, tables, precision) of the code in a folder."""
+    (header,) = folder.glob("*.h")
+    texts = header.read_text(), header.with_suffix(".c").read_text()
+    tables, precision, _ = parsed(*texts, header.stem)
+    return header.stem, tables, precision
+
+
+class FlightLibrary:
+    """Calls of the compiled step function; `memory` makes what it keeps of a flight."""
+
+    def __init__(self, folder, out, compiler="gcc"):
+        prefix, tables, precision = read_code(folder)
+        real = ctypes.c_double if precision == "double" else ctypes.c_float
+        n, m = len(tables.waypoints[0]), len(tables.limit)
+
+        class Input(ctypes.Structure):
+            _fields_ = [
+                ("period", ctypes.c_int32),
+                ("controller", ctypes.c_int32),
+                ("state", real * n),
+                ("command", real * m),
+            ]
+
+        class Output(ctypes.Structure):
+            _fields_ = [
+                ("mode", ctypes.c_int32),
+                ("fault", ctypes.c_uint32),
+                ("command", real * m),
+                ("margin", real),
+            ]
+
+        class Memory(ctypes.Structure):
+            _fields_ = [
+                ("last", ctypes.c_int32),
+                ("latched", ctypes.c_int32),
+                ("state", real * n),
+                ("answer", Output),
+            ]
+
+        sources = [f"{prefix}.c"]
+        library = ctypes.CDLL(built(folder, compiler, sources, out, "-O2", "-fPIC", "-shared"))
+        self._start, self._step = library[f"{prefix}_start"], library[f"{prefix}_step"]
+        self.memory, self._input, self._output = Memory, Input(), Output()
+        self._own = Memory()
+        self._at = ctypes.byref(self._input), ctypes.byref(self._output)
+
+    def start(self, memory=None):
+        """Begin a flight, with a memory of its own if one is given."""
+        self._start(ctypes.byref(memory or self._own))
+
+    def step(self, period, state, controller, command, memory=None):
+        """Answer one call."""
+        given, out = self._input, self._output
+        given.period, given.controller = period, controller
+        given.state[:], given.command[:] = state, command
+        self._step(ctypes.byref(memory or self._own), *self._at)
+        return FlightAnswer(out.mode, out.fault, tuple(out.command), out.margin)
