@@ -17,16 +17,16 @@ PACKAGES = ("polaris", "reach")
 LINES = {
     # rooms: (limit, aim)
     ("reach",): (9219, 8400),
-    ("polaris/certificate",): (10538, 4600),
+    ("polaris/certificate",): (11129, 4600),
     ("polaris/certificate/kernel",): (2000, 2000),
     ("polaris/synthesis",): (9332, 5000),
     ("polaris/model", "polaris/simulation"): (9144, 5200),
     ("polaris/rta",): (4882, 4300),
     ("polaris/inspection",): (5412, 4500),
-    ("polaris/scenario", "polaris/runs"): (9950, 7500),
-    ("polaris/report", "polaris/cli", "polaris/traces"): (8119, 6400),
+    ("polaris/scenario", "polaris/runs"): (9942, 7500),
+    ("polaris/report", "polaris/cli", "polaris/traces"): (8135, 6400),
     ("polaris/planning",): (2514, 2200),
-    ("polaris", "reach"): (69136, 48000),
+    ("polaris", "reach"): (69988, 48000),
 }
 """Most lines of Python in each group of rooms, and the aim of each."""
 
