@@ -71,7 +71,7 @@ def falsify_command(
 
     if out is not None:
         check_file(out, endings=(".json",), force=force)
-    if (mission := _mission(target)) is not None:
+    if not assignments and (mission := _mission(target)) is not None:
         return _falsify_mission(mission, runs, seed, as_json)
     loaded = load_target(target, assignments or ())
     scenario = loaded.scenario
