@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from ...report.missions import flown, joint_tables, legs_table
+from ...report.missions import joint_tables, legs_table, rows_flown
 from . import assume, say, show_cells
 
 
@@ -17,7 +17,7 @@ def show_mission(summary: Mapping[str, Any], folder: str) -> None:
         say(shown.caption, "bold")
         show_cells(shown)
     say("")
-    for head, sentence in flown(summary):
+    for head, sentence in rows_flown(summary):
         say(f"{head}: {sentence}.")
     say("Guarantee: proved leg by leg and at the joints, assuming what the legs do, and that", "bold")
     assume(summary["mission"]["assumptions"])
