@@ -14,6 +14,7 @@ import pytest
 
 from polaris.certificate.checker import verify
 from polaris.certificate.files.document import canonical, digest
+from polaris.cli.show.mission import show_mission
 from polaris.model.errors import ScenarioError, SynthesisInfeasible
 from polaris.report import write_report
 from polaris.runs.run import read_run, run
@@ -347,6 +348,12 @@ def test_an_ellipse_passes_the_start_box_once_a_turn(tmp_path):
     data["joints"][0]["later"] = [[0, joint["later"][0][1] + 3]]
     summary_agrees(folder, data)
     assert mended(folder, data).claim == "joint"
+
+
+def test_the_summary_is_printed_with_its_go_boxes(flown, capsys):
+    show_mission(read_run(flown).summary, "runs/tour")
+    printed = capsys.readouterr().out
+    assert "GO from out to across" in printed and "7.7 to 8.3" in printed and "for ever" in printed
 
 
 # -- scenarios --------------------------------------------------------------------------------------
